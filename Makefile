@@ -1,0 +1,31 @@
+# make demo   build the environment and run the main job on the example scenes
+# make test   lint, type-check and run the whole test suite
+# make bench  speed, each figure a ratio to a yardstick measured in the same run
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+
+.PHONY: demo test bench clean
+
+$(READY): pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit("robodyn needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+demo: $(READY)
+	$(BIN)/robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
+	$(BIN)/robodyn torque robots/four-bar.yaml --q 60deg --qd 5 --qdd 0
+
+test: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n auto
+
+bench: $(READY)
+	$(BIN)/python tests/bench.py
+
+clean:
+	rm -rf $(VENV) bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

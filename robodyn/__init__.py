@@ -1,0 +1,62 @@
+"""robodyn: dynamics of planar mechanisms, from arms to linkages with closed loops.
+
+    mech = robodyn.load("robots/2r.yaml")
+    tau = robodyn.inverse_dynamics(mech, q, qd, qdd)
+
+Names are imported when they are first used, so that `import robodyn` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robodyn.assembly import assemble as assemble
+    from robodyn.closed_form import closure_gap as closure_gap
+    from robodyn.closed_form import closure_jacobian as closure_jacobian
+    from robodyn.closed_form import coriolis_matrix as coriolis_matrix
+    from robodyn.closed_form import gravity_vector as gravity_vector
+    from robodyn.closed_form import kinetic_energy as kinetic_energy
+    from robodyn.closed_form import mass_matrix as mass_matrix
+    from robodyn.closed_form import potential_energy as potential_energy
+    from robodyn.dynamics import forward_dynamics as forward_dynamics
+    from robodyn.dynamics import inverse_dynamics as inverse_dynamics
+    from robodyn.errors import AssemblyError as AssemblyError
+    from robodyn.errors import DescriptionError as DescriptionError
+    from robodyn.errors import InputError as InputError
+    from robodyn.errors import RobodynError as RobodynError
+    from robodyn.errors import SingularError as SingularError
+    from robodyn.mechanism import Mechanism as Mechanism
+    from robodyn.mechanism import load as load
+
+__version__ = "0.1.0"
+
+_ROOMS = {
+    "assembly": ["assemble"],
+    "closed_form": [
+        "closure_gap",
+        "closure_jacobian",
+        "coriolis_matrix",
+        "gravity_vector",
+        "kinetic_energy",
+        "mass_matrix",
+        "potential_energy",
+    ],
+    "dynamics": ["forward_dynamics", "inverse_dynamics"],
+    "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
+    "mechanism": ["Mechanism", "load"],
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'robodyn' has no attribute '{name}'")
+    value = getattr(import_module(f"robodyn.{_ROOM_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_ROOM_OF])

@@ -1,0 +1,44 @@
+"""`robodyn accel`: forward dynamics at given states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
+from robodyn.cli.states import Quantity, evaluate
+from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
+from robodyn.mechanism import load
+
+
+def accel(
+    model: Model,
+    states: States = None,
+    q: Q = None,
+    qd: Qd = None,
+    tau: Tau = None,
+    format: OutputFormat = None,
+    out: Out = None,
+) -> None:
+    """The accelerations that torques cause, and the pin forces.
+
+    Columns: qdd1.. (rad/s^2) of all joints, and for each closure the pin force fx1,fy1 (N, ground
+    axes) on the side that the scene names first.  Rows of STATES pass through with these added.
+
+    \b
+    Examples:
+      robodyn accel robots/2r.yaml --q 30deg,45deg --tau 12,2
+      robodyn accel robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
+      robodyn accel robots/2r.yaml states.csv --format json
+    """
+    mechanism = load(model)
+    columns = [f"qdd{k + 1}" for k in range(mechanism.n)]
+    for c in range(len(mechanism.description.closures)):
+        columns += [f"fx{c + 1}", f"fy{c + 1}"]
+
+    def compute(state: list[np.ndarray]) -> np.ndarray:
+        solution = forward_dynamics_and_forces(mechanism, *state)
+        forces = pin_forces(mechanism, solution.multipliers)
+        return np.concatenate([solution.qdd, forces.reshape(len(forces), -1)], axis=-1)
+
+    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]
+    evaluate(mechanism, states, quantities, columns, compute, format, out)

@@ -1,0 +1,146 @@
+"""`robodyn check`: what was read from a scene, what it is, and whether the identities hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import typer
+
+from robodyn import assembly, closed_form
+from robodyn.cli.options import Model, Out, OutputStructured
+from robodyn.cli.output import new_table, note, wants_tables, write_structure
+from robodyn.description import Point
+from robodyn.errors import InputError
+from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
+from robodyn.loop_class import loop_class
+from robodyn.mechanism import Mechanism, load
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+STATES = 200
+
+
+def check(model: Model, format: OutputStructured = None, out: Out = None) -> None:
+    """What was read from a scene, and a self-test.
+
+    Links, mobility, loop classes, and how well M and Psi are conditioned.
+
+    The self-test evaluates the identities that every mechanism must keep (Mdot - 2C skew,
+    G = dPE/dq, power in = dE/dt, ...) at random closed states and tells their residuals,
+    relative to the size of the terms.  Exit code 1 if one does not hold.
+
+    \b
+    Examples:
+      robodyn check robots/four-bar.yaml
+      robodyn check robots/2r.yaml --format json
+    """
+    mechanism = load(model)
+    try:
+        sample = sample_states(mechanism, STATES)
+    except InputError as error:
+        note(f"Note: no self-test over closed states: {error}")
+        sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
+    results = identities(mechanism, sample) if len(sample.q) else []
+    content = {
+        "name": mechanism.name,
+        "gravity": [mechanism.gamma.real, mechanism.gamma.imag],
+        "links": _links(mechanism),
+        "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
+        "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
+        **_conditioning(mechanism, sample),
+        "states": len(sample.q),
+        "closing": sample.closing if mechanism.rows else None,
+        "identities": {item.name: item.residual for item in results},
+        "bound": BOUND,
+        "passed": bool(results) and all(item.holds for item in results),
+    }
+    tables = _tables(mechanism, content, results) if wants_tables(format, out) else None
+    write_structure(out, content, tables)
+    failed = [item.name for item in results if not item.holds]
+    if failed:
+        note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
+        raise typer.Exit(1)
+
+
+def _links(mechanism: Mechanism) -> list[dict[str, object]]:
+    names = mechanism.link_names
+
+    def place(point: Point) -> str:
+        at = f"({point.at.real:g}, {point.at.imag:g})"
+        return f"ground {at}" if point.link is None else f"{names[point.link]} {at}"
+
+    return [
+        {
+            "name": link.name,
+            "m": link.m,
+            "l": link.l,
+            "r": [link.r.real, link.r.imag],
+            "I": link.I,
+            "from": place(link.hangs_from),
+            "payload": link.payload,
+            "damping": link.damping,
+        }
+        for link in mechanism.description.links
+    ]
+
+
+def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
+    """Mobility, and the range of the condition numbers of M and Psi over the sample."""
+    q = sample.q
+    if not len(q):
+        return {"mobility": None, "cond_M": None, "cond_Psi": None}
+    cond_M = np.linalg.cond(closed_form.mass_matrix(mechanism, q))
+    result: dict[str, object] = {
+        "mobility": mechanism.n,
+        "cond_M": [float(cond_M.min()), float(cond_M.max())],
+        "cond_Psi": None,
+    }
+    if mechanism.rows:
+        Psi = closed_form.closure_jacobian(mechanism, q)
+        s = np.linalg.svd(Psi, compute_uv=False)
+        rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
+        result["mobility"] = mechanism.n - rank
+        cond = s[:, 0] / s[:, rank - 1]
+        result["cond_Psi"] = [float(cond.min()), float(cond.max())]
+        if rank < len(mechanism.rows):
+            note(f"Note: {len(mechanism.rows) - rank} of the closures' equations are redundant")
+    return result
+
+
+def _tables(
+    mechanism: Mechanism, content: dict[str, object], results: list[Identity]
+) -> list[Table]:
+    columns = ["link", "m \\[kg]", "l \\[m]", "r \\[m]", "I \\[kg m²]", "hangs from"]
+    links = mechanism.description.links
+    extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in links)]
+    units = {"payload": "payload \\[kg]", "damping": "damping \\[N m s/rad]"}
+    table = new_table([*columns, *(units[key] for key in extras), "actuated"], mechanism.name)
+    for k, (link, row) in enumerate(zip(links, _links(mechanism), strict=True)):
+        r = f"{link.r.real:g}" if link.r.imag == 0 else f"({link.r.real:g}, {link.r.imag:g})"
+        values = [f"{link.m:g}", f"{link.l:g}", r, f"{link.I:g}", str(row["from"])]
+        values += [f"{getattr(link, key):g}" for key in extras]
+        table.add_row(f"{k + 1} {link.name}", *values, "yes" if k in mechanism.actuated else "")
+
+    facts = new_table(["", ""])
+    facts.show_header = False
+    gravity = mechanism.gamma
+    facts.add_row("gravity", f"({gravity.real:g}, {gravity.imag:g}) m/s²")
+    facts.add_row("mobility", str(content["mobility"]))
+    loops = content["loops"]
+    assert isinstance(loops, list)
+    for c, kind in enumerate(loops):
+        facts.add_row(f"loop {c + 1}", kind)
+    for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
+        span = content[key]
+        if isinstance(span, list):
+            facts.add_row(label, f"{span[0]:.3g} to {span[1]:.3g}")
+    if content["closing"] is not None:
+        facts.add_row("closes at", f"{100 * float(str(content['closing'])):.0f} % of positions")
+
+    title = f"identities at {content['states']} random states (bound {BOUND:g})"
+    proof = new_table(["identity", "residual", ""], title)
+    for item in results:
+        proof.add_row(item.name, f"{item.residual:.1e}", "holds" if item.holds else "FAILS")
+    return [table, facts, proof]

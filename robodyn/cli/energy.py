@@ -1,0 +1,37 @@
+"""`robodyn energy`: kinetic and potential energy at given states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States
+from robodyn.cli.states import Quantity, evaluate
+from robodyn.closed_form import kinetic_energy, potential_energy
+from robodyn.mechanism import load
+
+
+def energy(
+    model: Model,
+    states: States = None,
+    q: Q = None,
+    qd: Qd = None,
+    format: OutputFormat = None,
+    out: Out = None,
+) -> None:
+    """Kinetic energy, potential energy and their sum.
+
+    PE is zero where all masses are at the height of the origin.  Rows of STATES pass through.
+
+    \b
+    Examples:
+      robodyn energy robots/2r.yaml --q 30deg,45deg --qd 1,0.5
+      robodyn energy robots/2r.yaml motion.csv | cut -d, -f1,6-
+    """
+    mechanism = load(model)
+
+    def compute(state: list[np.ndarray]) -> np.ndarray:
+        KE, PE = kinetic_energy(mechanism, *state), potential_energy(mechanism, state[0])
+        return np.stack([KE, PE, KE + PE], axis=-1)
+
+    quantities = [Quantity("q", q, True), Quantity("qd", qd)]
+    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, format, out)

@@ -1,0 +1,78 @@
+"""The options and arguments that commands share, each defined once."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+
+class Format(StrEnum):
+    """How a result is written."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+
+
+class StructuredFormat(StrEnum):
+    """How a result with matrices or parts is written."""
+
+    table = "table"
+    json = "json"
+
+
+Model = Annotated[
+    Path, typer.Argument(metavar="MODEL", help="Scene file (YAML).", show_default=False)
+]
+States = Annotated[
+    Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+    typer.Argument(
+        metavar="[STATES]",
+        help="CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through.",
+        show_default=False,
+    ),
+]
+
+
+def _vector(flag: str, text: str) -> object:
+    return typer.Option(flag, metavar="VECTOR", help=text, show_default=False)
+
+
+_WHICH = "all joints, or the actuated ones of a closed mechanism"
+Q = Annotated[
+    Optional[str],  # noqa: UP045
+    _vector("--q", f"Joint angles, rad, or 30deg, pi/2: {_WHICH} (the rest is assembled)."),
+]
+Qd = Annotated[
+    Optional[str],  # noqa: UP045
+    _vector("--qd", f"Joint rates, rad/s or 30deg: {_WHICH}. Default: at rest."),
+]
+Qdd = Annotated[
+    Optional[str],  # noqa: UP045
+    _vector("--qdd", f"Joint accelerations, rad/s^2: {_WHICH}. Default: zero."),
+]
+Tau = Annotated[
+    Optional[str],  # noqa: UP045
+    _vector("--tau", "Joint torques, N m: all joints, or the actuated ones. Default: zero."),
+]
+OutputFormat = Annotated[
+    Optional[Format],  # noqa: UP045
+    typer.Option(
+        "--format", help="Default: table on a terminal, csv in a pipe.", show_default=False
+    ),
+]
+OutputStructured = Annotated[
+    Optional[StructuredFormat],  # noqa: UP045
+    typer.Option(
+        "--format", help="Default: table on a terminal, json in a pipe.", show_default=False
+    ),
+]
+Out = Annotated[
+    Optional[Path],  # noqa: UP045
+    typer.Option(
+        "--out", "-o", metavar="FILE", help="Write here, all or nothing.", show_default=False
+    ),
+]

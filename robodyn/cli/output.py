@@ -1,0 +1,178 @@
+"""Results to stdout or a file: as a rich table on a terminal, as CSV or JSON elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from robodyn.cli.options import Format, StructuredFormat
+from robodyn.table import WRITERS, open_output
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.table import Table
+
+UNITS = {
+    "t": "s",
+    "q": "rad",
+    "qd": "rad/s",
+    "qdd": "rad/s²",
+    "tau": "N m",
+    "fx": "N",
+    "fy": "N",
+    "KE": "J",
+    "PE": "J",
+    "energy": "J",
+}
+PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
+
+
+class RowWriter(Protocol):
+    """What the writers of all formats offer."""
+
+    def write_row(self, values: Sequence[float | str]) -> None: ...
+    def write_rows(self, lines: Sequence[str], values: NDArray[np.float64]) -> None: ...
+    def close(self) -> None: ...
+
+
+@contextmanager
+def row_writer(
+    format: Format | None, out: Path | None, columns: Sequence[str], header: Sequence[str] = ()
+) -> Iterator[RowWriter]:
+    """A writer of rows: computed `columns` after (or in) the columns of the input's `header`."""
+    format = default_format(format, out)
+    if format is Format.table:
+        with open_output(out) as stream:
+            table = TableView(columns, header)
+            yield table
+            table.close()
+            stream.write(table.text(on_terminal=out is None).encode())
+        return
+    with open_output(out) as stream:
+        writer = WRITERS[format.value](stream, columns, header)
+        yield writer
+        writer.close()
+
+
+def default_format(format: Format | None, out: Path | None) -> Format:
+    """The format asked for; else a table on a terminal and CSV elsewhere."""
+    if format is not None:
+        return format
+    return Format.table if out is None and sys.stdout.isatty() else Format.csv
+
+
+class TableView:
+    """Rows as rich tables; shows numbers to 6 digits, for people."""
+
+    def __init__(self, columns: Sequence[str], header: Sequence[str] = ()) -> None:
+        self._names = [*header, *(name for name in columns if name not in header)]
+        self._places = [self._names.index(name) for name in columns]
+        self._rows: list[list[str]] = []
+
+    def write_row(self, values: Sequence[float | str]) -> None:
+        self._rows.append([x if isinstance(x, str) else f"{x:.6g}" for x in values])
+
+    def write_rows(self, lines: Sequence[str], values: NDArray[np.float64]) -> None:
+        import csv
+
+        for fields, computed in zip(csv.reader(lines), values.tolist(), strict=True):
+            row = [_short(field) for field in fields]
+            row += [""] * (len(self._names) - len(row))
+            for place, value in zip(self._places, computed, strict=True):
+                row[place] = f"{value:.6g}"
+            self._rows.append(row)
+
+    def close(self) -> None:
+        """Nothing is left open."""
+
+    def text(self, on_terminal: bool) -> str:
+        """The tables as text, with colours where they go to a terminal."""
+        tables = []
+        for begin in range(0, len(self._rows) or 1, PAGE):
+            table = new_table([with_unit(name) for name in self._names])
+            for row in self._rows[begin : begin + PAGE]:
+                table.add_row(*row)
+            tables.append(table)
+        return render(tables, on_terminal)
+
+
+def write_structure(
+    out: Path | None, content: Mapping[str, object], tables: Sequence[Table] | None
+) -> None:
+    """Write a result with parts: its `tables` where there are any, else `content` as JSON."""
+    with open_output(out) as stream:
+        if tables is None:
+            stream.write(_json(content).encode())
+        else:
+            stream.write(render(tables, out is None).encode())
+
+
+def wants_tables(format: StructuredFormat | None, out: Path | None) -> bool:
+    """Whether a structured result is to be written as tables."""
+    if format is None:
+        return out is None and sys.stdout.isatty()
+    return format is StructuredFormat.table
+
+
+def new_table(columns: Sequence[str], title: str = "") -> Table:
+    """An empty rich table with right-aligned columns."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD)
+    for name in columns:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Table:
+    """A matrix, or a vector as one row, as a rich table."""
+    width = len(matrix[0]) if matrix else 0
+    table = new_table([str(k + 1) for k in range(width)], f"{title} [{unit}]" if unit else title)
+    for row in matrix:
+        table.add_row(*(f"{value:.6g}" for value in row))
+    return table
+
+
+def render(tables: Sequence[Table], on_terminal: bool) -> str:
+    """Tables as text; full width and no colours unless for a terminal."""
+    from rich.console import Console
+
+    console = Console(
+        width=None if on_terminal and sys.stdout.isatty() else 10_000,
+        no_color=not (on_terminal and sys.stdout.isatty()),
+        force_terminal=on_terminal and sys.stdout.isatty(),
+    )
+    with console.capture() as capture:
+        for table in tables:
+            console.print(table)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n"
+
+
+def with_unit(name: str) -> str:
+    """A column's name with its unit, `tau1 [N m]`."""
+    unit = UNITS.get(name.rstrip("0123456789"))
+    return name if unit is None else f"{name} \\[{unit}]"
+
+
+def note(text: str) -> None:
+    """A remark for the person at the terminal: stderr."""
+    print(text, file=sys.stderr)
+
+
+def _short(field: str) -> str:
+    try:
+        return f"{float(field):.6g}"
+    except ValueError:
+        return field
+
+
+def _json(content: Mapping[str, object]) -> str:
+    """One key a line, matrices in one line each."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"

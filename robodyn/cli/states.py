@@ -1,0 +1,236 @@
+"""States from the command line: vectors in options, or rows of a CSV, completed and checked.
+
+For a closed mechanism a vector holds all joints (checked: the loops must be closed) or the
+actuated ones only (the rest is assembled).  An option stands for its columns in every row.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from robodyn.cli.options import Format
+from robodyn.cli.output import note, row_writer
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanism import Mechanism
+from robodyn.quantities import parse_vector
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One vector of a state: its name, its option's value, and whether it may be left out."""
+
+    name: str  # q, qd, qdd or tau
+    option: str | None
+    required: bool = False
+
+    def columns(self, joints: Sequence[int]) -> list[str]:
+        return [f"{self.name}{k + 1}" for k in joints]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
+
+    quantity: Quantity
+    values: list[float] | None  # from the option
+    columns: list[str]  # from the table; both empty: zero
+    whole: bool  # all joints, or the actuated ones
+
+
+def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
+    """The source that the quantity's option is; zero where there is none."""
+    if quantity.option is None:
+        if quantity.required:
+            limit = "missing: give it, or a CSV of states (- for stdin)"
+            raise InputError(f"--{quantity.name}", limit=limit)
+        return Source(quantity, None, [], False)
+    values = parse_vector(
+        quantity.option, where=f"--{quantity.name}", angles=quantity.name != "tau"
+    )
+    n, actuated = mechanism.n, len(mechanism.actuated)
+    if len(values) not in (n, actuated):
+        wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
+        if actuated != n:
+            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+            wanted += f", or {actuated}, one an actuated joint ({names})"
+        raise InputError(
+            f"--{quantity.name}", value=f"{len(values)} values", limit=f"must have {wanted}"
+        )
+    return Source(quantity, values, [], len(values) == n)
+
+
+def table_source(
+    mechanism: Mechanism, quantity: Quantity, header: Sequence[str], source: str
+) -> Source:
+    """The source in a table with this header, or in the option, which goes first."""
+    if quantity.option is not None:
+        return option_source(mechanism, quantity)
+    everything = quantity.columns(range(mechanism.n))
+    driven = quantity.columns(mechanism.actuated)
+    if set(everything) <= set(header):
+        return Source(quantity, None, everything, True)
+    if driven and set(driven) <= set(header):
+        return Source(quantity, None, driven, False)
+    if not quantity.required and not set(everything) & set(header):
+        return Source(quantity, None, [], False)
+    missing = [name for name in everything if name not in header]
+    either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
+    raise InputError(
+        f"column {missing[0]} is missing",
+        where=source,
+        limit=f"needs {', '.join(everything)}{either}; the header has {', '.join(header)}",
+    )
+
+
+def complete(
+    mechanism: Mechanism,
+    sources: Sequence[Source],
+    values: Sequence[Array],
+    branches: Sequence[str] | None = None,
+) -> list[Array]:
+    """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
+    import numpy as np
+
+    from robodyn import assembly, loop_rates
+
+    full: list[Array] = []
+    for source, given in zip(sources, values, strict=True):
+        name = source.quantity.name
+        if source.whole:
+            full.append(given)
+        elif name == "q":
+            full.append(assembly.assemble(mechanism, given, branches))
+        elif name == "qd":
+            full.append(loop_rates.loop_velocities(mechanism, full[0], given))
+        elif name == "qdd":
+            full.append(loop_rates.loop_accelerations(mechanism, full[0], full[1], given))
+        else:
+            tau = np.zeros((*given.shape[:-1], mechanism.n))
+            tau[..., list(mechanism.actuated)] = given
+            full.append(tau)
+    if mechanism.rows and any(source.whole for source in sources):
+        motion = {s.quantity.name: x for s, x in zip(sources, full, strict=True)}
+        fault = loop_rates.check_closed(mechanism, motion["q"], motion.get("qd"), motion.get("qdd"))
+        if fault is not None:
+            raise fault[1]
+    return full
+
+
+def single_state(mechanism: Mechanism, quantities: Sequence[Quantity]) -> list[Array]:
+    """The one state that the options give, completed and checked: each vector (n,)."""
+    sources = [option_source(mechanism, quantity) for quantity in quantities]
+    return complete_from(mechanism, sources)
+
+
+def complete_from(
+    mechanism: Mechanism, sources: Sequence[Source], branches: Sequence[str] | None = None
+) -> list[Array]:
+    """The one state of sources that are options, completed and checked: each vector (n,)."""
+    import numpy as np
+
+    given = [np.array(_values(mechanism, source)) for source in sources]
+    return complete(mechanism, sources, given, branches)
+
+
+def evaluate(
+    mechanism: Mechanism,
+    states: str | None,
+    quantities: Sequence[Quantity],
+    columns: Sequence[str],
+    compute: Callable[[list[Array]], Array],
+    format: Format | None,
+    out: Path | None,
+) -> None:
+    """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`."""
+    import numpy as np
+
+    if states is None:
+        state = single_state(mechanism, quantities)
+        with _remarks(), row_writer(format, out, columns) as writer:
+            writer.write_row(compute([vector[None, :] for vector in state])[0].tolist())
+        return
+
+    from robodyn.table import Reader
+
+    with _open_input(states) as (stream, name):
+        reader = Reader(stream, name)
+        sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
+        wanted = [column for source in sources for column in source.columns]
+        chunks = reader.chunks(wanted)
+
+        def results(values: Array) -> Array:
+            given, begin = [], 0
+            for source in sources:
+                if source.columns:
+                    end = begin + len(source.columns)
+                    given.append(values[:, begin:end])
+                    begin = end
+                else:
+                    row = _values(mechanism, source)
+                    given.append(np.broadcast_to(np.array(row), (len(values), len(row))))
+            return compute(complete(mechanism, sources, given))
+
+        with _remarks(), row_writer(format, out, columns, reader.header) as writer:
+            for chunk in chunks:
+                try:
+                    writer.write_rows(chunk.lines, results(chunk.values))
+                except RobodynError:
+                    # find the row, with those before it written: again, one by one
+                    for k, line in enumerate(chunk.lines):
+                        try:
+                            row = results(chunk.values[k : k + 1])
+                        except RobodynError as error:
+                            error.add_place(f"{name}: line {chunk.line_numbers[k]}")
+                            raise
+                        writer.write_rows([line], row)
+
+
+def _values(mechanism: Mechanism, source: Source) -> list[float]:
+    if source.values is not None:
+        return source.values
+    return [0.0] * (mechanism.n if source.whole else len(mechanism.actuated))
+
+
+@contextmanager
+def _open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
+    """The binary stream and the name of a CSV file, `-` for stdin."""
+    if states == "-":
+        if sys.stdin.isatty():
+            note("reading CSV rows from the keyboard; end with Ctrl-D")
+        yield sys.stdin.buffer, "stdin"
+        return
+    try:
+        stream = open(states, "rb")  # noqa: SIM115 (closed by the with below)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError("cannot be read", where=states, limit=reason.lower()) from None
+    with stream:
+        yield stream, states
+
+
+@contextmanager
+def _remarks() -> Iterator[None]:
+    """Warnings of the numerics as notes on stderr, each once."""
+    seen: set[str] = set()
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if str(message) not in seen:
+            seen.add(str(message))
+            note(f"Warning: {message}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = show
+        yield

@@ -1,0 +1,60 @@
+"""`robodyn terms`: the terms of the equation of motion at one state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robodyn import closed_form
+from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
+from robodyn.cli.output import matrix_table, new_table, wants_tables, write_structure
+from robodyn.cli.states import Quantity, single_state
+from robodyn.mechanism import load
+
+
+def terms(
+    model: Model,
+    q: Q = None,
+    qd: Qd = None,
+    format: OutputStructured = None,
+    out: Out = None,
+) -> None:
+    """M, C, G, the closures' Psi, and the energies at a state.
+
+    They are the terms of M qdd + C qd + G = tau + Psi^T lambda, in SI units and radians.
+    JSON keys: q, qd, M, C, G, Psi, Psidot_qd, gap, KE, PE.
+
+    \b
+    Examples:
+      robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5
+      robodyn terms robots/four-bar.yaml --q 60deg --qd 5 --format json | python -m json.tool
+    """
+    mechanism = load(model)
+    q_, qd_ = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
+    content: dict[str, np.ndarray] = {
+        "q": q_,
+        "qd": qd_,
+        "M": closed_form.mass_matrix(mechanism, q_),
+        "C": closed_form.coriolis_matrix(mechanism, q_, qd_),
+        "G": closed_form.gravity_vector(mechanism, q_),
+    }
+    units = {"q": "rad", "qd": "rad/s", "M": "kg m²", "C": "kg m²/s", "G": "N m"}
+    if mechanism.rows:
+        content["Psi"] = closed_form.closure_jacobian(mechanism, q_)
+        content["Psidot_qd"] = closed_form.closure_bias(mechanism, q_, qd_)
+        content["gap"] = closed_form.closure_gap(mechanism, q_)
+        units |= {"Psi": "m", "Psidot_qd": "m/s²", "gap": "m"}
+    energies = {
+        "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
+        "PE": float(closed_form.potential_energy(mechanism, q_)),
+    }
+    tables = None
+    if wants_tables(format, out):
+        tables = [
+            matrix_table(name.replace("_", " "), np.atleast_2d(value).tolist(), units[name])
+            for name, value in content.items()
+        ]
+        table = new_table(["KE \\[J]", "PE \\[J]"])
+        table.add_row(*(f"{value:.6g}" for value in energies.values()))
+        tables.append(table)
+    plain = {name: value.tolist() for name, value in content.items()}
+    write_structure(out, plain | energies, tables)

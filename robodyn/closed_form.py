@@ -1,0 +1,165 @@
+"""M, C, G, Psi, energies and points of a mechanism, vectorised over any leading axes.
+
+With E = exp(i alpha), alpha = J q, and W = conj(E)[:, None] * A * E[None, :],
+
+    M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T Im(conj(gamma) B E)
+    KE = 1/2 alphad^T Re(W) alphad      PE = -Re(conj(gamma) B . E) + const
+    gap = Re(P E) + offset      Psi = -Im(P * E) J      Psidot qd = -Re(P (E * alphad^2))
+
+where A, B, J, P and gamma are the constants of `mechanism.py`.  This C is the Christoffel one:
+Mdot - 2C is skew-symmetric.  The equation of motion, which every docstring refers to, is
+
+    M qdd + C qd + D qd + G = tau + Psi^T lambda        gap(q) = 0                            (1)
+
+with D the diagonal matrix of joint damping.  States are arrays (..., n); radians, SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism, PlanarPoint
+
+Array = NDArray[np.float64]
+
+
+def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are finite and n wide."""
+    array = np.asarray(values, dtype=float)
+    n = mechanism.n
+    if array.ndim == 0 or array.shape[-1] != n:
+        limit = f"must have {n} values along the last axis, one a joint"
+        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        place = f"{name}[{', '.join(map(str, where))}]"
+        raise InputError(place, value=array[tuple(where)], limit="must be finite")
+    return array
+
+
+def phases(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.complex128]:
+    """E = exp(i J q), the links' directions, (..., n)."""
+    alpha = as_states(mechanism, "q", q) @ mechanism.arrays.J.T
+    E = np.empty(alpha.shape, complex)
+    np.cos(alpha, out=E.real)
+    np.sin(alpha, out=E.imag)
+    return E
+
+
+def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
+    """alphad = J qd, the links' angular velocities, (..., n)."""
+    rates: Array = as_states(mechanism, name, qd) @ mechanism.arrays.J.T
+    return rates
+
+
+def absolute_inertia(mechanism: Mechanism, E: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """W = conj(E)[:, None] * A * E[None, :], (..., n, n); its real part is M in alpha."""
+    W: NDArray[np.complex128] = E.conj()[..., :, None] * mechanism.arrays.A * E[..., None, :]
+    return W
+
+
+def absolute_gravity(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
+    """G in alpha, (..., n)."""
+    G: Array = (np.conj(mechanism.gamma) * mechanism.arrays.B * E).imag
+    return G
+
+
+def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """M of equation (1), (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
+
+    Raises InputError where q is not finite or not n wide.
+    """
+    J = mechanism.arrays.J
+    M: Array = J.T @ absolute_inertia(mechanism, phases(mechanism, q)).real @ J
+    return M
+
+
+def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """The Christoffel C of equation (1), (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
+
+    Raises InputError where q or qd is not finite or not n wide.
+    """
+    J = mechanism.arrays.J
+    W = absolute_inertia(mechanism, phases(mechanism, q))
+    C: Array = J.T @ (-W.imag * absolute_rates(mechanism, qd)[..., None, :]) @ J
+    return C
+
+
+def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """G = dPE/dq of equation (1), (..., n), N m.
+
+    Raises InputError where q is not finite or not n wide.
+    """
+    G: Array = absolute_gravity(mechanism, phases(mechanism, q)) @ mechanism.arrays.J
+    return G
+
+
+def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """KE = 1/2 qd^T M qd, (...), J."""
+    v = phases(mechanism, q) * absolute_rates(mechanism, qd)
+    KE: Array = 0.5 * np.einsum("...j,...j->...", v.conj(), v @ mechanism.arrays.A.T).real
+    return KE
+
+
+def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """PE of all masses under gravity, zero at the origin's height, (...), J."""
+    weight = np.conj(mechanism.gamma) * mechanism.arrays.B
+    PE: Array = mechanism.energy_offset - (phases(mechanism, q) @ weight).real
+    return PE
+
+
+def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """How far the closures are from closing, first side minus second, (..., r), m.
+
+    Two components (x, y) for a pin, one (normal to the line) for a slider.
+    """
+    arrays = mechanism.arrays
+    gap: Array = (phases(mechanism, q) @ arrays.P.T).real + arrays.offset
+    return gap
+
+
+def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """Psi = d gap/dq, (..., r, n), m/rad."""
+    arrays = mechanism.arrays
+    Psi: Array = -(arrays.P * phases(mechanism, q)[..., None, :]).imag @ arrays.J
+    return Psi
+
+
+def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """Psidot qd, the part of the gap's acceleration that qdd does not make, (..., r), m/s^2."""
+    rates = absolute_rates(mechanism, qd)
+    bias: Array = -((phases(mechanism, q) * rates**2) @ mechanism.arrays.P.T).real
+    return bias
+
+
+def point_motion(
+    mechanism: Mechanism,
+    points: Sequence[PlanarPoint],
+    q: ArrayLike,
+    qd: ArrayLike | None = None,
+    qdd: ArrayLike | None = None,
+) -> tuple[Array, Array, Array]:
+    """Position m, velocity m/s and acceleration m/s^2 of points, each (..., points, 2).
+
+    Rates and accelerations not given are zero.
+    """
+    coefficients = np.zeros((len(points), mechanism.n), complex)
+    for row, point in enumerate(points):
+        for k, value in point.terms:
+            coefficients[row, k] = value
+    E = phases(mechanism, q)
+    zero = np.zeros(mechanism.n)
+    rates = absolute_rates(mechanism, zero if qd is None else qd)
+    accelerations = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
+
+    def cartesian(z: NDArray[np.complex128]) -> Array:
+        return np.stack([z.real, z.imag], axis=-1)
+
+    position = E @ coefficients.T + np.array([point.constant for point in points])
+    velocity = (1j * E * rates) @ coefficients.T
+    acceleration = (E * (1j * accelerations - rates**2)) @ coefficients.T
+    return cartesian(position), cartesian(velocity), cartesian(acceleration)

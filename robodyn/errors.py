@@ -1,0 +1,74 @@
+"""The errors that robodyn raises, and the exit code that each means.
+
+Every error says what is wrong, where, with which value, and what is allowed.  The
+numerics raise them; only the command line turns them into text and an exit code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class RobodynError(Exception):
+    """Root of robodyn's errors: the computation could not be done (exit code 1).
+
+    Its text is `where: what = value: limit`, less the parts that are not given.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self, what: str, *, where: str = "", value: object = None, limit: str = ""
+    ) -> None:
+        self.what = what
+        self.where = where
+        self.value = value
+        self.limit = limit
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        subject = self.what if self.value is None else f"{self.what} = {self.value}"
+        return ": ".join(part for part in (self.where, subject, self.limit) if part)
+
+    def add_place(self, place: str) -> None:
+        """Put `place` (a row of a table, say) before where the error already is."""
+        self.where = f"{place}: {self.where}" if self.where else place
+
+
+class InputError(RobodynError):
+    """The input is wrong: usage, a file, or a value in it (exit code 2)."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of a description: the place in the file, what is there, what is allowed."""
+
+    place: str
+    limit: str
+    value: object = None
+    line: int | None = None
+
+    def text(self, source: str) -> str:
+        """The fault as one line, `source:line: place = value: limit`."""
+        at = source if self.line is None else f"{source}:{self.line}"
+        subject = self.place if self.value is None else f"{self.place} = {self.value}"
+        return ": ".join(part for part in (at, subject, self.limit) if part)
+
+
+class DescriptionError(InputError):
+    """A scene file has faults; all of them are told, one a line."""
+
+    def __init__(self, source: str, faults: Sequence[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(fault.text(source) for fault in faults))
+
+
+class AssemblyError(RobodynError):
+    """The loops cannot be closed at this configuration (exit code 1)."""
+
+
+class SingularError(RobodynError):
+    """The equations have no unique solution at this configuration (exit code 1)."""

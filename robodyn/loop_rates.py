@@ -1,0 +1,135 @@
+"""Rates and accelerations that keep loops closed, the check of given ones, singular configurations.
+
+    Psi qd = 0        Psi qdd + Psidot qd = 0
+
+With the actuated joints' rates given the passive ones follow from the columns Psi_p of the passive
+joints.  Psi_p loses rank at a **dead centre** (the actuated joints cannot move the mechanism, or
+hold it); Psi itself loses rank at a **change point** (the mechanism gains a freedom there).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.assembly import loop_size
+from robodyn.closed_form import (
+    absolute_rates,
+    as_states,
+    closure_bias,
+    closure_gap,
+    closure_jacobian,
+)
+from robodyn.errors import InputError, SingularError
+from robodyn.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-7  # a least singular value below this part of the largest is named as singular
+GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
+
+
+def loop_velocities(mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike) -> Array:
+    """All joint rates (..., n) from those of the actuated joints (..., actuated), rad/s.
+
+    q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
+    """
+    q = as_states(mechanism, "q", q)
+    return _complete(mechanism, q, np.asarray(qd_actuated, float), 0.0)
+
+
+def loop_accelerations(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd_actuated: ArrayLike
+) -> Array:
+    """All joint accelerations (..., n) from the actuated joints', rad/s^2.
+
+    q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point.
+    """
+    q = as_states(mechanism, "q", q)
+    bias = closure_bias(mechanism, q, qd)
+    return _complete(mechanism, q, np.asarray(qdd_actuated, float), bias)
+
+
+def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
+    """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
+    if not mechanism.rows:
+        return ""
+    Psi = closure_jacobian(mechanism, q)
+    whole, passive = _smallest(Psi), _smallest(Psi[:, list(mechanism.passive)])
+    if passive > SINGULAR:
+        return ""
+    return "change point" if whole <= SINGULAR else "dead centre"
+
+
+def check_closed(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array | None = None,
+    qdd: Array | None = None,
+) -> tuple[int, InputError] | None:
+    """The first of the states (..., n) that does not keep the closures, with the error to raise."""
+    if not mechanism.rows or q.size == 0:
+        return None
+    arrays = mechanism.arrays
+    sizes = np.abs(arrays.P).sum(axis=-1)
+    checks = [("position", "m", closure_gap(mechanism, q), loop_size(mechanism))]
+    if qd is not None:
+        Psi = closure_jacobian(mechanism, q)
+        rates = np.abs(absolute_rates(mechanism, qd)).max(axis=-1, keepdims=True)
+        moving = np.einsum("...ij,...j->...i", Psi, qd)
+        checks.append(("velocity", "m/s", moving, sizes * rates))
+        if qdd is not None:
+            turning = np.abs(absolute_rates(mechanism, qdd)).max(axis=-1, keepdims=True)
+            bending = np.einsum("...ij,...j->...i", Psi, qdd) + closure_bias(mechanism, q, qd)
+            checks.append(("acceleration", "m/s^2", bending, sizes * (turning + rates**2)))
+    for what, unit, gap, size in checks:
+        excess = np.abs(gap) > GAP_ALLOWED * np.broadcast_to(size, gap.shape)
+        wrong = np.flatnonzero(excess.reshape(-1, gap.shape[-1]).any(axis=-1))
+        if wrong.size:
+            state = int(wrong[0])
+            distance = float(np.linalg.norm(gap.reshape(-1, gap.shape[-1])[state]))
+            error = InputError(
+                f"the loops are open: gap in {what}",
+                value=f"{distance:.6g} {unit}",
+                limit="give a closed motion, or the actuated joints only (the rest is assembled)",
+            )
+            return state, error
+    return None
+
+
+def _smallest(Psi: Array) -> float:
+    """The least singular value against the largest; 0 for fewer columns than independent rows."""
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return float(s[-1] / s[0]) if s.size and s[0] > 0.0 else 0.0
+
+
+def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
+    """x with Psi x = -bias, given its actuated part."""
+    driven, passive = list(mechanism.actuated), list(mechanism.passive)
+    values = np.zeros((*np.broadcast_shapes(q.shape[:-1], actuated.shape[:-1]), mechanism.n))
+    values[..., driven] = actuated
+    if not passive:
+        return values
+    Psi = np.broadcast_to(
+        closure_jacobian(mechanism, q), (*values.shape[:-1], len(mechanism.rows), mechanism.n)
+    )
+    right = -np.einsum("...ij,...j->...i", Psi[..., driven], values[..., driven]) - bias
+    if not np.any(right):
+        return values
+    columns = Psi[..., passive]
+    s = np.linalg.svd(columns, compute_uv=False)
+    singular = (s[..., -1] <= SINGULAR * s[..., 0]) & np.any(right != 0.0, axis=-1)
+    if singular.any():
+        state = np.unravel_index(int(np.argmax(singular)), singular.shape)
+        configuration = np.broadcast_to(q, values.shape)[state]
+        kind = singular_kind(mechanism, configuration)
+        at = ", ".join(f"{x:.9g}" for x in configuration)
+        raise SingularError(
+            f"singular configuration ({kind}) at q = {at}",
+            where=mechanism.source,
+            limit="the actuated joints do not determine the motion of the others here; "
+            "give the values of all joints, or another configuration",
+        )
+    inverse = np.linalg.pinv(columns)
+    values[..., passive] = np.einsum("...ij,...j->...i", inverse, right)
+    return values

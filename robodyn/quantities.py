@@ -1,0 +1,82 @@
+"""Numbers as people write them: `1e-3`, `-0.5`, `30deg`, `pi/2`, `2*pi/3`, `1/3`."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from robodyn.errors import InputError
+
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_PLAIN = re.compile(rf"[+-]?{_NUMBER}")
+_ANGLE = re.compile(
+    rf"(?P<sign>[+-]?)(?:(?P<number>{_NUMBER})?(?P<pi>\*?pi)|(?P<value>{_NUMBER}))"
+    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?"
+)
+
+
+def parse_number(text: str) -> float:
+    """The finite number that `text` writes; ValueError with the reason if it is none."""
+    if _PLAIN.fullmatch(text) is None:
+        if text.lstrip("+-.").lower() in ("nan", "inf", "infinity"):
+            raise ValueError("must be a finite number")
+        raise ValueError("is not a number")
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError("is too large for a number")
+    return value
+
+
+def parse_angle(text: str) -> float:
+    """The angle (or angular rate) in radians that `text` writes; ValueError with the reason.
+
+    `0.5`, `30deg`, `1.2rad`, `pi`, `-pi/4`, `2*pi/3`, `3pi/2`, `1/3`.
+    """
+    match = _ANGLE.fullmatch(text)
+    if match is None or ((match["pi"] or "").startswith("*") and not match["number"]):
+        parse_number(text)  # tells nan and inf from what is no number at all
+        raise ValueError("is not an angle")
+    value = float(match["value"] or match["number"] or 1.0)
+    if match["pi"]:
+        if match["unit"] == "deg":
+            raise ValueError("mixes pi with deg")
+        value *= math.pi
+    if match["divisor"]:
+        divisor = float(match["divisor"])
+        if divisor == 0.0:
+            raise ValueError("divides by zero")
+        value /= divisor
+    if match["unit"] == "deg":
+        value = math.radians(value)
+    if math.isinf(value):
+        raise ValueError("is too large for a number")
+    return -value if match["sign"] == "-" else value
+
+
+def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:
+    """The numbers of a comma- or space-separated vector; InputError naming `where` if none."""
+    parse = parse_angle if angles else parse_number
+    example = "-0.5, 30deg or pi/2" if angles else "1.5 or -2e-3"
+    entries = text.replace(",", " , ").split()
+    values: list[float] = []
+    comma = True  # a comma needs an entry before it; one may stand between two entries
+    for entry in entries:
+        if entry == ",":
+            if comma:
+                raise InputError(text or "''", where=where, limit="an entry is missing at a comma")
+            comma = True
+            continue
+        try:
+            values.append(parse(entry))
+        except ValueError as error:
+            raise InputError(
+                f"entry {len(values) + 1}",
+                where=where,
+                value=entry,
+                limit=f"{error}; write {example}",
+            ) from None
+        comma = False
+    if comma:
+        what = "an entry is missing at a comma" if values else "the vector is empty"
+        raise InputError(what, where=where, value=repr(text), limit=f"write {example}")
+    return values

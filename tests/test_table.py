@@ -1,0 +1,656 @@
+"""The streamed tables: exact numbers, untouched text, prompt rows, faults with their line.
+
+The oracles are Python's own `float`, `csv` and `json`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import math
+import os
+import random
+import stat
+import struct
+import sys
+import tracemalloc
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robodyn.errors import InputError
+from robodyn.table import (
+    LONGEST_ROW,
+    READ_BYTES,
+    WRITERS,
+    Chunk,
+    JsonWriter,
+    Reader,
+    Writer,
+    open_output,
+)
+
+
+class Pieces(io.RawIOBase):
+    """A stream that gives the pieces that it was made of, one a read."""
+
+    def __init__(self, pieces: Sequence[bytes]) -> None:
+        self.pieces = list(pieces)
+
+    def read1(self, size: int) -> bytes:
+        return self.pieces.pop(0) if self.pieces else b""
+
+
+def reader(data: bytes | Sequence[bytes], source: str = "states.csv") -> Reader:
+    stream = io.BytesIO(data) if isinstance(data, bytes) else Pieces(data)
+    return Reader(cast(BinaryIO, stream), source)
+
+
+def table(data: bytes | Sequence[bytes], names: Sequence[str]) -> tuple[list[str], np.ndarray]:
+    """All lines and all values of a table."""
+    chunks = list(reader(data).chunks(names))
+    lines = [line for chunk in chunks for line in chunk.lines]
+    return lines, np.concatenate([np.empty((0, len(names)))] + [c.values for c in chunks])
+
+
+def fault(data: bytes | Sequence[bytes], names: Sequence[str]) -> tuple[list[Chunk], InputError]:
+    """The chunks before a fault, and the fault."""
+    chunks = []
+    with pytest.raises(InputError) as caught:  # noqa: PT012  the rows before it are the point
+        for chunk in reader(data).chunks(names):
+            chunks.append(chunk)  # noqa: PERF402
+    return chunks, caught.value
+
+
+def same_bits(a: object, b: object) -> bool:
+    return np.asarray(a, dtype=float).tobytes() == np.asarray(b, dtype=float).tobytes()
+
+
+# Reading
+
+
+def test_columns_come_in_the_order_asked_for() -> None:
+    source = reader(b"t, q1 ,q2\n0,1,2\n3,4,5\n")
+    assert source.header == ("t", "q1", "q2")
+    (chunk,) = source.chunks(["q2", "t"])
+    assert chunk.lines == ["0,1,2", "3,4,5"]
+    assert chunk.first_line == 2
+    assert list(chunk.line_numbers) == [2, 3]
+    assert chunk.values.dtype == np.float64
+    assert chunk.values.tolist() == [[2.0, 0.0], [5.0, 3.0]]
+
+
+def test_no_column_asked_for() -> None:
+    (chunk,) = reader(b"note\nabc\n\xc3\xa9\n").chunks([])
+    assert chunk.lines == ["abc", "é"]
+    assert chunk.values.shape == (2, 0)
+
+
+def test_a_header_without_rows() -> None:
+    for data in (b"t,q1", b"t,q1\n", b"\xef\xbb\xbft,q1\r\n\r\n"):
+        source = reader(data)
+        assert source.header == ("t", "q1")
+        assert list(source.chunks(["q1"])) == []
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+@pytest.mark.parametrize("bom", [b"", b"\xef\xbb\xbf"])
+@pytest.mark.parametrize("last", [True, False])
+def test_line_ends_and_byte_order_mark(end: bytes, bom: bytes, last: bool) -> None:
+    data = bom + end.join([b"t,q", b"1,2", b"3,4"]) + (end if last else b"")
+    for pieces in ([data], [data[i : i + 1] for i in range(len(data))]):
+        lines, values = table(pieces, ["t", "q"])
+        assert lines == ["1,2", "3,4"]
+        assert values.tolist() == [[1, 2], [3, 4]]
+
+
+def test_blank_lines_are_skipped_and_counted() -> None:
+    source = reader(b"\n \nt,q\n\n1,2\n  \n\r\n3,4\n\n")
+    (chunk,) = source.chunks(["q"])
+    assert chunk.lines == ["1,2", "3,4"]
+    assert list(chunk.line_numbers) == [5, 8]
+    _, error = fault(b"t\n\n1\n\nx\n", ["t"])
+    assert error.where == "states.csv: line 5"
+
+
+def test_spaces_around_numbers_are_read_as_float_reads_them() -> None:
+    lines, values = table(b"t,q\n 1 ,\t2\n3 , 4\n", ["t", "q"])
+    assert lines == [" 1 ,\t2", "3 , 4"]
+    assert values.tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize("other", ["9", "text", '"quoted, text"'])  # the fast path and the slow
+def test_numbers_equal_those_of_float(other: str) -> None:
+    generator = random.Random(20)
+    texts = ["-0.0", "0", "+1.5", "5e-324", "2.4703282292062327e-324", "2.4703282292062328e-324"]
+    texts += ["1e308", "1.7976931348623157e308", "1.7976931348623158e+308", ".5", "5.", "1E5"]
+    texts += ["9007199254740993", "0." + "0" * 400 + "123", "1" + "0" * 300, "1e-400", "00012"]
+    texts += ["1.00000000000000011102230246251565404236316680908203125", "1.5e-00000005"]
+    texts += ["1.00000000000000011102230246251565404236316680908203124"]
+    texts += ["1.00000000000000011102230246251565404236316680908203126"]
+    for _ in range(4000):
+        (number,) = struct.unpack("d", generator.randbytes(8))
+        if math.isfinite(number):
+            texts += [repr(number), f"{number:.25g}", f"{number:.16e}", f"{number:.3g}"]
+    for _ in range(2000):  # near the middle of two doubles, where rounding is hardest
+        number = generator.uniform(0.5, 2)
+        texts.append(f"{number + math.ulp(number) / 2:.17f}{generator.randrange(10**12)}")
+    expected = [float(text) for text in texts]
+    texts = [text for text, x in zip(texts, expected, strict=True) if math.isfinite(x)]
+    data = "other,q\n" + "".join(f"{other},{text}\n" for text in texts)
+    _, values = table(data.encode(), ["q"])
+    assert same_bits(values[:, 0], [x for x in expected if math.isfinite(x)])
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1), st.integers(1, 4))
+def test_floats_round_trip(numbers: list[float], width: int) -> None:
+    rows = np.array((numbers * width)[: len(numbers) // width * width or width]).reshape(-1, width)
+    out = io.BytesIO()
+    names = [f"q{i}" for i in range(width)]
+    Writer(out, names).write_columns(rows)
+    lines, values = table(out.getvalue(), names)
+    assert lines == [",".join(map(repr, row)) for row in rows.tolist()]
+    assert same_bits(values, rows)
+
+
+@given(st.text(st.sampled_from("0123456789.-+eE_xnaif \t,j()'"), max_size=8))
+def test_a_field_is_a_number_where_float_says_so(text: str) -> None:
+    fields = text.split(",")
+    try:
+        expected = [math.nan if "_" in field else float(field) for field in fields]
+    except ValueError:
+        expected = [math.nan]
+    names = [f"q{i}" for i in range(len(fields) + 1)]
+    data = f"{','.join(names)}\n0,{text}\n".encode()
+    if all(map(math.isfinite, expected)):
+        _, values = table(data, names[1:])
+        assert same_bits(values[0], expected)
+    else:
+        fault(data, names[1:])
+
+
+CELLS = st.text(st.sampled_from('ab,"\n\r 1é'), max_size=5)
+TABLES = st.integers(1, 4).flatmap(
+    lambda width: st.lists(st.tuples(*[CELLS] * width), min_size=1, max_size=6)
+)
+
+
+@given(TABLES, st.randoms(use_true_random=False), st.sampled_from(["\n", "\r\n"]), st.booleans())
+def test_quoted_text_passes_untouched_in_any_pieces(
+    rows: list[tuple[str, ...]], chance: random.Random, end: str, sparing: bool
+) -> None:
+    text = io.StringIO()
+    quoting = csv.QUOTE_MINIMAL if sparing else csv.QUOTE_ALL
+    output = csv.writer(text, lineterminator=end, quoting=quoting)
+    names = [f"note {i}" for i in range(len(rows[0]))]
+    output.writerows([[*names, "q"], *([*row, i] for i, row in enumerate(rows))])
+    data = text.getvalue().encode()
+    cuts = sorted(chance.choices(range(1, len(data)), k=chance.randrange(12)))
+    pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True) if b > a]
+    source = reader(pieces)
+    assert source.header == (*names, "q")
+    chunks = list(source.chunks(["q"]))
+    values = [value for chunk in chunks for value in chunk.values[:, 0].tolist()]
+    assert values == list(range(len(rows)))
+    lines = [line + end for chunk in chunks for line in chunk.lines]
+    assert "".join(lines) == data.decode().split(end, 1)[1]
+    starts = np.cumsum([2] + [line.count("\n") for line in lines])[:-1]
+    assert [n for chunk in chunks for n in chunk.line_numbers] == starts.tolist()
+
+    # With the json module and the csv module as oracles, what the writers make of the rows.
+    for columns in (["tau"], ["q"], ["note 0", "tau"]):
+        csv_out, json_out = io.BytesIO(), io.BytesIO()
+        writers = [Writer(csv_out, columns, source.header)]
+        writers += [JsonWriter(json_out, columns, source.header)]
+        for writer in writers:
+            for chunk in chunks:
+                writer.write_rows(chunk.lines, np.full((len(chunk.lines), len(columns)), 0.5))
+            writer.close()
+        computed = dict.fromkeys(columns, "0.5")
+        expected = [
+            dict(zip(source.header, [*row, str(i)], strict=True)) | computed
+            for i, row in enumerate(rows)
+        ]
+        written = io.StringIO(csv_out.getvalue().decode(), newline="")
+        assert list(csv.DictReader(written, strict=True)) == expected
+        objects = json.loads(json_out.getvalue())
+        assert [list(item) for item in objects] == [list(item) for item in expected]
+        for item, wanted in zip(objects, expected, strict=True):
+            for name, value in item.items():
+                number = isinstance(value, float | int)
+                assert value == (float(wanted[name]) if number else wanted[name])
+
+
+def test_numbers_may_be_quoted() -> None:
+    lines, values = table(b'"t","q"\n"1.5","-2"\n3,"4"\n', ["t", "q"])
+    assert lines == ['"1.5","-2"', '3,"4"']
+    assert values.tolist() == [[1.5, -2], [3, 4]]
+
+
+def test_a_quote_inside_of_a_plain_field_is_text() -> None:
+    lines, values = table(b'note,q\n5" arm,1\n6" "arm",2\n', ["q"])
+    assert lines == ['5" arm,1', '6" "arm",2']
+    assert values.tolist() == [[1], [2]]
+
+
+def test_a_quoted_comma_does_not_stand_for_a_missing_field() -> None:
+    chunks, error = fault(b'note,q,x\na,1,2\n"b,3",4\n', ["x"])
+    assert [chunk.lines for chunk in chunks] == [["a,1,2"]]
+    assert (error.what, error.value) == ("number of fields", 2)
+
+
+def test_quoted_rows_may_span_reads() -> None:
+    note = "long text\n" * (READ_BYTES // 20)
+    data = "note,q\n" + "".join(f'"{note}",{i}\n' for i in range(5))
+    lines, values = table(data.encode(), ["q"])
+    assert values[:, 0].tolist() == list(range(5))
+    assert lines == [f'"{note}",{i}' for i in range(5)]
+
+
+def test_long_tables_come_in_chunks_with_their_line_numbers() -> None:
+    numbers = np.random.default_rng(3).normal(size=(20_000, 3))
+    data = b"t,q1,q2\n" + "".join(
+        ",".join(map(repr, row)) + "\n" for row in numbers.tolist()
+    ).encode()
+    chunks = list(reader(data).chunks(["t", "q1", "q2"]))
+    assert len(chunks) > 2
+    assert same_bits(np.concatenate([chunk.values for chunk in chunks]), numbers)
+    starts = np.cumsum([2] + [len(chunk.lines) for chunk in chunks])[:-1]
+    assert [chunk.first_line for chunk in chunks] == starts.tolist()
+
+
+def test_rows_are_there_as_soon_as_they_are_written() -> None:
+    source, sink = os.pipe()
+    with open(source, "rb") as stream, open(sink, "wb", buffering=0) as producer:
+        producer.write(b"t,q\n1,2\n3,")
+        table_in = Reader(stream, "-")  # returns while the pipe is open
+        chunks = table_in.chunks(["t", "q"])
+        assert next(chunks).lines == ["1,2"]
+        producer.write(b'4\n"5')
+        assert next(chunks).lines == ["3,4"]
+        producer.write(b'","6"\n"7",8\n9')
+        assert next(chunks).values.tolist() == [[5, 6], [7, 8]]
+        producer.write(b",10")
+        producer.close()
+        last = next(chunks)
+        assert (last.first_line, last.values.tolist()) == (6, [[9, 10]])
+        assert next(chunks, None) is None
+
+
+def test_unbuffered_streams_will_do(tmp_path: Path) -> None:
+    path = tmp_path / "states.csv"
+    path.write_bytes(b"q\n1\n")
+    with open(path, "rb", buffering=0) as stream:
+        (chunk,) = Reader(cast(BinaryIO, stream), str(path)).chunks(["q"])
+    assert chunk.values.tolist() == [[1.0]]
+
+
+def test_memory_does_not_grow_with_the_table() -> None:
+    row = b",".join([b"-0.12345678901234567"] * 7) + b"\n"
+    pieces = [b"a,b,c,d,e,f,g\n", *[row * 3000] * 20]
+    discard = cast(BinaryIO, open(os.devnull, "wb"))
+    with discard:
+        tracemalloc.start()
+        try:
+            source = reader(pieces)
+            writer = Writer(discard, ["tau"], source.header)
+            for chunk in source.chunks(["a", "g"]):
+                writer.write_rows(chunk.lines, chunk.values[:, :1])
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert peak < 8 * len(pieces[1])  # of a table of 20
+
+
+# Faults of the input
+
+
+@pytest.mark.parametrize("data", [b"", b"\n", b"\r\n  \n", b"\xef\xbb\xbf", b"\xef\xbb\xbf\n"])
+def test_empty_input(data: bytes) -> None:
+    with pytest.raises(InputError, match=r"^stdin: the input is empty: .* t,q1,q2$"):
+        reader(data, "stdin")
+
+
+def test_missing_columns() -> None:
+    source = reader(b"t,q1,qd1\n0,0,0\n")
+    source.require(["q1", "t"])
+    with pytest.raises(InputError) as caught:
+        source.require(["q1", "q2"])
+    assert str(caught.value) == "states.csv: column q2 is missing: the header has t, q1, qd1"
+    with pytest.raises(InputError, match="column q2, qd2 is missing"):
+        source.chunks(["q2", "qd2"])  # at once, not at the first row
+    assert len(list(source.chunks(["q1"]))) == 1
+
+
+def test_a_column_twice() -> None:
+    for header in (b"t,q1, t", b't,"q1","q1 "'):
+        with pytest.raises(InputError, match=r"line 2: column = (t|q1): .*twice"):
+            reader(b"\n" + header + b"\n")
+    with pytest.raises(InputError, match="column = '': .*twice"):
+        reader(b"t,,q,\n")
+    assert reader(b",q\n").header == ("", "q")
+
+
+BAD_FIELDS = ["nan", "-NaN", "inf", "-Infinity", "1e400", "1_0", "abc", "0x10", "1 2", "30deg", "1;2"]
+
+
+@pytest.mark.parametrize("text", BAD_FIELDS)
+@pytest.mark.parametrize("note", ["text", '"a\nb"'])
+def test_a_field_that_is_not_a_finite_number(text: str, note: str) -> None:
+    rows = [f"1,{note},2", f"3,{note},4", f"5,{note},{text}", f"7,{note},8"]
+    chunks, error = fault("\n".join(["t,note,q", *rows]).encode(), ["q", "t"])
+    (chunk,) = chunks  # the good rows of the chunk come first
+    assert chunk.lines == rows[:2]
+    assert chunk.values.tolist() == [[2, 1], [4, 3]]
+    assert error.where == f"states.csv: line {4 if note == 'text' else 6}"
+    assert (error.what, error.value) == ("q", text)
+    assert "finite number" in error.limit
+    assert error.exit_code == 2
+
+
+def test_a_field_that_nobody_needs_may_be_anything() -> None:
+    lines, values = table(b"t,q\nnan,1\n,2\n", ["q"])
+    assert lines == ["nan,1", ",2"]
+    assert values.tolist() == [[1], [2]]
+
+
+def test_an_empty_field() -> None:
+    _, error = fault(b"t,q\n1,\n", ["q"])
+    assert str(error) == "states.csv: line 2: q: the field is empty, not a finite number"
+
+
+def test_a_long_or_unprintable_field_is_shown_fit_for_a_terminal() -> None:
+    _, error = fault(b"t,q\n1,\x1b[2J" + b"x" * 100_000, ["q"])
+    assert "\x1b" not in str(error)
+    assert len(str(error)) < 400
+
+
+@pytest.mark.parametrize(("row", "count"), [("1", 1), ("1,2", 2), ("1,2,3,", 4), ("1;2;3", 1)])
+def test_a_wrong_number_of_fields(row: str, count: int) -> None:
+    for names in (["a", "b", "c"], ["a"], []):
+        chunks, error = fault(f"a,b,c\n1,2,3\n{row}\n1,2,3\n".encode(), names)
+        assert [chunk.lines for chunk in chunks] == [["1,2,3"]]
+        assert str(error) == f"states.csv: line 3: number of fields = {count}: the header has 3"
+
+
+def test_rows_of_unequal_lengths_that_even_out() -> None:
+    _, error = fault(b"a,b\n1\n1,2,3\n", ["a"])
+    assert error.where == "states.csv: line 2"
+
+
+def test_only_the_first_fault_of_a_chunk_is_told() -> None:
+    chunks, error = fault(b"a,b\n1,2\nx,2\n1\n\xff\n", ["a"])
+    assert [chunk.lines for chunk in chunks] == [["1,2"]]
+    assert (error.where, error.value) == ("states.csv: line 3", "x")
+
+
+def test_after_a_fault_there_is_nothing() -> None:
+    chunks = reader(b"a\n1\nx\n2\n").chunks(["a"])
+    next(chunks)
+    with pytest.raises(InputError):
+        next(chunks)
+    assert next(chunks, None) is None
+
+
+@pytest.mark.parametrize("bad", [b"\xff", b"\xc3", b"\xed\xa0\x80", b"caf\xe9"])
+@pytest.mark.parametrize("note", [b"x", b'"x"', "é".encode()])
+def test_text_that_is_not_utf8(bad: bytes, note: bytes) -> None:
+    data = b"\xef\xbb\xbfnote,q\n\n" + note + b",1\n" + bad + b",2\n" + note + b",3\n"
+    for pieces in ([data], [data[i : i + 1] for i in range(len(data))]):
+        chunks, error = fault(pieces, ["q"])
+        assert [value for chunk in chunks for value in chunk.values.tolist()] == [[1.0]]
+        assert error.where == "states.csv: line 4"
+        assert "UTF-8" in error.limit
+    with pytest.raises(InputError, match=r"states.csv: line 1: byte = 0xff: .*UTF-8"):
+        reader(b"\xfft\n1\n")
+
+
+@pytest.mark.parametrize("row", [b'"a"b,2', b'"a" ,2', b'1,"2"3', b'"a""b"c,2'])
+def test_text_after_a_closing_quote(row: bytes) -> None:
+    chunks, error = fault(b"note,q\nx,1\n" + row + b"\n", ["q"])
+    assert [chunk.lines for chunk in chunks] == [["x,1"]]
+    assert str(error) == "states.csv: line 3: bad quoting: a closing quote must end its field"
+
+
+def test_a_quote_that_is_never_closed() -> None:
+    chunks, error = fault(b'note,q\nx,1\n"a,2\nb,3\n', ["q"])
+    assert [chunk.lines for chunk in chunks] == [["x,1"]]
+    assert error.where == "states.csv: line 3"
+    assert "quote left open" in error.limit
+
+
+@pytest.mark.parametrize("start", [b"t", b't\n1\n"'])
+def test_a_row_that_never_ends_is_refused_before_it_fills_the_memory(start: bytes) -> None:
+    class Endless(io.RawIOBase):
+        given = 0
+
+        def read1(self, size: int) -> bytes:
+            self.given += size
+            assert self.given < 4 * LONGEST_ROW
+            return start if self.given == size else b"x" * (size - 1) + start[1:2]
+
+    with pytest.raises(InputError, match="the row does not end"):
+        list(Reader(cast(BinaryIO, Endless()), "/dev/zero").chunks(["t"]))
+
+
+# Writing
+
+
+def written(kind: str, columns: Sequence[str], header: Sequence[str], rows: list[str]) -> str:
+    out = io.BytesIO()
+    writer = WRITERS[kind](out, columns, header)
+    values = np.arange(1.0, 1 + len(rows) * len(columns)).reshape(len(rows), len(columns))
+    writer.write_rows(rows, values)
+    writer.close()
+    return out.getvalue().decode()
+
+
+def test_csv_columns_alone() -> None:
+    out = io.BytesIO()
+    writer = Writer(out, ["t", 'a "b", c'])
+    assert out.getvalue() == b't,"a ""b"", c"\n'  # the header does not wait for rows
+    writer.write_columns(np.array([[0.0, -0.0], [0.1, 1e22], [5e-324, -1e-5]]))
+    writer.write_columns(np.empty((0, 2)))
+    writer.write_columns(np.array([[math.nan, -math.inf]]))
+    writer.close()
+    rows = "0.0,-0.0\n0.1,1e+22\n5e-324,-1e-05\nnan,-inf\n"
+    assert out.getvalue().decode() == 't,"a ""b"", c"\n' + rows
+    assert not out.closed
+
+
+def test_csv_appends_to_rows_as_they_are() -> None:
+    text = written("csv", ["tau1", "tau2"], ["q", "note"], ["007, x", '1,"a,\n""b"""', " 2 ,é"])
+    rows = '007, x,1.0,2.0\n1,"a,\n""b""",3.0,4.0\n 2 ,é,5.0,6.0\n'
+    assert text == "q,note,tau1,tau2\n" + rows
+
+
+def test_csv_replaces_columns_in_place() -> None:
+    header = ["q", "tau2", "note"]
+    text = written("csv", ["tau1", "tau2", "x"], header, ["07,9,n", '" 1","a,b","c""d,"', ",,"])
+    rows = '07,2.0,n,1.0,3.0\n" 1",5.0,"c""d,",4.0,6.0\n,8.0,,7.0,9.0\n'
+    assert text == "q,tau2,note,tau1,x\n" + rows
+
+
+def test_a_table_run_through_twice_is_the_same() -> None:
+    first = written("csv", ["tau"], ["q"], ["1", "2"])
+    header, *rows = first.splitlines()
+    assert written("csv", ["tau"], header.split(","), rows) == first
+
+
+def test_json_objects() -> None:
+    text = written("json", ["tau", "q"], ["q", "n%", "é"], ['9,"a,""b""",x', "9,007,-1.5e3", "9,1e400,"])
+    assert text.splitlines() == [
+        "[",
+        '{"q": 2.0, "n%": "a,\\"b\\"", "é": "x", "tau": 1.0},',
+        '{"q": 4.0, "n%": 7.0, "é": -1.5e3, "tau": 3.0},',
+        '{"q": 6.0, "n%": "1e400", "é": "", "tau": 5.0}',
+        "]",
+    ]
+    assert text.endswith("\n]\n")
+    assert len(json.loads(text)) == 3
+
+
+@pytest.mark.parametrize("text", ["+1", ".5", "5.", "1_0", "nan", "inf", "12345678901234567890123"])
+def test_json_values_of_the_input(text: str) -> None:
+    (item,) = json.loads(written("json", ["tau"], ["x"], [text]))
+    expected = text if text in {"1_0", "nan", "inf"} else float(text)
+    assert item["x"] == expected
+
+
+def test_json_columns_alone() -> None:
+    out = io.BytesIO()
+    writer = JsonWriter(out, ["t", "x"])
+    writer.write_columns(np.empty((0, 2)))
+    writer.write_columns(np.array([[0.1, -0.0]]))
+    writer.write_columns(np.array([[1e22, math.nan], [math.inf, -math.inf]]))
+    writer.close()
+    rows = ['{"t": 0.1, "x": -0.0}', '{"t": 1e+22, "x": null}', '{"t": null, "x": null}']
+    assert out.getvalue().decode() == "[\n" + ",\n".join(rows) + "\n]\n"
+
+
+def test_json_without_rows() -> None:
+    out = io.BytesIO()
+    JsonWriter(out, ["t"]).close()
+    assert out.getvalue() == b"[\n]\n"
+
+
+@pytest.mark.parametrize("kind", ["csv", "json"])
+def test_each_chunk_is_flushed(kind: str) -> None:
+    raw = io.BytesIO()
+    stream = io.BufferedWriter(cast(io.RawIOBase, raw), buffer_size=1 << 16)
+    writer = WRITERS[kind](cast(BinaryIO, stream), ["t"], ["q"])
+    size = len(raw.getvalue())
+    assert size > 0
+    writer.write_rows(["1"], np.array([[2.0]]))
+    assert len(raw.getvalue()) > size
+
+
+@pytest.mark.parametrize("kind", ["csv", "json"])
+def test_values_of_another_shape_are_a_programming_error(kind: str) -> None:
+    writer = WRITERS[kind](io.BytesIO(), ["t"], ["q"])
+    for values in (np.zeros((1, 2)), np.zeros(1), np.zeros((2, 1))):
+        with pytest.raises(ValueError):  # noqa: PT011  zip's text is not ours
+            writer.write_rows(["1"], values)
+
+
+# Output files
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_an_output_file_appears_when_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    with open_output(path) as stream:
+        stream.write(b"new")
+        stream.flush()
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert stream.closed
+    assert names_in(tmp_path) == ["out.csv"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, BrokenPipeError])
+@pytest.mark.parametrize("old", [True, False])
+def test_an_output_file_that_fails_leaves_no_trace(
+    tmp_path: Path, error: type[BaseException], old: bool
+) -> None:
+    path = tmp_path / "out.csv"
+    if old:
+        path.write_text("old")
+    with pytest.raises(error), open_output(str(path)) as stream:
+        stream.write(b"half")
+        raise error
+    assert stream.closed
+    assert names_in(tmp_path) == ["out.csv"] * old
+    assert not old or path.read_text() == "old"
+
+
+def test_permissions_of_output_files(tmp_path: Path) -> None:
+    new, kept = tmp_path / "new.csv", tmp_path / "kept.csv"
+    kept.write_text("old")
+    kept.chmod(0o604)
+    before = os.umask(0o027)
+    try:
+        for path in (new, kept):
+            with open_output(path):
+                pass
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(new.stat().st_mode) == 0o640
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o604
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    target, link = tmp_path / "target.csv", tmp_path / "link.csv"
+    target.write_text("old")
+    link.symlink_to(target)
+    with open_output(link) as stream:
+        stream.write(b"new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
+def test_devices_and_pipes_are_not_replaced(tmp_path: Path) -> None:
+    with open_output(os.devnull) as stream:
+        stream.write(b"gone")
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+    source, sink = os.pipe()
+    with open(source, "rb") as received, open(sink, "wb"):
+        with open_output(f"/dev/fd/{sink}") as stream:  # as in  robodyn ... -o >(wc)
+            stream.write(b"row\n")
+        assert received.readline() == b"row\n"
+
+
+def test_outputs_that_cannot_be_created(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    bad = ["", tmp_path, tmp_path / "missing" / "out.csv", tmp_path / "file" / "out.csv"]
+    for path in [*bad, f"{tmp_path}/new/"]:
+        with pytest.raises(InputError, match="cannot be written") as caught, open_output(path):
+            pytest.fail("opened")
+        assert caught.value.where == str(path)
+    assert names_in(tmp_path) == ["file"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write read-only files")
+def test_a_read_only_file_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    path.chmod(0o444)
+    with pytest.raises(InputError, match="permission denied"), open_output(path):
+        pytest.fail("opened")
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("path", [None, "-", Path("-")])
+def test_standard_output(path: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = io.BytesIO()
+    buffered = io.BufferedWriter(cast(io.RawIOBase, raw))
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(buffered))
+    with open_output(path) as stream:
+        stream.write(b"row\n")
+    assert raw.getvalue() == b"row\n"
+    assert not stream.closed
+
+
+def test_a_whole_command(tmp_path: Path) -> None:
+    path = tmp_path / "states.csv"
+    path.write_bytes(b"t,q,note\n0,1,a\n1,2,b\n")
+    for _ in range(2):  # the output is the input of the second run
+        with contextlib.ExitStack() as stack:
+            source = Reader(stack.enter_context(open(path, "rb")), str(path))
+            chunks = source.chunks(["q"])
+            writer = Writer(stack.enter_context(open_output(path)), ["tau"], source.header)
+            for chunk in chunks:
+                writer.write_rows(chunk.lines, 2 * chunk.values)
+            writer.close()
+        assert path.read_text() == "t,q,note,tau\n0,1,a,2.0\n1,2,b,4.0\n"
