@@ -27,8 +27,12 @@ if TYPE_CHECKING:
     from robodyn.errors import InputError as InputError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
+    from robodyn.loop_rates import loop_accelerations as loop_accelerations
+    from robodyn.loop_rates import loop_velocities as loop_velocities
     from robodyn.mechanism import Mechanism as Mechanism
     from robodyn.mechanism import load as load
+    from robodyn.simulation import Motion as Motion
+    from robodyn.simulation import simulate as simulate
 
 __version__ = "0.1.0"
 
@@ -45,7 +49,9 @@ _ROOMS = {
     ],
     "dynamics": ["forward_dynamics", "inverse_dynamics"],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
+    "loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanism": ["Mechanism", "load"],
+    "simulation": ["Motion", "simulate"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

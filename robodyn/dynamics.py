@@ -20,13 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn import blocks, straightline
+from robodyn import blocks, formulas, straightline
 from robodyn.closed_form import (
     absolute_gravity,
     absolute_inertia,
     absolute_rates,
     as_states,
     closure_bias,
+    closure_gap,
     closure_jacobian,
     phases,
 )
@@ -117,11 +118,11 @@ def forward_dynamics_and_forces(
     if _worth(mechanism, q) and mass_is_regular(mechanism):
         generated = _generated("forward", mechanism)
     if generated is None:
-        return _dense_forward(mechanism, q, qd, tau)
+        return dense_forward(mechanism, q, qd, tau)
     solution, forces, doubtful = _run(mechanism, generated, q, qd, tau)
     if doubtful.size:
         pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, tau)]
-        dense = _dense_forward(mechanism, *pieces)
+        dense = dense_forward(mechanism, pieces[0], pieces[1], pieces[2])
         solution.reshape(-1, mechanism.n)[doubtful] = dense.qdd
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
     return Accelerations(solution, forces)
@@ -189,7 +190,13 @@ def _dense_inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Tor
     return Torques(tau, multipliers)
 
 
-def _dense_forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
+def dense_forward(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float = 0.0
+) -> Accelerations:
+    """Forward dynamics along the freedoms that the closures leave, for states (..., n).
+
+    A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
+    """
     arrays = mechanism.arrays
     E = phases(mechanism, q)
     rates = absolute_rates(mechanism, qd)
@@ -203,7 +210,11 @@ def _dense_forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Acc
     M = W.real / (scale[:, None] * scale)
     Psi = -(arrays.P * E[..., None, :]).imag / scale
     pseudo_inverse, freedoms, _ = _split(Psi)
-    particular = -np.einsum("...ij,...j->...i", pseudo_inverse, closure_bias(mechanism, q, qd))
+    bend = closure_bias(mechanism, q, qd)
+    if baumgarte:
+        gapd = np.einsum("...ij,...j->...i", Psi, rates * scale)
+        bend = bend + 2 * baumgarte * gapd + baumgarte**2 * closure_gap(mechanism, q)
+    particular = -np.einsum("...ij,...j->...i", pseudo_inverse, bend)
     right = force - np.einsum("...ij,...j->...i", M, particular)
     right = np.einsum("...ij,...j->...i", freedoms, right)
     reduced = freedoms @ M @ freedoms + (np.eye(mechanism.n) - freedoms)
@@ -312,9 +323,9 @@ def _worth(mechanism: Mechanism, q: Array) -> bool:
 def _generated(kind: str, mechanism: Mechanism) -> tuple[ArrayFunction, int, int] | None:
     """The compiled array function, its buffers and pivots; None where there is none."""
     if kind == "inverse":
-        formula = straightline.inverse_formula(mechanism)
+        formula = formulas.inverse_formula(mechanism)
     else:
-        formula = straightline.forward_formula(mechanism)
+        formula = formulas.forward_formula(mechanism)
     if formula is None:
         return None
     function, buffers = straightline.compile_arrays(formula, kind)

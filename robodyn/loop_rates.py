@@ -50,6 +50,15 @@ def loop_accelerations(
     return _complete(mechanism, q, np.asarray(qdd_actuated, float), bias)
 
 
+def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
+    Psi = closure_jacobian(mechanism, q)
+    rates = as_states(mechanism, "qd", qd)
+    excess = np.einsum("...ij,...j->...i", Psi, rates)
+    closed: Array = rates - np.einsum("...ij,...j->...i", np.linalg.pinv(Psi), excess)
+    return closed
+
+
 def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
     if not mechanism.rows:

@@ -331,7 +331,10 @@ class TableWriter(ABC):
 
     def _text(self, value: float | str) -> str:
         """How a computed value is written."""
-        return repr(value) if isinstance(value, float) else self._field(str(value))
+        # Not repr(value): that of a numpy float names its type.
+        if isinstance(value, float):
+            return float.__repr__(value)
+        return self._field(_quoted(str(value)))
 
     @abstractmethod
     def _field(self, field: str) -> str:
@@ -387,9 +390,12 @@ class JsonWriter(TableWriter):
             return json.dumps(text, ensure_ascii=False)
         return text if _JSON_NUMBER.fullmatch(text) else repr(value)
 
+    def _text(self, value: float | str) -> str:
+        text = super()._text(value)
+        return _NULL.get(text, text)
+
     def _texts(self, values: Array) -> list[list[str]]:
-        null = {"nan": "null", "inf": "null", "-inf": "null"}
-        return [[null.get(text, text) for text in column] for column in super()._texts(values)]
+        return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
 
     def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
         if text := ",\n".join([self._template % row for row in rows]):
@@ -397,16 +403,20 @@ class JsonWriter(TableWriter):
             self._separator = ",\n"
 
 
+_NULL = {"nan": "null", "inf": "null", "-inf": "null"}
 _JSON_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 
 WRITERS: dict[str, type[Writer | JsonWriter]] = {"csv": Writer, "json": JsonWriter}
 
 
 @contextmanager
-def open_output(path: str | os.PathLike[str] | None) -> Iterator[BinaryIO]:
+def open_output(
+    path: str | os.PathLike[str] | None, partial: Callable[[str], object] | None = None
+) -> Iterator[BinaryIO]:
     """A binary stream to a file that takes its place, whole, when the block ends well.
 
-    Where the block raises, an older file stays as it was.  None and "-" are the standard
+    Where the block raises, an older file stays as it was; what was written is removed, or, with
+    `partial`, kept under a name beside it that `partial` is told.  None and "-" are the standard
     output; a device or a pipe is written as it stands.  Raises InputError where the file
     cannot be created.
     """
@@ -441,5 +451,11 @@ def open_output(path: str | os.PathLike[str] | None) -> Iterator[BinaryIO]:
             stream.close()
             os.replace(temporary, target)
         except BaseException:
-            os.unlink(temporary)
+            stream.close()
+            if partial is None or not os.path.getsize(temporary):
+                os.unlink(temporary)
+            else:
+                kept = f"{target}.partial"
+                os.replace(temporary, kept)
+                partial(kept)
             raise

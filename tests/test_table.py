@@ -18,7 +18,7 @@ import sys
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, Literal, cast
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def fault(data: bytes | Sequence[bytes], names: Sequence[str]) -> tuple[list[Chu
     chunks = []
     with pytest.raises(InputError) as caught:  # noqa: PT012  the rows before it are the point
         for chunk in reader(data).chunks(names):
-            chunks.append(chunk)  # noqa: PERF402
+            chunks.append(chunk)
     return chunks, caught.value
 
 
@@ -187,7 +187,9 @@ def test_quoted_text_passes_untouched_in_any_pieces(
     rows: list[tuple[str, ...]], chance: random.Random, end: str, sparing: bool
 ) -> None:
     text = io.StringIO()
-    quoting = csv.QUOTE_MINIMAL if sparing else csv.QUOTE_ALL
+    quoting: Literal[0, 1] = csv.QUOTE_MINIMAL if sparing else csv.QUOTE_ALL
+    if sparing:  # the csv module leaves a lone \r unquoted, and then cannot read it
+        rows = [tuple(cell.replace("\r", "") for cell in row) for row in rows]
     output = csv.writer(text, lineterminator=end, quoting=quoting)
     names = [f"note {i}" for i in range(len(rows[0]))]
     output.writerows([[*names, "q"], *([*row, i] for i, row in enumerate(rows))])
@@ -207,9 +209,10 @@ def test_quoted_text_passes_untouched_in_any_pieces(
     # With the json module and the csv module as oracles, what the writers make of the rows.
     for columns in (["tau"], ["q"], ["note 0", "tau"]):
         csv_out, json_out = io.BytesIO(), io.BytesIO()
-        writers = [Writer(csv_out, columns, source.header)]
-        writers += [JsonWriter(json_out, columns, source.header)]
-        for writer in writers:
+        for writer in (
+            Writer(csv_out, columns, source.header),
+            JsonWriter(json_out, columns, source.header),
+        ):
             for chunk in chunks:
                 writer.write_rows(chunk.lines, np.full((len(chunk.lines), len(columns)), 0.5))
             writer.close()
@@ -256,9 +259,8 @@ def test_quoted_rows_may_span_reads() -> None:
 
 def test_long_tables_come_in_chunks_with_their_line_numbers() -> None:
     numbers = np.random.default_rng(3).normal(size=(20_000, 3))
-    data = b"t,q1,q2\n" + "".join(
-        ",".join(map(repr, row)) + "\n" for row in numbers.tolist()
-    ).encode()
+    rows = [",".join(map(repr, row)) + "\n" for row in numbers.tolist()]
+    data = "".join(["t,q1,q2\n", *rows]).encode()
     chunks = list(reader(data).chunks(["t", "q1", "q2"]))
     assert len(chunks) > 2
     assert same_bits(np.concatenate([chunk.values for chunk in chunks]), numbers)
@@ -295,8 +297,7 @@ def test_unbuffered_streams_will_do(tmp_path: Path) -> None:
 def test_memory_does_not_grow_with_the_table() -> None:
     row = b",".join([b"-0.12345678901234567"] * 7) + b"\n"
     pieces = [b"a,b,c,d,e,f,g\n", *[row * 3000] * 20]
-    discard = cast(BinaryIO, open(os.devnull, "wb"))
-    with discard:
+    with open(os.devnull, "wb") as discard:
         tracemalloc.start()
         try:
             source = reader(pieces)
@@ -333,12 +334,12 @@ def test_a_column_twice() -> None:
     for header in (b"t,q1, t", b't,"q1","q1 "'):
         with pytest.raises(InputError, match=r"line 2: column = (t|q1): .*twice"):
             reader(b"\n" + header + b"\n")
-    with pytest.raises(InputError, match="column = '': .*twice"):
+    with pytest.raises(InputError, match=r"column = '': .*twice"):
         reader(b"t,,q,\n")
     assert reader(b",q\n").header == ("", "q")
 
 
-BAD_FIELDS = ["nan", "-NaN", "inf", "-Infinity", "1e400", "1_0", "abc", "0x10", "1 2", "30deg", "1;2"]
+BAD_FIELDS = ["nan", "-NaN", "inf", "-Infinity", "1e400", "1_0", "abc", "0x10", "1 2", "30deg"]
 
 
 @pytest.mark.parametrize("text", BAD_FIELDS)
@@ -485,7 +486,8 @@ def test_a_table_run_through_twice_is_the_same() -> None:
 
 
 def test_json_objects() -> None:
-    text = written("json", ["tau", "q"], ["q", "n%", "é"], ['9,"a,""b""",x', "9,007,-1.5e3", "9,1e400,"])
+    rows = ['9,"a,""b""",x', "9,007,-1.5e3", "9,1e400,"]
+    text = written("json", ["tau", "q"], ["q", "n%", "é"], rows)
     assert text.splitlines() == [
         "[",
         '{"q": 2.0, "n%": "a,\\"b\\"", "é": "x", "tau": 1.0},',
@@ -497,11 +499,20 @@ def test_json_objects() -> None:
     assert len(json.loads(text)) == 3
 
 
-@pytest.mark.parametrize("text", ["+1", ".5", "5.", "1_0", "nan", "inf", "12345678901234567890123"])
-def test_json_values_of_the_input(text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("+1", 1.0),
+        (".5", 0.5),
+        ("5.", 5.0),
+        (" 1", 1.0),
+        ("12345678901234567890", 12345678901234567890),
+    ]
+    + [(text, text) for text in ("1_0", "nan", "inf", "true", "1e999")],
+)
+def test_json_values_of_the_input(text: str, value: object) -> None:
     (item,) = json.loads(written("json", ["tau"], ["x"], [text]))
-    expected = text if text in {"1_0", "nan", "inf"} else float(text)
-    assert item["x"] == expected
+    assert item["x"] == value
 
 
 def test_json_columns_alone() -> None:
@@ -513,6 +524,20 @@ def test_json_columns_alone() -> None:
     writer.close()
     rows = ['{"t": 0.1, "x": -0.0}', '{"t": 1e+22, "x": null}', '{"t": null, "x": null}']
     assert out.getvalue().decode() == "[\n" + ",\n".join(rows) + "\n]\n"
+
+
+def test_one_row_of_numbers_and_text() -> None:
+    rows: list[list[float | str]] = [[0.1, "open"], [np.float64(-0.0), 'a "b", c'], [math.nan, ""]]
+    outs = {}
+    for kind in ("csv", "json"):
+        outs[kind] = io.BytesIO()
+        writer = WRITERS[kind](outs[kind], ["x", "branch"])
+        for row in rows:
+            writer.write_row(row)
+        writer.close()
+    assert outs["csv"].getvalue() == b'x,branch\n0.1,open\n-0.0,"a ""b"", c"\nnan,\n'
+    expected = [{"x": 0.1, "branch": "open"}, {"x": -0.0, "branch": 'a "b", c'}]
+    assert json.loads(outs["json"].getvalue()) == [*expected, {"x": None, "branch": ""}]
 
 
 def test_json_without_rows() -> None:
@@ -567,7 +592,7 @@ def test_an_output_file_that_fails_leaves_no_trace(
     path = tmp_path / "out.csv"
     if old:
         path.write_text("old")
-    with pytest.raises(error), open_output(str(path)) as stream:
+    with pytest.raises(error), open_output(str(path)) as stream:  # noqa: PT012  the block is it
         stream.write(b"half")
         raise error
     assert stream.closed
@@ -613,8 +638,9 @@ def test_devices_and_pipes_are_not_replaced(tmp_path: Path) -> None:
 
 def test_outputs_that_cannot_be_created(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    bad = ["", tmp_path, tmp_path / "missing" / "out.csv", tmp_path / "file" / "out.csv"]
-    for path in [*bad, f"{tmp_path}/new/"]:
+    paths: list[str | Path] = ["", tmp_path, f"{tmp_path}/new/"]
+    paths += [tmp_path / folder / "out.csv" for folder in ("missing", "file")]
+    for path in paths:
         with pytest.raises(InputError, match="cannot be written") as caught, open_output(path):
             pytest.fail("opened")
         assert caught.value.where == str(path)
@@ -632,7 +658,7 @@ def test_a_read_only_file_is_not_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [None, "-", Path("-")])
-def test_standard_output(path: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_standard_output(path: str | Path | None, monkeypatch: pytest.MonkeyPatch) -> None:
     raw = io.BytesIO()
     buffered = io.BufferedWriter(cast(io.RawIOBase, raw))
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(buffered))

@@ -18,7 +18,7 @@ import typer
 from robodyn import __version__
 from robodyn.errors import RobodynError
 
-COMMANDS = ("torque", "accel", "terms", "assemble", "energy", "check")
+COMMANDS = ("torque", "accel", "simulate", "terms", "assemble", "energy", "check")
 
 
 def main() -> NoReturn:

@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -144,6 +144,37 @@ def complete_from(
     return complete(mechanism, sources, given, branches)
 
 
+def assembled_state(
+    mechanism: Mechanism, quantities: Sequence[Quantity]
+) -> tuple[list[Array], tuple[float, float]]:
+    """q and qd of the options brought to the nearest closed state, and how far each had to go.
+
+    Raises AssemblyError where the loops do not close near the given angles.
+    """
+    import numpy as np
+
+    from robodyn import assembly, loop_rates
+    from robodyn.errors import AssemblyError
+
+    sources = [option_source(mechanism, quantity) for quantity in quantities]
+    if not sources[0].whole or not mechanism.rows:
+        return complete_from(mechanism, sources), (0.0, 0.0)
+    given = np.array(sources[0].values)
+    q = assembly.close_positions(mechanism, given)
+    fault = loop_rates.check_closed(mechanism, q)
+    if fault is not None:
+        raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
+    if sources[1].whole:
+        rates = np.array(sources[1].values)
+        qd = loop_rates.nearest_velocities(mechanism, q, rates)
+    else:
+        rates = qd = complete_from(mechanism, [replace(sources[0], values=q.tolist()), sources[1]])[
+            1
+        ]
+    moved = float(np.abs(q - given).max()), float(np.abs(qd - rates).max())
+    return [q, qd], moved
+
+
 def evaluate(
     mechanism: Mechanism,
     states: str | None,
@@ -164,7 +195,7 @@ def evaluate(
 
     from robodyn.table import Reader
 
-    with _open_input(states) as (stream, name):
+    with open_input(states) as (stream, name):
         reader = Reader(stream, name)
         sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
         wanted = [column for source in sources for column in source.columns]
@@ -204,7 +235,7 @@ def _values(mechanism: Mechanism, source: Source) -> list[float]:
 
 
 @contextmanager
-def _open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
+def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
     """The binary stream and the name of a CSV file, `-` for stdin."""
     if states == "-":
         if sys.stdin.isatty():

@@ -58,7 +58,8 @@ def torque(
 
 def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[float, ...]:
     """One state of an open chain in plain floats: starts in half the time without numpy."""
-    from robodyn.straightline import compile_floats, inverse_formula
+    from robodyn.formulas import inverse_formula
+    from robodyn.straightline import compile_floats
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     formula = inverse_formula(mechanism)

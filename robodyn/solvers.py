@@ -1,0 +1,157 @@
+"""scipy's solvers, each with a projection after every accepted step, as classes for solve_ivp.
+
+`projected(method)` subclasses one of scipy's solvers.  After each step that the solver accepts
+
+1. the state is brought back onto positions and velocities that close, by the least change;
+2. what the solver keeps of the state (its derivative, a multistep solver's history) follows;
+3. an observer sees the step.
+
+The change is of the order of the step's local error, so the order of the method stays.  A dense
+output is projected as well, so that states between steps close too; at a step's ends it meets the
+projected states up to the square of that change.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
+
+Array = NDArray[np.float64]
+Projection = Callable[[Array], Array]
+Observer = Callable[[Any], None]
+
+METHODS: dict[str, type[OdeSolver]] = {
+    "DOP853": DOP853,
+    "RK45": RK45,
+    "RK23": RK23,
+    "Radau": Radau,
+    "BDF": BDF,
+    "LSODA": LSODA,
+}
+EXPLICIT = ("DOP853", "RK45", "RK23")
+STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
+STIFF_SAMPLE = 10  # every so many steps are looked at
+STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 2.0}  # |h lambda| near the stable limit
+
+
+class StiffError(Exception):
+    """An explicit method is held back by its stability, not by its accuracy."""
+
+
+@cache
+def projected(method: str) -> type[OdeSolver]:
+    """The scipy solver called `method`, with projection, observation and steps onto kinks."""
+    base = METHODS[method]
+    edge = STABILITY_EDGE.get(method, np.inf)
+
+    class Projected(base):  # type: ignore[misc, valid-type]
+        """See the module."""
+
+        def __init__(
+            self,
+            fun: Callable[..., Any],
+            t0: float,
+            y0: Array,
+            t_bound: float,
+            *,
+            projection: Projection | None = None,
+            observer: Observer | None = None,
+            kinks: Sequence[float] = (),
+            **options: Any,
+        ) -> None:
+            super().__init__(fun, t0, y0, t_bound, **options)
+            self.projection = projection
+            self.observer = observer
+            self.kinks = sorted(kinks)
+            self.steps = 0
+            self._stiff_steps = 0
+
+        def _step_impl(self) -> tuple[bool, str | None]:
+            end = self.t_bound
+            self._bound(self._next_kink(end))
+            success, message = super()._step_impl()
+            self._bound(end)
+            if not success:
+                return success, message
+            self.steps += 1
+            if self.projection is not None:
+                y = self.projection(self.y)
+                if y is not self.y:
+                    self._accept(y)
+            if edge < np.inf:
+                self._watch_stability()
+            return success, message
+
+        def step(self) -> str | None:
+            message: str | None = super().step()
+            if self.status != "failed" and self.observer is not None:
+                self.observer(self)
+            return message
+
+        def _dense_output_impl(self) -> DenseOutput:
+            dense = super()._dense_output_impl()
+            return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
+
+        def _next_kink(self, end: float) -> float:
+            """Where the next step must not go beyond: a kink of the torque, or the end."""
+            if not self.kinks:
+                return end
+            near = 4 * np.spacing(abs(self.t))
+            if self.direction > 0:
+                k = bisect_right(self.kinks, self.t + near)
+                return min(end, self.kinks[k]) if k < len(self.kinks) else end
+            k = bisect_right(self.kinks, self.t - near) - 1
+            return max(end, self.kinks[k]) if k >= 0 else end
+
+        def _bound(self, t: float) -> None:
+            self.t_bound = t
+            if base is LSODA:  # its core keeps the bound in its work array
+                self._lsoda_solver._integrator.rwork[0] = t
+
+        def _accept(self, y: Array) -> None:
+            """Make the projected state the solver's own."""
+            self.y = y
+            if base is BDF:
+                self.D[0] = y
+            elif base is LSODA:
+                solver = self._lsoda_solver
+                solver._y = y.copy()
+                solver._integrator.rwork[20 : 20 + self.n] = y
+            else:
+                self.f = self.fun(self.t, y)
+
+        def _watch_stability(self) -> None:
+            """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
+            if self.steps % STIFF_SAMPLE:
+                return
+            last = self.n_stages - 1
+            stage = self.y_old + self.h_previous * (self.A[last, :last] @ self.K[:last])
+            moved = np.linalg.norm(self.y - stage)
+            turned = np.linalg.norm(self.K[-1] - self.K[last])
+            held = moved > 0.0 and abs(self.h_previous) * turned > edge * moved
+            self._stiff_steps = self._stiff_steps + 1 if held else self._stiff_steps // 2
+            if self._stiff_steps * STIFF_SAMPLE >= STIFF_STEPS:
+                raise StiffError
+
+    Projected.__name__ = Projected.__qualname__ = f"Projected{method}"
+    return Projected
+
+
+class _ProjectedOutput(DenseOutput):
+    """A solver's dense output, projected onto states that close."""
+
+    def __init__(self, dense: DenseOutput, projection: Projection) -> None:
+        super().__init__(dense.t_old, dense.t)
+        self._dense, self._projection = dense, projection
+
+    def _call_impl(self, t: Array) -> Array:
+        y: Array = self._dense(t)
+        if y.ndim == 1:
+            return self._projection(y)
+        return np.stack([self._projection(column) for column in y.T], axis=-1)

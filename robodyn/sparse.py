@@ -1,0 +1,174 @@
+"""The equations of a mechanism with many links, assembled as a sparse system and factorised.
+
+In absolute angles [M Psi^T; Psi 0] has a few entries a link, however many loops there are, so a
+sparse factorisation costs close to linearly in the number of loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from robodyn.actuation import Actuation
+from robodyn.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Fallback = Callable[[float, Array], Any]
+
+SINGULAR = 1e-12  # ratio of pivots below which a factorisation is not trusted
+PASSES = 4
+CONVERGED = 1e-14  # rad
+
+
+class _Pattern:
+    """A symmetric sparse matrix of fixed pattern, refilled and factorised."""
+
+    def __init__(self, rows: NDArray[np.int64], columns: NDArray[np.int64], size: int) -> None:
+        order = csc_matrix((np.arange(1.0, len(rows) + 1.0), (rows, columns)), shape=(size, size))
+        self._fill = order.data.astype(np.int64) - 1
+        self._matrix = order
+
+    def factorise(self, values: Array) -> Any:
+        self._matrix.data = values[self._fill]
+        return splu(self._matrix)
+
+
+class SparseMechanism:
+    """The constants of a mechanism as index arrays, and its system assembled from them."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        n, r = mechanism.n, len(mechanism.rows)
+        self.n, self.r = n, r
+        self.mechanism = mechanism
+        self.weight = np.conj(mechanism.gamma) * np.array(mechanism.B)
+        self.damping = np.array(mechanism.damping)
+        self.j, self.k = (np.array([entry[i] for entry in mechanism.A]) for i in (0, 1))
+        self.A = np.array([entry[2] for entry in mechanism.A])
+        self.off = np.flatnonzero(self.j != self.k)
+        entries = [(row, k, p) for row, x in enumerate(mechanism.rows) for k, p in x.P]
+        self.row, self.link = (np.array([e[i] for e in entries], dtype=int) for i in (0, 1))
+        self.P = np.array([e[2] for e in entries])
+        self.offset = np.array([x.offset for x in mechanism.rows])
+        paths = [(k, ancestor) for k in range(n) for ancestor in _path(mechanism, k)]
+        self.J = csr_matrix((np.ones(len(paths)), tuple(np.array(paths).T)), shape=(n, n))
+        children = [(k, above) for k, above in enumerate(mechanism.parent) if above is not None]
+        self.child, self.above = (np.array([c[i] for c in children], dtype=int) for i in (0, 1))
+        j, k, off = self.j, self.k, self.off
+        self._system = _Pattern(
+            np.concatenate([j, k[off], self.link, n + self.row]),
+            np.concatenate([k, j[off], n + self.row, self.link]),
+            n + r,
+        )
+
+    def directions(self, q: Array) -> NDArray[np.complex128]:
+        """E."""
+        direction: NDArray[np.complex128] = np.exp(1j * (self.J @ q))
+        return direction
+
+    def accelerations(self, y: Array, tau: Array, baumgarte: float) -> tuple[Array, float]:
+        """qdd (n) and the ratio of the factorisation's pivots, small where it is near singular."""
+        n = self.n
+        E = self.directions(y[:n])
+        rates = self.J @ y[n : 2 * n]
+        squares = rates**2
+        w = E[self.j].conj() * self.A * E[self.k]
+        joint = tau - self.damping * y[n : 2 * n]
+        force = joint - np.bincount(self.above, joint[self.child], minlength=n)
+        force -= (self.weight * E).imag
+        j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]
+        force += np.bincount(j, turning * squares[k], minlength=n)
+        force -= np.bincount(k, turning * squares[j], minlength=n)
+        PE = self.P * E[self.link]
+        bend = np.bincount(self.row, PE.real * squares[self.link], minlength=self.r)
+        if baumgarte:
+            gapd = np.bincount(self.row, -PE.imag * rates[self.link], minlength=self.r)
+            gap = np.bincount(self.row, PE.real, minlength=self.r) + self.offset
+            bend -= 2 * baumgarte * gapd + baumgarte**2 * gap
+        values = np.concatenate([w.real, w.real[self.off], -PE.imag, -PE.imag])
+        factors = self._system.factorise(values)
+        absolute = factors.solve(np.concatenate([force, bend]))[:n]
+        pivots = np.abs(factors.U.diagonal())
+        qdd = absolute.copy()
+        qdd[self.child] -= absolute[self.above]
+        return qdd, float(pivots.min() / pivots.max())
+
+    def newton_step(self, q: Array, qd: Array) -> tuple[Array, Array, float]:
+        """q and qd after one Newton step of least norm towards closing; ratio of pivots."""
+        E = self.directions(q)
+        PE = self.P * E[self.link]
+        gap = np.bincount(self.row, PE.real, minlength=self.r) + self.offset
+        Psi = csr_matrix((-PE.imag, (self.row, self.link)), shape=(self.r, self.n)) @ self.J
+        factors = splu(csc_matrix(Psi @ Psi.T))
+        pivots = np.abs(factors.U.diagonal())
+        right = np.stack([gap, Psi @ qd], axis=-1)
+        change = Psi.T @ factors.solve(right)
+        return q - change[:, 0], qd - change[:, 1], float(pivots.min() / pivots.max())
+
+
+def rates(
+    system: SparseMechanism,
+    actuation: Actuation,
+    work: bool,
+    baumgarte: float,
+    projection: Callable[[Array], Array] | None,
+    fallback: Fallback,
+) -> Callable[[float, Array], Array]:
+    """dy/dt, every state projected first (see `right_hand_side.py`); singular ones: `fallback`."""
+    n = system.n
+    torques = actuation.function(n)
+
+    def derivative(t: float, y: Array) -> Array:
+        tau = np.array(torques(t, y.tolist()))
+        try:
+            closed = y if projection is None or baumgarte else projection(y)
+            qdd, ratio = system.accelerations(closed, tau, baumgarte)
+        except RuntimeError:  # splu: exactly singular
+            ratio = 0.0
+        if not ratio > SINGULAR:
+            result: Array = fallback(t, y)
+            return result
+        qd = y[n : 2 * n]
+        power = [tau @ qd - system.damping @ qd**2] if work else []
+        return np.concatenate([qd, qdd, power])
+
+    return derivative
+
+
+def projection(
+    system: SparseMechanism, fallback: Callable[[Array], Array]
+) -> Callable[[Array], Array]:
+    """The projection onto states that close; near singular ones are left to `fallback`."""
+    n = system.n
+
+    def project(y: Array) -> Array:
+        closed = y.copy()
+        q, qd = closed[:n], closed[n : 2 * n]
+        for _ in range(PASSES):
+            try:
+                new, rate, ratio = system.newton_step(q, qd)
+            except RuntimeError:
+                return fallback(y)
+            if not ratio > SINGULAR:
+                return fallback(y)
+            change = np.abs(new - q).max()
+            q, qd = new, rate
+            if change <= CONVERGED:
+                break
+        closed[:n], closed[n : 2 * n] = q, qd
+        return closed
+
+    return project
+
+
+def _path(mechanism: Mechanism, link: int) -> list[int]:
+    path: list[int] = []
+    here: int | None = link
+    while here is not None:
+        path.append(here)
+        here = mechanism.parent[here]
+    return path
