@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from robodyn.closed_form import mass_matrix as mass_matrix
     from robodyn.closed_form import potential_energy as potential_energy
     from robodyn.dynamics import forward_dynamics as forward_dynamics
+    from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
     from robodyn.dynamics import inverse_dynamics as inverse_dynamics
+    from robodyn.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
+    from robodyn.dynamics import pin_forces as pin_forces
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
@@ -47,7 +50,13 @@ _ROOMS = {
         "mass_matrix",
         "potential_energy",
     ],
-    "dynamics": ["forward_dynamics", "inverse_dynamics"],
+    "dynamics": [
+        "forward_dynamics",
+        "forward_dynamics_and_forces",
+        "inverse_dynamics",
+        "inverse_dynamics_and_forces",
+        "pin_forces",
+    ],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanism": ["Mechanism", "load"],

@@ -343,6 +343,18 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
 def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
+    at = ", ".join(
+        f"q{k + 1} = {np.degrees(angle):.6g} deg"
+        for k, angle in zip(mechanism.actuated, given, strict=True)
+    )
+    what = f"cannot be closed at {at}: {missing:.6g} m are missing"
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(mechanism.actuated) > freedoms:
+        limit = f"{len(mechanism.actuated)} joints are actuated, more than the freedoms "
+        limit += (
+            f"({freedoms}), so their angles depend on one another: give all {mechanism.n} angles"
+        )
+        return AssemblyError(what, where=mechanism.source, limit=limit)
     ranges = []
     for place, k in enumerate(mechanism.actuated):
         intervals = reachable(mechanism, given, place, branches)
@@ -352,12 +364,4 @@ def _cannot_close(
         label = f"q{k + 1} ({mechanism.link_names[k]})"
         ranges.append(f"{label} can reach {shown or 'no angle'}")
     others = " with the other actuated joints as given" if len(ranges) > 1 else ""
-    at = ", ".join(
-        f"q{k + 1} = {np.degrees(angle):.6g} deg"
-        for k, angle in zip(mechanism.actuated, given, strict=True)
-    )
-    return AssemblyError(
-        f"cannot be closed at {at}: {missing:.6g} m are missing",
-        where=mechanism.source,
-        limit="; ".join(ranges) + others,
-    )
+    return AssemblyError(what, where=mechanism.source, limit="; ".join(ranges) + others)

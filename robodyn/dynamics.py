@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import warnings
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,17 +49,25 @@ class RobodynWarning(UserWarning):
 
 
 class Torques(NamedTuple):
-    """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N."""
+    """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
+
+    `remark` says where they are right but not the only ones.
+    """
 
     tau: Array
     multipliers: Array
+    remark: str = ""
 
 
 class Accelerations(NamedTuple):
-    """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N."""
+    """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N; `remark` as for Torques."""
 
     qdd: Array
     multipliers: Array
+    remark: str = ""
+
+
+Solution = TypeVar("Solution", Torques, Accelerations)
 
 
 def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
@@ -86,13 +94,14 @@ def inverse_dynamics_and_forces(
     _check_actuators(mechanism, q)
     generated = _generated("inverse", mechanism) if _worth(mechanism, q) else None
     if generated is None:
-        return _dense_inverse(mechanism, q, qd, qdd)
+        return _warned(_dense_inverse(mechanism, q, qd, qdd))
     solution, forces, doubtful = _run(mechanism, generated, q, qd, qdd)
     if doubtful.size:
         pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, qdd)]
         dense = _dense_inverse(mechanism, *pieces)
         solution.reshape(-1, mechanism.n)[doubtful] = dense.tau
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
+        _warned(dense)
     return Torques(solution, forces)
 
 
@@ -118,13 +127,14 @@ def forward_dynamics_and_forces(
     if _worth(mechanism, q) and mass_is_regular(mechanism):
         generated = _generated("forward", mechanism)
     if generated is None:
-        return dense_forward(mechanism, q, qd, tau)
+        return _warned(dense_forward(mechanism, q, qd, tau))
     solution, forces, doubtful = _run(mechanism, generated, q, qd, tau)
     if doubtful.size:
         pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, tau)]
         dense = dense_forward(mechanism, pieces[0], pieces[1], pieces[2])
         solution.reshape(-1, mechanism.n)[doubtful] = dense.qdd
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
+        _warned(dense)
     return Accelerations(solution, forces)
 
 
@@ -182,12 +192,13 @@ def _dense_inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Tor
     if (np.abs(missing) > 1e-7 * size).any():
         state = np.unravel_index(np.argmax((np.abs(missing) - 1e-7 * size).max(-1)), q.shape[:-1])
         raise _cannot_drive(mechanism, q[state], int(rank[state]))
+    remarks = _dependence(mechanism, rank)
     if (len(actuated) > n - rank).any():
-        freedom = int((n - rank).min())
-        text = f"{len(actuated)} actuators on {freedom} freedoms: the torque is of least norm"
-        warnings.warn(text, RobodynWarning, stacklevel=4)
+        least = int((n - rank).min())
+        freedoms_text = "1 freedom" if least == 1 else f"{least} freedoms"
+        remarks.insert(0, f"{len(actuated)} actuators on {freedoms_text}: torques of least norm")
     multipliers = np.einsum("...ji,...j->...i", pseudo_inverse, load - tau)
-    return Torques(tau, multipliers)
+    return Torques(tau, multipliers, "; ".join(remarks))
 
 
 def dense_forward(
@@ -209,7 +220,7 @@ def dense_forward(
     force = force - absolute_gravity(mechanism, E) / scale
     M = W.real / (scale[:, None] * scale)
     Psi = -(arrays.P * E[..., None, :]).imag / scale
-    pseudo_inverse, freedoms, _ = _split(Psi)
+    pseudo_inverse, freedoms, rank = _split(Psi)
     bend = closure_bias(mechanism, q, qd)
     if baumgarte:
         gapd = np.einsum("...ij,...j->...i", Psi, rates * scale)
@@ -231,7 +242,13 @@ def dense_forward(
     for k, above in enumerate(mechanism.parent):
         if above is not None:
             qdd[..., k] -= absolute[..., above]
-    return Accelerations(qdd, multipliers)
+    return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, rank)))
+
+
+def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
+    if np.all(rank == len(mechanism.rows)):
+        return []
+    return ["the closures depend on one another: the pin forces are not unique (least norm given)"]
 
 
 def _split(Psi: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -252,6 +269,12 @@ def _inertia_scale(mechanism: Mechanism) -> Array:
     floor = 1e-12 * diagonal.max(initial=0.0)
     scale: Array = np.sqrt(np.where(diagonal > floor, diagonal, floor or 1.0))
     return scale
+
+
+def _warned(solution: Solution) -> Solution:
+    if solution.remark:
+        warnings.warn(solution.remark, RobodynWarning, stacklevel=3)
+    return solution
 
 
 # -- faults --------------------------------------------------------------------------------------

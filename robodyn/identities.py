@@ -58,16 +58,22 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
             rng.normal(size=(count, mechanism.n)),
         )
         return Sample(q, qd, 1.0)
-    angles = rng.uniform(-np.pi, np.pi, (4 * count, driven))
-    q, missing = assembly.attempt(mechanism, angles)
-    closes = np.flatnonzero(missing <= 0.0)
+    if driven > mechanism.n - len(mechanism.rows):  # their angles depend on one another
+        q = assembly.close_positions(
+            mechanism, rng.uniform(-np.pi, np.pi, (4 * count, mechanism.n))
+        )
+        missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
+        closes = np.flatnonzero(missing <= assembly.CLOSED * assembly.loop_size(mechanism))
+    else:
+        q, missing = assembly.attempt(mechanism, rng.uniform(-np.pi, np.pi, (4 * count, driven)))
+        closes = np.flatnonzero(missing <= 0.0)
     keep: list[int] = []
     for k in closes:
         if len(keep) < count and not loop_rates.singular_kind(mechanism, q[k]):
             keep.append(int(k))
-    q = q[keep]
-    qd = loop_rates.loop_velocities(mechanism, q, rng.normal(size=(len(keep), driven)))
-    return Sample(q, qd, len(closes) / len(angles))
+    closed = q[keep]
+    qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
+    return Sample(closed, qd, len(closes) / len(q))
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
@@ -86,7 +92,7 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
 
     Mdot = _along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), qd)
     skew = Mdot - 2 * C
-    residual = _relative(skew + np.swapaxes(skew, -1, -2), np.abs(Mdot) + 2 * np.abs(C))
+    residual = _relative(skew + np.swapaxes(skew, -1, -2), _top(M) * _top(qd))
     found.append(Identity("Mdot - 2C skew-symmetric", residual))
 
     directions = rng.normal(size=q.shape)

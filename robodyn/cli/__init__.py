@@ -28,23 +28,25 @@ def main() -> NoReturn:
 
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
+    debug = "--debug" in arguments
+    arguments = [word for word in arguments if word != "--debug"]
     try:
         _application(arguments)(arguments, prog_name="robodyn")
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
     except RobodynError as error:
-        if "--debug" in arguments:
+        if debug:
             raise
         print(_prefixed(str(error)), file=sys.stderr)
         return error.exit_code
     except OSError as error:
-        if "--debug" in arguments:
+        if debug:
             raise
         named = f"{error.filename}: " if error.filename else ""
         print(f"Error: {named}{error.strerror or error}", file=sys.stderr)
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
-        if "--debug" in arguments:
+        if debug:
             raise
         kind = type(error).__name__
         hint = "please report it with what `robodyn --debug ...` prints"

@@ -17,7 +17,7 @@ from robodyn.mechanism import Mechanism, load
 from robodyn.table import open_output
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Group
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 PARTS = ("joint", "tip", "centre")
@@ -125,14 +125,16 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
     return {"branch": name, **vectors, "links": links}
 
 
-def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[Table]:
-    joints = new_table(["joint", "q \\[rad]", "q \\[deg]", "qd \\[rad/s]", "qdd \\[rad/s²]"], name)
+def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[Group]:
+    columns = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
+    rows = []
     for k, link in enumerate(mechanism.link_names):
         q, qd, qdd = (vector[k] for vector in motion)
-        values = (q, np.degrees(q), qd, qdd)
-        joints.add_row(f"{k + 1} {link}", *(f"{value:.6g}" for value in values))
-    where = new_table(["link", "point", "x \\[m]", "y \\[m]", "vx \\[m/s]", "vy \\[m/s]"])
-    for link, rows in zip(mechanism.link_names, _points(mechanism, motion), strict=True):
-        for part, row in zip(PARTS, rows, strict=True):
-            where.add_row(link, part, *(f"{value:.6g}" for value in row))
-    return [joints, where]
+        rows.append([f"{k + 1} {link}", *(f"{x:.6g}" for x in (q, np.degrees(q), qd, qdd))])
+    places = [
+        [link, part, *(f"{value:.6g}" for value in values)]
+        for link, parts in zip(mechanism.link_names, _points(mechanism, motion), strict=True)
+        for part, values in zip(PARTS, parts, strict=True)
+    ]
+    where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
+    return [new_table(columns, rows, name), new_table(where, places)]

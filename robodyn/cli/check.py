@@ -17,7 +17,7 @@ from robodyn.loop_class import loop_class
 from robodyn.mechanism import Mechanism, load
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Group
 
 STATES = 200
 
@@ -54,7 +54,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "closing": sample.closing if mechanism.rows else None,
         "identities": {item.name: item.residual for item in results},
         "bound": BOUND,
-        "passed": bool(results) and all(item.holds for item in results),
+        "passed": all(item.holds for item in results) if results else None,
     }
     tables = _tables(mechanism, content, results) if wants_tables(format, out) else None
     write_structure(out, content, tables)
@@ -111,36 +111,35 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
 
 def _tables(
     mechanism: Mechanism, content: dict[str, object], results: list[Identity]
-) -> list[Table]:
-    columns = ["link", "m \\[kg]", "l \\[m]", "r \\[m]", "I \\[kg m²]", "hangs from"]
+) -> list[Group]:
+    columns = ["link", "m [kg]", "l [m]", "r [m]", "I [kg m²]", "hangs from"]
     links = mechanism.description.links
     extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in links)]
-    units = {"payload": "payload \\[kg]", "damping": "damping \\[N m s/rad]"}
-    table = new_table([*columns, *(units[key] for key in extras), "actuated"], mechanism.name)
-    for k, (link, row) in enumerate(zip(links, _links(mechanism), strict=True)):
+    units = {"payload": "payload [kg]", "damping": "damping [N m s/rad]"}
+    rows = []
+    for k, (link, shown) in enumerate(zip(links, _links(mechanism), strict=True)):
         r = f"{link.r.real:g}" if link.r.imag == 0 else f"({link.r.real:g}, {link.r.imag:g})"
-        values = [f"{link.m:g}", f"{link.l:g}", r, f"{link.I:g}", str(row["from"])]
+        values = [f"{link.m:g}", f"{link.l:g}", r, f"{link.I:g}", str(shown["from"])]
         values += [f"{getattr(link, key):g}" for key in extras]
-        table.add_row(f"{k + 1} {link.name}", *values, "yes" if k in mechanism.actuated else "")
+        driven = "yes" if k in mechanism.actuated else ""
+        rows.append([f"{k + 1} {link.name}", *values, driven])
+    read = new_table([*columns, *(units[key] for key in extras), "actuated"], rows, mechanism.name)
 
-    facts = new_table(["", ""])
-    facts.show_header = False
     gravity = mechanism.gamma
-    facts.add_row("gravity", f"({gravity.real:g}, {gravity.imag:g}) m/s²")
-    facts.add_row("mobility", str(content["mobility"]))
+    facts = [["gravity", f"({gravity.real:g}, {gravity.imag:g}) m/s²"]]
+    facts.append(["mobility", str(content["mobility"])])
     loops = content["loops"]
     assert isinstance(loops, list)
-    for c, kind in enumerate(loops):
-        facts.add_row(f"loop {c + 1}", kind)
+    facts += [[f"loop {c + 1}", kind] for c, kind in enumerate(loops)]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         span = content[key]
         if isinstance(span, list):
-            facts.add_row(label, f"{span[0]:.3g} to {span[1]:.3g}")
+            facts.append([label, f"{span[0]:.3g} to {span[1]:.3g}"])
     if content["closing"] is not None:
-        facts.add_row("closes at", f"{100 * float(str(content['closing'])):.0f} % of positions")
+        facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
 
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
-    proof = new_table(["identity", "residual", ""], title)
-    for item in results:
-        proof.add_row(item.name, f"{item.residual:.1e}", "holds" if item.holds else "FAILS")
-    return [table, facts, proof]
+    proof = [
+        [item.name, f"{item.residual:.1e}", "holds" if item.holds else "FAILS"] for item in results
+    ]
+    return [read, new_table(["", ""], facts), new_table(["identity", "residual", ""], proof, title)]

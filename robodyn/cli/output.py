@@ -15,7 +15,7 @@ from robodyn.table import WRITERS, open_output
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from rich.table import Table
+    from rich.console import Group
 
 UNITS = {
     "t": "s",
@@ -94,15 +94,13 @@ class TableView:
         """The tables as text, with colours where they go to a terminal."""
         tables = []
         for begin in range(0, len(self._rows) or 1, PAGE):
-            table = new_table([with_unit(name) for name in self._names])
-            for row in self._rows[begin : begin + PAGE]:
-                table.add_row(*row)
-            tables.append(table)
+            names = [with_unit(name) for name in self._names]
+            tables.append(new_table(names, self._rows[begin : begin + PAGE]))
         return render(tables, on_terminal)
 
 
 def write_structure(
-    out: Path | None, content: Mapping[str, object], tables: Sequence[Table] | None
+    out: Path | None, content: Mapping[str, object], tables: Sequence[Group] | None
 ) -> None:
     """Write a result with parts: its `tables` where there are any, else `content` as JSON."""
     with open_output(out) as stream:
@@ -119,27 +117,31 @@ def wants_tables(format: StructuredFormat | None, out: Path | None) -> bool:
     return format is StructuredFormat.table
 
 
-def new_table(columns: Sequence[str], title: str = "") -> Table:
-    """An empty rich table with right-aligned columns."""
+def new_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> Group:
+    """A rich table, numbers to the right; every text stands as it is, brackets too."""
     from rich import box
+    from rich.console import Group
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD)
-    for name in columns:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
+    table = Table(box=box.SIMPLE_HEAD, show_header=any(columns))
+    for k, name in enumerate(columns):
+        numeric = all(_is_number(row[k]) for row in rows)
+        table.add_column(Text(name), justify="right" if numeric else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return Group(Text(title, style="bold"), table) if title else Group(table)
 
 
-def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Table:
+def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Group:
     """A matrix, or a vector as one row, as a rich table."""
     width = len(matrix[0]) if matrix else 0
-    table = new_table([str(k + 1) for k in range(width)], f"{title} [{unit}]" if unit else title)
-    for row in matrix:
-        table.add_row(*(f"{value:.6g}" for value in row))
-    return table
+    rows = [[f"{value:.6g}" for value in row] for row in matrix]
+    title = f"{title} [{unit}]" if unit else title
+    return new_table([str(k + 1) for k in range(width)], rows, title)
 
 
-def render(tables: Sequence[Table], on_terminal: bool) -> str:
+def render(tables: Sequence[Group], on_terminal: bool) -> str:
     """Tables as text; full width and no colours unless for a terminal."""
     from rich.console import Console
 
@@ -157,7 +159,7 @@ def render(tables: Sequence[Table], on_terminal: bool) -> str:
 def with_unit(name: str) -> str:
     """A column's name with its unit, `tau1 [N m]`."""
     unit = UNITS.get(name.rstrip("0123456789"))
-    return name if unit is None else f"{name} \\[{unit}]"
+    return name if unit is None else f"{name} [{unit}]"
 
 
 def note(text: str) -> None:
@@ -166,10 +168,15 @@ def note(text: str) -> None:
 
 
 def _short(field: str) -> str:
+    return f"{float(field):.6g}" if _is_number(field) else field
+
+
+def _is_number(text: str) -> bool:
     try:
-        return f"{float(field):.6g}"
+        float(text)
     except ValueError:
-        return field
+        return False
+    return True
 
 
 def _json(content: Mapping[str, object]) -> str:

@@ -21,7 +21,7 @@ from robodyn import actuation, closed_form
 from robodyn.actuation import Actuation
 from robodyn.cli.options import Model, Out, Q, Qd
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, assembled_state, open_input, single_state
+from robodyn.cli.states import Quantity, assembled_state, open_input, remarks, single_state
 from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
@@ -148,7 +148,7 @@ def simulate(
         def sink(t: np.ndarray, y: np.ndarray) -> None:
             writer.write_columns(_rows(mechanism, torques, t, y))
 
-        with _watching(duration, quiet) as watch:
+        with remarks(), _watching(duration, quiet) as watch:
             outcome, facts = run(
                 mechanism, np.concatenate(state), duration, torques, settings, sink, times, watch
             )

@@ -65,8 +65,9 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
         if actuated != n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
             wanted += f", or {actuated}, one an actuated joint ({names})"
+        count = "1 value" if len(values) == 1 else f"{len(values)} values"
         raise InputError(
-            f"--{quantity.name}", value=f"{len(values)} values", limit=f"must have {wanted}"
+            f"--{quantity.name}", value=f"{quantity.option} ({count})", limit=f"needs {wanted}"
         )
     return Source(quantity, values, [], len(values) == n)
 
@@ -75,9 +76,13 @@ def table_source(
     mechanism: Mechanism, quantity: Quantity, header: Sequence[str], source: str
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
-    if quantity.option is not None:
-        return option_source(mechanism, quantity)
     everything = quantity.columns(range(mechanism.n))
+    if quantity.option is not None:
+        present = [name for name in everything if name in header]
+        if present:
+            limit = f"{source} has the column {present[0]}; leave one of them out"
+            raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
+        return option_source(mechanism, quantity)
     driven = quantity.columns(mechanism.actuated)
     if set(everything) <= set(header):
         return Source(quantity, None, everything, True)
@@ -188,9 +193,11 @@ def evaluate(
     import numpy as np
 
     if states is None:
-        state = single_state(mechanism, quantities)
-        with _remarks(), row_writer(format, out, columns) as writer:
-            writer.write_row(compute([vector[None, :] for vector in state])[0].tolist())
+        with remarks():
+            state = single_state(mechanism, quantities)
+            row = _finite(compute, [vector[None, :] for vector in state])[0].tolist()
+        with row_writer(format, out, columns) as writer:
+            writer.write_row(row)
         return
 
     from robodyn.table import Reader
@@ -211,9 +218,9 @@ def evaluate(
                 else:
                     row = _values(mechanism, source)
                     given.append(np.broadcast_to(np.array(row), (len(values), len(row))))
-            return compute(complete(mechanism, sources, given))
+            return _finite(compute, complete(mechanism, sources, given))
 
-        with _remarks(), row_writer(format, out, columns, reader.header) as writer:
+        with remarks(), row_writer(format, out, columns, reader.header) as writer:
             for chunk in chunks:
                 try:
                     writer.write_rows(chunk.lines, results(chunk.values))
@@ -251,8 +258,24 @@ def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
         yield stream, states
 
 
+def _finite(compute: Callable[[list[Array]], Array], states: list[Array]) -> Array:
+    """What `compute` gives, or a RobodynError where numbers left the range of floats."""
+    import numpy as np
+
+    with np.errstate(all="ignore"):
+        values = compute(states)
+    if not np.isfinite(values).all():
+        raise overflow()
+    return values
+
+
+def overflow() -> RobodynError:
+    """The error for a result that is not finite."""
+    return RobodynError("the result is not finite", limit="the state or the scene is too large")
+
+
 @contextmanager
-def _remarks() -> Iterator[None]:
+def remarks() -> Iterator[None]:
     """Warnings of the numerics as notes on stderr, each once."""
     seen: set[str] = set()
 

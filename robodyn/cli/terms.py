@@ -53,8 +53,7 @@ def terms(
             matrix_table(name.replace("_", " "), np.atleast_2d(value).tolist(), units[name])
             for name, value in content.items()
         ]
-        table = new_table(["KE \\[J]", "PE \\[J]"])
-        table.add_row(*(f"{value:.6g}" for value in energies.values()))
-        tables.append(table)
+        row = [f"{value:.6g}" for value in energies.values()]
+        tables.append(new_table(["KE [J]", "PE [J]"], [row]))
     plain = {name: value.tolist() for name, value in content.items()}
     write_structure(out, plain | energies, tables)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
-from robodyn.cli.states import Quantity, evaluate, option_source
+from robodyn.cli.states import Quantity, evaluate, option_source, overflow
 from robodyn.mechanism import Mechanism, load
 
 
@@ -36,6 +38,8 @@ def torque(
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
     if states is None and not mechanism.rows and not mechanism.passive:
         tau = _single_state(mechanism, quantities)
+        if not all(map(math.isfinite, tau)):
+            raise overflow()
         with row_writer(format, out, columns) as writer:
             writer.write_row(tau)
         return

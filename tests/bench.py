@@ -1,0 +1,248 @@
+"""Speed, measured: `make bench`.  Each figure is a ratio to a yardstick timed in the same run.
+
+Ours and the yardstick take turns; the ratio of their medians counts, that of their minima stands
+beside it.  Prints one table, writes the same to bench/speed.json, and exits 1 where a bound is
+missed.  Each function of `MEASURES` makes a row or two.  MB are 10^6 bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from timeit import timeit
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robodyn
+from robodyn.formulas import inverse_formula
+from robodyn.loop_rates import loop_accelerations, loop_velocities
+from robodyn.straightline import compile_floats
+
+Array = NDArray[np.float64]
+Command = tuple[str | Path, ...]
+Pair = tuple[float, float]
+Times = list[Pair]  # seconds of ours and of the yardstick, taken in turn
+
+ROOT = Path(__file__).resolve().parent.parent
+BIN = Path(sys.executable).parent
+ARM = "robots/2r.yaml"
+
+# A process of its own, and a small one: a child's peak memory begins with that of its parent.
+LAUNCHER = """
+import os, sys, time
+out = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+start = time.perf_counter()
+stdout = (os.POSIX_SPAWN_DUP2, out, 1)
+child = os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ, file_actions=[stdout])
+_, status, usage = os.wait4(child, 0)
+print(time.perf_counter() - start, usage.ru_maxrss, os.waitstatus_to_exitcode(status))
+"""
+LOADTXT_SAVETXT = """
+import sys, numpy as np
+rows = np.loadtxt(sys.argv[1], delimiter=",", skiprows=1)
+np.savetxt(sys.stdout, np.column_stack([rows, np.load(sys.argv[2])]), delimiter=",")
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table; without a bound it is reported only."""
+
+    what: str
+    value: float  # a ratio, or MB
+    least: float | None = None  # the ratio of minima
+    bound: float | None = None
+    aim: float | None = None
+    yardstick: str = ""
+    ours: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return self.bound is None or self.value <= self.bound
+
+
+class Bench:
+    """Sizes, a folder for files, and what several rows share."""
+
+    def __init__(self, quick: bool, folder: Path) -> None:
+        self.quick, self.folder = quick, folder
+        self.states, self.repeats = (40_000, 3) if quick else (1_000_000, 15)
+        self.arm = robodyn.load(ROOT / ARM)
+        self.motion = self.random_motion(2)
+        np.testing.assert_allclose(self.torques(), self.torques_by_numpy(), rtol=1e-11, atol=1e-11)
+
+    def random_motion(self, n: int) -> list[Array]:
+        rng = np.random.default_rng(n)
+        q = rng.uniform(-np.pi, np.pi, (self.states, n))
+        return [q, rng.normal(size=q.shape), rng.normal(size=q.shape)]
+
+    def torques(self) -> Array:
+        return robodyn.inverse_dynamics(self.arm, *self.motion)
+
+    def torques_by_numpy(self) -> Array:
+        q, qd, qdd = self.motion
+        tau = np.empty_like(q)
+        tau[:, 0], tau[:, 1] = equation_27(self.arm, np.cos, np.sin)(*q.T, *qd.T, *qdd.T)
+        return tau
+
+    def processes(self, ours: Command, yardstick: Command, repeats: int) -> tuple[Times, Pair]:
+        """Run two commands in turn, stdout to a file: seconds, and the peak MB of each."""
+        runs = [(self.process(ours), self.process(yardstick)) for _ in range(1 + repeats)]
+        peaks = (max(first[1] for first, _ in runs), max(second[1] for _, second in runs))
+        return [(first[0], second[0]) for first, second in runs[1:]], peaks
+
+    def process(self, command: Command) -> Pair:
+        """Run a command in the root of the repository: seconds and peak MB."""
+        launch = [sys.executable, "-I", "-S", "-c", LAUNCHER, self.folder / "out", *command]
+        done = subprocess.run(launch, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+        seconds, peak, code = done.stdout.split()
+        if int(code) != 0:
+            raise RuntimeError(f"exit code {code}: {command}")
+        return float(seconds), int(peak) * (1 if sys.platform == "darwin" else 1024) / 1e6
+
+
+def equation_27(arm: robodyn.Mechanism, cos: Any, sin: Any) -> Callable[..., tuple[Any, Any]]:
+    """tau = M qdd + C qd + G of a 2R arm by hand, for floats or whole arrays."""
+    upper, fore = arm.description.links
+    g, r1, r2 = -arm.gamma.imag, upper.r.real, fore.r.real
+    b = fore.m * upper.l * r2
+    M22 = fore.m * r2**2 + fore.I
+    M11 = upper.m * r1**2 + upper.I + fore.m * upper.l**2 + M22  # at q2 = 90 deg
+    w1, w2 = (upper.m * r1 + fore.m * upper.l) * g, fore.m * r2 * g
+
+    def torque(q1: Any, q2: Any, qd1: Any, qd2: Any, qdd1: Any, qdd2: Any) -> tuple[Any, Any]:
+        bc, h = b * cos(q2), b * sin(q2)
+        M12, G2 = bc + M22, w2 * cos(q1 + q2)
+        return (
+            (M11 + 2 * bc) * qdd1 + M12 * qdd2 - h * qd2 * (2 * qd1 + qd2) + w1 * cos(q1) + G2,
+            M12 * qdd1 + M22 * qdd2 + h * (qd1 * qd1) + G2,
+        )
+
+    return torque
+
+
+def in_turn(ours: Callable[[], object], yardstick: Callable[[], object], repeats: int) -> Times:
+    """Seconds (`timeit` reads time.perf_counter), after one run each that does not count."""
+    turns = [(timeit(ours, number=1), timeit(yardstick, number=1)) for _ in range(1 + repeats)]
+    return turns[1:]
+
+
+def compared(what: str, times: Times, items: int, yardstick: str, **limits: float) -> Row:
+    """The row of these seconds, each the time of so many items (states, rows, calls)."""
+    ours, theirs = zip(*times, strict=True)
+    ratio, least = median(ours) / median(theirs), min(ours) / min(theirs)
+    unit, scale = ("ms", 1e3) if items == 1 else ("ns", 1e9 / items)
+    yardstick += f": {median(theirs) * scale:.4g} {unit}"
+    shown = f"{median(ours) * scale:.4g} {unit}, {items / median(ours):.3g}/s"
+    return Row(what, ratio, least, yardstick=yardstick, ours=shown, **limits)
+
+
+def one_process(bench: Bench) -> list[Row]:
+    command = (BIN / "robodyn", "torque", ARM, "--q", "0.1,0.2", "--qd", "1,2", "--qdd", "0,0")
+    numpy = (sys.executable, "-c", "import numpy")
+    times, _ = bench.processes(command, numpy, 3 if bench.quick else 31)
+    return [compared("torque, whole process", times, 1, "import numpy", bound=2.0, aim=1.5)]
+
+
+def batch(bench: Bench, what: str, function: Callable[[], object], **limits: float) -> Row:
+    """A batch of states against equation (27) in numpy for as many states of the 2R."""
+    times = in_turn(function, bench.torques_by_numpy, bench.repeats)
+    return compared(f"inverse dynamics, {what}", times, bench.states, "numpy (27)", **limits)
+
+
+def two_link_batch(bench: Bench) -> list[Row]:
+    tracemalloc.start()
+    output = bench.torques().nbytes
+    extra = (tracemalloc.get_traced_memory()[1] - output) / 1e6
+    tracemalloc.stop()
+    row = batch(bench, "2R", bench.torques, bound=0.7, aim=0.4)
+    return [row, Row("inverse dynamics, 2R, extra MB", extra, bound=64.0)]
+
+
+def table(bench: Bench) -> list[Row]:
+    states, torques = bench.folder / "states.csv", bench.folder / "torques.npy"
+    np.save(torques, bench.torques())
+    rows = np.column_stack([np.arange(bench.states) * 1e-3, *bench.motion])
+    with states.open("w") as stream:
+        stream.write("t,q1,q2,qd1,qd2,qdd1,qdd2\n")
+        stream.writelines(",".join(map(repr, row.tolist())) + "\n" for row in rows)
+    command = (BIN / "robodyn", "torque", ARM, states)
+    numpy = (sys.executable, "-c", LOADTXT_SAVETXT, states, torques)
+    times, (peak, numpy_peak) = bench.processes(command, numpy, 1 if bench.quick else 3)
+    return [
+        compared("torque of a CSV", times, bench.states, "loadtxt, savetxt", bound=1.0),
+        Row("torque of a CSV, peak MB", peak, None, 250.0, None, f"numpy: {numpy_peak:.0f} MB"),
+    ]
+
+
+def four_bar_batch(bench: Bench) -> list[Row]:
+    mechanism = robodyn.load(ROOT / "robots/four-bar.yaml")
+    crank, rate, acceleration = bench.random_motion(1)
+    q = robodyn.assemble(mechanism, crank)
+    qd = loop_velocities(mechanism, q, rate)
+    qdd = loop_accelerations(mechanism, q, qd, acceleration)
+    return [batch(bench, "four-bar", lambda: robodyn.inverse_dynamics(mechanism, q, qd, qdd))]
+
+
+def chain_batch(bench: Bench) -> list[Row]:
+    form = "{{name: {}, m: {}, l: {}, r: {}, I: {}}}"
+    links = [form.format(k, 4 / 1.3**k, 0.5 / 1.1**k, 0.2 / 1.2**k, 0.1 / 2**k) for k in range(6)]
+    scene = bench.folder / "6r.yaml"
+    scene.write_text(f"gravity: 9.81\nlinks: [{', '.join(links)}]\n")
+    chain, motion = robodyn.load(scene), bench.random_motion(6)
+    return [batch(bench, "6R chain", lambda: robodyn.inverse_dynamics(chain, *motion))]
+
+
+def one_call(bench: Bench) -> list[Row]:
+    formula = inverse_formula(bench.arm)
+    assert formula is not None
+    ours, hand = compile_floats(formula, "torque"), equation_27(bench.arm, math.cos, math.sin)
+    x = np.hstack(bench.motion)[:20_000].T.tolist()
+    times = in_turn(lambda: list(map(ours, *x)), lambda: list(map(hand, *x)), bench.repeats)
+    return [compared("generated floats, 2R", times, len(x[0]), "by hand")]
+
+
+MEASURES = [one_process, two_link_batch, table, four_bar_batch, chain_batch, one_call]
+
+
+def as_text(rows: list[Row]) -> str:
+    lines = [["what", "ratio", "least", "bound", "aim", "yardstick", "ours", "ok"]]
+    for row in rows:
+        values = (row.value, row.least, row.bound, row.aim)
+        shown = ["" if x is None else f"{x:.3g}" for x in values]
+        verdict = "" if row.bound is None else "yes" if row.ok else "MISSED"
+        lines.append([row.what, *shown, row.yardstick, row.ours, verdict])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Measure speed against yardsticks.")
+    parser.add_argument("--quick", action="store_true", help="small sizes, bounds do not count")
+    quick = parser.parse_args().quick
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(quick, Path(folder))
+        rows = [row for measure in MEASURES for row in measure(bench)]
+    print(as_text(rows))
+    target = ROOT / "bench" / "speed.json"
+    target.parent.mkdir(exist_ok=True)
+    content = [asdict(row) | {"ok": row.ok} for row in rows]
+    target.write_text(json.dumps({"cores": os.cpu_count(), "rows": content}, indent=2) + "\n")
+    return 0 if quick or all(row.ok for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

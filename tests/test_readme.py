@@ -1,0 +1,162 @@
+"""The README is true: its examples run and show what they show, and it leaves nothing out."""
+
+from __future__ import annotations
+
+import ast
+import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import robodyn
+from robodyn.cli import COMMANDS
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+RELATIVE = 1e-9  # a last digit may differ from machine to machine
+ABSOLUTE = 1e-12  # so may what is zero but for rounding
+
+
+class Example(NamedTuple):
+    """A command and what it prints."""
+
+    command: str
+    output: str
+
+
+def blocks(*languages: str) -> list[str]:
+    """The texts of the README's fenced blocks in these languages."""
+    fences = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    return [text for language, text in fences if language in languages]
+
+
+def examples() -> list[Example]:
+    """The commands of the console blocks, each with the output below it."""
+    found = []
+    for block in blocks("console", "sh"):
+        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
+            lines = part.splitlines(keepends=True)
+            end = next(k for k, line in enumerate(lines) if not line.endswith("\\\n")) + 1
+            found.append(Example("".join(lines[:end]), "".join(lines[end:])))
+    return found
+
+
+def section(title: str) -> str:
+    """The text of one section of the README."""
+    return README.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def assert_same(shown: str, real: str) -> None:
+    """Equal texts, with numbers that are equal but for rounding."""
+    assert NUMBER.sub("#", shown) == NUMBER.sub("#", real), f"the real output is\n{real}"
+    for old, new in zip(NUMBER.findall(shown), NUMBER.findall(real), strict=True):
+        close = math.isclose(float(old), float(new), rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+        assert close, f"{old} is shown, {new} is real, in\n{real}"
+
+
+def plain_lines() -> list[str]:
+    """The lines of the blocks that are not run."""
+    return [line.partition("#")[0].strip() for text in blocks("") for line in text.splitlines()]
+
+
+@pytest.mark.parametrize("example", examples(), ids=lambda example: example.command.strip())
+def test_example_runs_and_prints_what_is_shown(example: Example) -> None:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", example.command],
+        cwd=ROOT,
+        env=os.environ | {"PATH": path, "LC_ALL": "C.UTF-8"},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout
+    assert_same(example.output, done.stdout)
+
+
+@pytest.mark.parametrize("block", blocks("python"), ids=lambda block: block.splitlines()[0])
+def test_python_runs_and_prints_what_its_comments_say(
+    block: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ROOT)
+    exec(compile(block, "README.md", "exec", dont_inherit=True), {})
+    shown = re.findall(r"^print\(.*\)  # (.*\n)", block, re.MULTILINE)
+    assert block.count("print(") == len(shown)
+    assert_same("".join(shown), capsys.readouterr().out)
+
+
+def test_scenes_are_accepted(tmp_path: Path) -> None:
+    scenes = blocks("yaml")
+    assert scenes
+    for k, text in enumerate(scenes):
+        scene = tmp_path / f"{k}.yaml"
+        scene.write_text(text, encoding="utf-8")
+        robodyn.load(scene)
+
+
+def test_there_are_examples_of_every_kind() -> None:
+    commands = [example.command for example in examples()]
+    assert len(commands) >= 5
+    assert blocks("python")
+    assert any("| head" in command for command in commands)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_command_is_documented_and_shown(name: str) -> None:
+    assert f"`robodyn {name} " in section("Commands")
+    assert any(f"robodyn {name} " in example.command for example in examples())
+
+
+@pytest.mark.parametrize("name", sorted(robodyn._ROOM_OF))
+def test_public_name_is_documented(name: str) -> None:
+    assert re.search(rf"`{name}\b", section("Python"))
+
+
+def keys_of_the_scene_reader() -> set[str]:
+    """Every key that a call `self.keys(node, place, [needed], [optional])` knows."""
+    found = set()
+    for source in (ROOT / "robodyn").glob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+                continue
+            if node.func.attr == "keys":
+                lists = [argument for argument in node.args if isinstance(argument, ast.List)]
+                found |= {ast.literal_eval(item) for entry in lists for item in entry.elts}
+    return found
+
+
+def test_the_scene_readers_keys_are_found() -> None:
+    assert {"links", "assembly", "m", "payload", "at", "point", "along"} <= (
+        keys_of_the_scene_reader()
+    )
+
+
+@pytest.mark.parametrize("key", sorted(keys_of_the_scene_reader()))
+def test_scene_key_is_documented(key: str) -> None:
+    assert f"`{key}`" in section("Scene format")
+
+
+def test_make_targets_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = [line.split()[1] for line in plain_lines() if line.startswith("make ")]
+    assert {"demo", "test", "bench"} <= set(targets)
+    for target in targets:
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+
+
+def test_install_line_names_this_package() -> None:
+    assert "pip install ." in plain_lines()
+    assert (ROOT / "pyproject.toml").exists()
+
+
+def test_lines_are_not_too_long() -> None:
+    assert [line for line in README.splitlines() if len(line) > 100] == []
