@@ -1,5 +1,6 @@
 # make demo   build the environment and run the main job on the example scenes
 # make test   lint, type-check and run the whole test suite
+# make hard   the hard cases of simulation, one table
 # make bench  speed, each figure a ratio to a yardstick measured in the same run
 
 PYTHON ?= python3
@@ -7,7 +8,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test bench clean
+.PHONY: demo test hard bench clean
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("robodyn needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
@@ -18,11 +19,15 @@ $(READY): pyproject.toml
 demo: $(READY)
 	$(BIN)/robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
 	$(BIN)/robodyn torque robots/four-bar.yaml --q 60deg --qd 5 --qdd 0
+	$(BIN)/robodyn simulate robots/four-bar.yaml --q 60deg --tau "2*sin(3*t)" --time 2 --points 5
 
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto
+
+hard: $(READY)
+	$(BIN)/python tests/hard_cases/run.py
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py

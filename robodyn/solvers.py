@@ -71,6 +71,17 @@ def projected(method: str) -> type[OdeSolver]:
             self.kinks = sorted(kinks)
             self.steps = 0
             self._stiff_steps = 0
+            if method in EXPLICIT:
+                self.fun = self._counted(fun)
+
+        def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
+            """`fun` less scipy's conversion to an array: a stage takes its list as it is."""
+
+            def counted(t: float, y: Array) -> Any:
+                self.nfev += 1
+                return fun(t, y)
+
+            return counted
 
         def _step_impl(self) -> tuple[bool, str | None]:
             end = self.t_bound

@@ -26,9 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robodyn
+from robodyn.actuation import Actuation
+from robodyn.description import from_text
 from robodyn.formulas import inverse_formula
 from robodyn.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanism import build
+from robodyn.right_hand_side import right_hand_side
 from robodyn.straightline import compile_floats
+from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]
 Command = tuple[str | Path, ...]
@@ -197,12 +202,25 @@ def four_bar_batch(bench: Bench) -> list[Row]:
     return [batch(bench, "four-bar", lambda: robodyn.inverse_dynamics(mechanism, q, qd, qdd))]
 
 
-def chain_batch(bench: Bench) -> list[Row]:
+def chain_text(n: int) -> str:
+    """The scene of a chain of n links, all parameters distinct."""
     form = "{{name: {}, m: {}, l: {}, r: {}, I: {}}}"
-    links = [form.format(k, 4 / 1.3**k, 0.5 / 1.1**k, 0.2 / 1.2**k, 0.1 / 2**k) for k in range(6)]
-    scene = bench.folder / "6r.yaml"
-    scene.write_text(f"gravity: 9.81\nlinks: [{', '.join(links)}]\n")
-    chain, motion = robodyn.load(scene), bench.random_motion(6)
+    sizes = [(4 / 1.1**k, 0.5 / 1.05**k, 0.2 / 1.06**k, 0.1 / 1.2**k) for k in range(n)]
+    links = [form.format(k, *size) for k, size in enumerate(sizes)]
+    return f"gravity: 9.81\nlinks: [{', '.join(links)}]\n"
+
+
+def n_four_bar_text(n: int) -> str:
+    """The scene of n + 1 verticals from ground pivots, joined by n horizontals."""
+    bar = "m: 1, l: 1, r: 0.5, I: 0.08333333333333333"
+    links = [f"{{name: v{k}, {bar}, from: [{k}, 0]}}" for k in range(n + 1)]
+    links += [f"{{name: h{k}, {bar}, from: v{k}}}" for k in range(n)]
+    closures = ", ".join(f"[h{k}, v{k + 1}]" for k in range(n))
+    return f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [{closures}]\n"
+
+
+def chain_batch(bench: Bench) -> list[Row]:
+    chain, motion = build(from_text(chain_text(6), "6R")), bench.random_motion(6)
     return [batch(bench, "6R chain", lambda: robodyn.inverse_dynamics(chain, *motion))]
 
 
@@ -215,7 +233,71 @@ def one_call(bench: Bench) -> list[Row]:
     return [compared("generated floats, 2R", times, len(x[0]), "by hand")]
 
 
-MEASURES = [one_process, two_link_batch, table, four_bar_batch, chain_batch, one_call]
+def simulation_process(bench: Bench) -> list[Row]:
+    start = ("--q", "30deg,45deg", "--time", "10", "--points", "1000", "--quiet")
+    command = (BIN / "robodyn", "simulate", ARM, *start)
+    scipy = (sys.executable, "-c", "from scipy.integrate import solve_ivp")
+    times, _ = bench.processes(command, scipy, 3 if bench.quick else 15)
+    return [compared("simulate, whole process", times, 1, "import solve_ivp", bound=1.35)]
+
+
+def right_hand_sides(bench: Bench) -> list[Row]:
+    """The generated dy/dt against the same equations written by hand."""
+    rows = []
+    for what, scene, by_hand, bound in (
+        ("dy/dt, 2R", ARM, two_link_rates, 1.3),
+        ("dy/dt, four-bar (33)", "robots/four-bar.yaml", four_bar_rates, 1.5),
+    ):
+        mechanism = robodyn.load(ROOT / scene)
+        unforced = Actuation((0.0,) * mechanism.n)
+        ours, hand = right_hand_side(mechanism, unforced).rates, by_hand(mechanism)
+        crank = np.random.default_rng(1).uniform(-np.pi, np.pi, (2000, len(mechanism.actuated)))
+        q = robodyn.assemble(mechanism, crank)
+        states = list(np.hstack([q, loop_velocities(mechanism, q, np.ones_like(crank))]))
+        for y in states:
+            np.testing.assert_allclose(ours(0.0, y), hand(0.0, y), rtol=1e-9, atol=1e-9)
+        times = in_turn(
+            lambda ours=ours, states=states: [ours(0.0, y) for y in states],
+            lambda hand=hand, states=states: [hand(0.0, y) for y in states],
+            4 * bench.repeats,
+        )
+        rows.append(compared(what, times, len(states), "by hand", bound=bound))
+    return rows
+
+
+def evaluators(bench: Bench) -> list[Row]:
+    """Where straight-line code and the sparse factorisation cross: ratio of their times."""
+    rows = []
+    scenes = [(f"{n}R chain", chain_text(n)) for n in (10, 20, 40)]
+    scenes += [(f"{n}-four-bar", n_four_bar_text(n)) for n in (10, 40, 80)]
+    for what, text in scenes[:: 3 if bench.quick else 1]:
+        mechanism = build(from_text(text, what))
+        unforced = Actuation((0.0,) * mechanism.n)
+        kinds = [right_hand_side(mechanism, unforced, kind=k) for k in ("straight-line", "sparse")]
+        q = np.full(mechanism.n, 1.0)
+        if mechanism.rows:
+            q[mechanism.n // 2 + 1 :] = -1.0
+        y = np.concatenate([q, np.zeros(mechanism.n)])
+        times = in_turn(
+            lambda kinds=kinds, y=y: [kinds[0].rates(0.0, y) for _ in range(20)],
+            lambda kinds=kinds, y=y: [kinds[1].rates(0.0, y) for _ in range(20)],
+            bench.repeats,
+        )
+        rows.append(compared(f"dy/dt straight-line, {what}", times, 20, "sparse"))
+    return rows
+
+
+MEASURES = [
+    one_process,
+    two_link_batch,
+    table,
+    four_bar_batch,
+    chain_batch,
+    one_call,
+    simulation_process,
+    right_hand_sides,
+    evaluators,
+]
 
 
 def as_text(rows: list[Row]) -> str:
