@@ -1,4 +1,4 @@
-"""Forward simulation: solve_ivp with constraint projection; outcomes, statistics, motions.
+"""Forward simulation: solve_ivp with constraint projection.
 
 A run goes through one of scipy's solvers, made to project after every step (`solvers.py`).  Rows
 of output and the statistics leave the run in batches, so its memory does not grow with its length.
@@ -9,9 +9,8 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from enum import Enum
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,79 +20,15 @@ from robodyn import closed_form, dynamics, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.mechanism import Mechanism
+from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.right_hand_side import right_hand_side
 
-if TYPE_CHECKING:
-    from scipy.integrate import OdeSolver
-
 Array = NDArray[np.float64]
-Sink = Callable[[Array, Array], None]
 
-STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
-ROWS_AT_ONCE = 512
 MAX_EVALUATIONS = 2_000_000
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
 STABILIZERS = ("projection", "baumgarte", "none")
 SMALLEST_RTOL = 3e-14  # scipy takes nothing smaller
-
-
-class Outcome(Enum):
-    """How a run ended, and what to do about it."""
-
-    FINISHED = ("finished", "")
-    STEP_TOO_SMALL = (
-        "step too small",
-        "the tolerance asks for more digits than the motion keeps here: loosen rtol and atol, or "
-        "see whether a torque is undefined or the motion is singular at this time",
-    )
-    SINGULAR = (
-        "singular",
-        "the motion ran into a singular configuration: start beside it, or loosen rtol and atol",
-    )
-    TOO_MANY_EVALUATIONS = (
-        "too many evaluations",
-        "raise the limit (--max-evals), loosen rtol and atol, or try another method",
-    )
-    STIFF = (
-        "stiff",
-        "the explicit method is held to tiny steps by its stability: take --method Radau "
-        "(or BDF, LSODA)",
-    )
-    INTERRUPTED = ("interrupted", "what was computed until then is kept")
-
-    @property
-    def label(self) -> str:
-        return self.value[0]
-
-    @property
-    def advice(self) -> str:
-        return self.value[1]
-
-
-@dataclass(slots=True)
-class Report:
-    """What a run did: SI units; drift is relative to the largest energy in motion."""
-
-    outcome: str = Outcome.FINISHED.label
-    advice: str = ""
-    method: str = ""
-    rtol: float = 0.0
-    atol: float = 0.0
-    stabilize: str = ""
-    evaluator: str = ""
-    t_end: float = 0.0
-    t_reached: float = 0.0
-    steps: int = 0
-    evaluations: int = 0
-    seconds: float = 0.0
-    energy_start: float = 0.0
-    energy_drift: float = 0.0  # largest |E(t) - E(0) - work done| / energy in motion
-    energy_in_motion: float = 0.0  # largest KE, or change of PE, J
-    work: float = 0.0  # of torques less dampers, J
-    largest_gap: float = 0.0  # m
-    largest_gap_rate: float = 0.0  # m/s
-    nearest_singular: float | None = None  # least singular value of Psi against its largest
-    nearest_singular_time: float | None = None
 
 
 @dataclass(slots=True)
@@ -232,7 +167,7 @@ def run(
         limit = "the torque or the acceleration is not finite there"
         raise RobodynError("cannot start", where=mechanism.source, limit=limit)
 
-    recorder = _Recorder(mechanism, report, sink, times, settings.max_evaluations, watch)
+    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch)
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
@@ -251,7 +186,7 @@ def _integrate(
     t_end: float,
     actuation: Actuation,
     settings: Settings,
-    recorder: _Recorder,
+    recorder: Recorder,
     projects: bool,
 ) -> Outcome:
     from scipy.integrate import solve_ivp
@@ -277,7 +212,7 @@ def _integrate(
             return Outcome.STIFF
         except SingularError:
             return Outcome.SINGULAR
-        except _Stop as stop:
+        except StopRun as stop:
             return stop.outcome
     if solution.success:
         return Outcome.FINISHED
@@ -286,129 +221,6 @@ def _integrate(
     return (
         Outcome.SINGULAR if near is not None and near < NEARLY_SINGULAR else Outcome.STEP_TOO_SMALL
     )
-
-
-class _Stop(Exception):
-    """Ends a run from within the observer."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
-
-
-@dataclass(slots=True)
-class _Recorder:
-    """Sees every accepted step: makes the rows, keeps the statistics."""
-
-    mechanism: Mechanism
-    report: Report
-    sink: Sink
-    times: Array | None
-    max_evaluations: int
-    watch: Callable[[float], bool] | None
-    next_row: int = 0
-    rows: list[tuple[Array, Array]] = field(default_factory=list)
-    waiting: int = 0
-    steps: list[tuple[float, Array]] = field(default_factory=list)
-    last_singular: float | None = None
-    rank: int = 0
-
-    def begin(self, y: Array) -> None:
-        zero = np.zeros(1)
-        if self.times is None or (len(self.times) and self.times[0] == 0.0):
-            self._row(zero, y[None, :])
-            self.next_row = 1
-        self.steps.append((0.0, y))
-        n = self.mechanism.n
-        state = y[None, :n], y[None, n : 2 * n]
-        self.report.energy_start = float(
-            closed_form.kinetic_energy(self.mechanism, *state)[0]
-            + closed_form.potential_energy(self.mechanism, state[0])[0]
-        )
-
-    def step(self, solver: OdeSolver) -> None:
-        t = float(solver.t)
-        self.report.steps += 1
-        self.report.evaluations = solver.nfev
-        self.report.t_reached = t
-        if self.times is None:
-            self._row(np.array([t]), solver.y[None, :].copy())
-        else:
-            ahead = self.times[self.next_row :]
-            count = int(np.searchsorted(ahead * solver.direction, t * solver.direction, "right"))
-            if count:
-                due = ahead[:count]
-                y = solver.y[None, :].copy() if due[0] == t else solver.dense_output()(due).T
-                if due[-1] == t:
-                    y[-1] = solver.y
-                self.next_row += count
-                self._row(due, y)
-        self.steps.append((t, solver.y.copy()))
-        if len(self.steps) >= STEPS_AT_ONCE:
-            self.flush_steps()
-        if solver.nfev > self.max_evaluations:
-            raise _Stop(Outcome.TOO_MANY_EVALUATIONS)
-        if self.watch is not None and self.watch(t):
-            raise _Stop(Outcome.INTERRUPTED)
-
-    def finish(self) -> None:
-        self.flush_steps()
-        self._flush_rows()
-
-    def _row(self, t: Array, y: Array) -> None:
-        self.rows.append((t, y))
-        self.waiting += len(t)
-        if self.waiting >= ROWS_AT_ONCE:
-            self._flush_rows()
-
-    def _flush_rows(self) -> None:
-        if self.rows:
-            t = np.concatenate([t for t, _ in self.rows])
-            y = np.concatenate([y for _, y in self.rows])
-            self.rows, self.waiting = [], 0
-            self.sink(t, y[:, : 2 * self.mechanism.n])
-
-    def flush_steps(self) -> None:
-        """Take the waiting steps into the statistics."""
-        if not self.steps:
-            return
-        report, mechanism, n = self.report, self.mechanism, self.mechanism.n
-        t = np.array([t for t, _ in self.steps])
-        y = np.array([y for _, y in self.steps])
-        self.steps = []
-        finite = np.isfinite(y).all(axis=1)
-        t, y = t[finite], y[finite]
-        if not len(t):
-            return
-        q, qd = y[:, :n], y[:, n : 2 * n]
-        KE = closed_form.kinetic_energy(mechanism, q, qd)
-        PE = closed_form.potential_energy(mechanism, q)
-        work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
-        error = float(np.abs(KE + PE - work - report.energy_start).max())
-        before = report.energy_drift * report.energy_in_motion
-        moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
-        report.energy_in_motion = moving
-        report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
-        report.work = float(work[-1])
-        if mechanism.rows:
-            self._flush_loops(t, q, qd)
-
-    def _flush_loops(self, t: Array, q: Array, qd: Array) -> None:
-        report, mechanism = self.report, self.mechanism
-        gap = closed_form.closure_gap(mechanism, q)
-        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
-        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
-        Psi = closed_form.closure_jacobian(mechanism, q[::stride])
-        rate = np.einsum("...ij,...j->...i", Psi, qd[::stride])
-        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
-        s = np.linalg.svd(Psi, compute_uv=False)
-        if not self.rank:  # of closures that depend on one another not all count
-            self.rank = int((s > 1e-9 * s[:, :1]).sum(axis=-1).max())
-        ratio = s[:, self.rank - 1] / s[:, 0]
-        worst = int(np.argmin(ratio))
-        self.last_singular = float(ratio[-1])
-        if report.nearest_singular is None or ratio[worst] < report.nearest_singular:
-            report.nearest_singular = float(ratio[worst])
-            report.nearest_singular_time = float(t[::stride][worst])
 
 
 def _checked_times(times: Array, t_end: float) -> Array:

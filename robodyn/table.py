@@ -1,4 +1,4 @@
-"""CSV in and out for batch commands, streamed.
+"""CSV read for batch commands, streamed.
 
 A batch command takes numbers from some columns of a table and writes each row as it came,
 with its own columns appended:
@@ -18,19 +18,12 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 
 from __future__ import annotations
 
-import json
-import math
-import os
-import re
-import shutil
-import sys
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain, repeat
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+from robodyn.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +34,6 @@ if TYPE_CHECKING:
 
 READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
 LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
-LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +73,7 @@ class Reader:
             limit = "it must begin with a line of column names, such as t,q1,q2"
             raise InputError("the input is empty", where=source, limit=limit)
         names = self._split(lines[0], numbers[0])
-        self.header = tuple(_unquoted(name).strip() for name in names)
+        self.header = tuple(unquoted(name).strip() for name in names)
         for name in self.header:
             if self.header.count(name) > 1:
                 limit = "the name occurs twice in the header"
@@ -93,7 +85,7 @@ class Reader:
         missing = [name for name in names if name not in self.header]
         if missing:
             what = f"column {', '.join(missing)} is missing"
-            limit = f"the header has {_shown(', '.join(self.header))}"
+            limit = f"the header has {shown(', '.join(self.header))}"
             raise InputError(what, where=self.source, limit=limit)
 
     def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
@@ -147,22 +139,22 @@ class Reader:
                 if len(fields) != len(self.header):
                     limit = f"the header has {len(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
-                texts = [_unquoted(fields[place]) for place in places]
+                texts = [unquoted(fields[place]) for place in places]
                 values.append(list(map(self._number, texts, names, repeat(number))))
         except InputError as error:
             fault = error
         return np.array(values, dtype=float).reshape(len(values), len(places)), fault
 
     def _number(self, text: str, name: str, line_number: int) -> float:
-        value = _finite(text)
+        value = finite(text)
         if value is not None:
             return value
         if not text.strip():
             raise self._fault(line_number, name, None, "the field is empty, not a finite number")
-        raise self._fault(line_number, name, _shown(text), "must be a finite number")
+        raise self._fault(line_number, name, shown(text), "must be a finite number")
 
     def _split(self, line: str, line_number: int) -> list[str]:
-        fields = _split_fields(line)
+        fields = split_fields(line)
         if ",".join(fields) != line:
             limit = "a closing quote must end its field"
             raise self._fault(line_number, "bad quoting", None, limit)
@@ -235,227 +227,9 @@ def _join_quoted(pieces: list[str], number: int) -> tuple[list[str], Sequence[in
         if end > start + 1 and '"' not in piece:
             continue  # a line inside of a quoted field
         row = "\n".join(pieces[start:end])
-        if any(field[:1] == '"' and field.count('"') % 2 for field in _split_fields(row)):
+        if any(field[:1] == '"' and field.count('"') % 2 for field in split_fields(row)):
             continue  # a field is opened and not closed
         rows.append(row.removesuffix("\r"))
         numbers.append(number + start)
         start = end
     return rows, numbers, "".join(piece + "\n" for piece in pieces[start:])
-
-
-# A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.
-_FIELD = re.compile(r'(?:^|,)("(?:[^"]|"")*+"|[^,]*)')
-
-
-def _split_fields(line: str) -> list[str]:
-    """The fields of a row as they are written, quotes included."""
-    return _FIELD.findall(line) if '"' in line else line.split(",")
-
-
-def _unquoted(field: str) -> str:
-    return field[1:-1].replace('""', '"') if field[:1] == '"' else field
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if re.search('[,"\r\n]', name) else name
-
-
-def _shown(text: str) -> str:
-    """Text of the input as an error repeats it, fit for a terminal."""
-    text = text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
-    return text if text.isprintable() else ascii(text)
-
-
-def _finite(text: str) -> float | None:
-    """The finite number that a field is, None where it is none."""
-    try:
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-class TableWriter(ABC):
-    """A table written to a binary stream, flushed after every call.
-
-    Made from the stream, the names of k computed columns, and the header of the input where
-    there is one.  A computed column that the input has already is replaced in its place; the
-    others follow the input's columns.
-    """
-
-    def __init__(
-        self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
-    ) -> None:
-        self._stream = stream
-        new = [name for name in columns if name not in input_header]
-        self._header = [*input_header, *new]
-        self._places = [self._header.index(name) for name in columns]
-        self._appends_only = len(new) == len(columns)
-        self._begin()
-
-    def write_row(self, values: Sequence[float | str]) -> None:
-        """Write one row of computed columns alone, (k,), without a need for numpy."""
-        self._write_rows([tuple(map(self._text, values))])
-
-    def write_columns(self, values: Array) -> None:
-        """Write n rows that are computed columns alone, (n, k)."""
-        self._write_rows(zip(*self._texts(values), strict=True))
-
-    def write_rows(self, lines: Sequence[str], values: Array) -> None:
-        """Write n rows of the input, each with its computed columns, (n, k)."""
-        self._write_rows(self._merged(lines, self._texts(values)))
-
-    def _merged(self, lines: Sequence[str], texts: list[list[str]]) -> Iterator[tuple[str, ...]]:
-        for line, *computed in zip(lines, *texts, strict=True):
-            fields = [self._field(field) for field in _split_fields(line)]
-            for place, text in zip(self._places, computed, strict=True):
-                fields[place : place + 1] = [text]  # the new ones' places are past the end
-            yield tuple(fields)
-
-    def _texts(self, values: Array) -> list[list[str]]:
-        """The computed values (n, k) as text, column by column."""
-        if values.ndim != 2 or values.shape[1] != len(self._places):
-            raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
-        return [list(map(repr, column)) for column in values.T.tolist()]
-
-    def _write(self, text: str) -> None:
-        self._stream.write(text.encode())
-        self._stream.flush()
-
-    @abstractmethod
-    def close(self) -> None:
-        """End the table; the stream stays open."""
-
-    @abstractmethod
-    def _begin(self) -> None: ...
-
-    def _text(self, value: float | str) -> str:
-        """How a computed value is written."""
-        # Not repr(value): that of a numpy float names its type.
-        if isinstance(value, float):
-            return float.__repr__(value)
-        return self._field(_quoted(str(value)))
-
-    @abstractmethod
-    def _field(self, field: str) -> str:
-        """How a field of the input is written."""
-
-    @abstractmethod
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None: ...
-
-
-class Writer(TableWriter):
-    """A table in CSV: LF line ends, floats as `repr` writes them, the input's text as it is."""
-
-    def write_rows(self, lines: Sequence[str], values: Array) -> None:
-        if self._appends_only:  # then nobody needs to know the line's fields
-            self._write_rows(zip(lines, *self._texts(values), strict=True))
-        else:
-            super().write_rows(lines, values)
-
-    def close(self) -> None:
-        self._stream.flush()
-
-    def _begin(self) -> None:
-        self._write_rows([tuple(map(_quoted, self._header))])
-
-    def _field(self, field: str) -> str:
-        return field
-
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
-        if text := "\n".join(map(",".join, rows)):
-            self._write(text + "\n")
-
-
-class JsonWriter(TableWriter):
-    """A table as a JSON array, one object a line.
-
-    A field of the input that reads as a finite number is one, any other is a string; a
-    computed value that is not finite is null.
-    """
-
-    def close(self) -> None:
-        self._write("\n]\n" if self._separator else "]\n")
-
-    def _begin(self) -> None:
-        names = [json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in self._header]
-        self._template = "{" + ", ".join(f"{name}: %s" for name in names) + "}"
-        self._separator = ""
-        self._write("[\n")
-
-    def _field(self, field: str) -> str:
-        text = _unquoted(field)
-        value = _finite(text)
-        if value is None:
-            return json.dumps(text, ensure_ascii=False)
-        return text if _JSON_NUMBER.fullmatch(text) else repr(value)
-
-    def _text(self, value: float | str) -> str:
-        text = super()._text(value)
-        return _NULL.get(text, text)
-
-    def _texts(self, values: Array) -> list[list[str]]:
-        return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
-
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
-        if text := ",\n".join([self._template % row for row in rows]):
-            self._write(self._separator + text)
-            self._separator = ",\n"
-
-
-_NULL = {"nan": "null", "inf": "null", "-inf": "null"}
-_JSON_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
-
-WRITERS: dict[str, type[Writer | JsonWriter]] = {"csv": Writer, "json": JsonWriter}
-
-
-@contextmanager
-def open_output(
-    path: str | os.PathLike[str] | None, partial: Callable[[str], object] | None = None
-) -> Iterator[BinaryIO]:
-    """A binary stream to a file that takes its place, whole, when the block ends well.
-
-    Where the block raises, an older file stays as it was; what was written is removed, or, with
-    `partial`, kept under a name beside it that `partial` is told.  None and "-" are the standard
-    output; a device or a pipe is written as it stands.  Raises InputError where the file
-    cannot be created.
-    """
-    if path is None or os.fspath(path) == "-":
-        yield sys.stdout.buffer
-        sys.stdout.buffer.flush()
-        return
-    target = os.path.realpath(path)  # a link stays, the file that it names is replaced
-    temporary = os.path.join(os.path.dirname(target), f".robodyn-{os.urandom(8).hex()}.tmp")
-    is_file = os.path.isfile(path)
-    in_place = os.path.exists(path) and not is_file
-    with ExitStack() as cleanup:
-        try:
-            if is_file:
-                os.close(os.open(path, os.O_WRONLY))  # a read-only file is not to be replaced
-            if not os.path.basename(path):
-                raise OSError("it names no file")
-            if in_place:
-                stream = cleanup.enter_context(open(path, "wb"))
-            else:
-                stream = cleanup.enter_context(open(temporary, "xb"))
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise InputError("cannot be written", where=os.fspath(path), limit=reason) from error
-        if in_place:
-            yield stream
-            return
-        try:
-            if is_file:
-                shutil.copymode(target, temporary)
-            yield stream
-            stream.close()
-            os.replace(temporary, target)
-        except BaseException:
-            stream.close()
-            if partial is None or not os.path.getsize(temporary):
-                os.unlink(temporary)
-            else:
-                kept = f"{target}.partial"
-                os.replace(temporary, kept)
-                partial(kept)
-            raise

@@ -26,16 +26,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.table import (
-    LONGEST_ROW,
-    READ_BYTES,
-    WRITERS,
-    Chunk,
-    JsonWriter,
-    Reader,
-    Writer,
-    open_output,
-)
+from robodyn.output_file import open_output
+from robodyn.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
+from robodyn.table_writer import WRITERS, JsonWriter, Writer
 
 
 class Pieces(io.RawIOBase):

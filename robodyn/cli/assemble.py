@@ -14,7 +14,7 @@ from robodyn.cli.states import Quantity, complete_from, option_source
 from robodyn.closed_form import point_motion
 from robodyn.description import BRANCHES
 from robodyn.mechanism import Mechanism, load
-from robodyn.table import open_output
+from robodyn.output_file import open_output
 
 if TYPE_CHECKING:
     from rich.console import Group

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
-from robodyn.table import WRITERS, open_output
+from robodyn.output_file import open_output
+from robodyn.table_writer import WRITERS
 
 if TYPE_CHECKING:
     import numpy as np

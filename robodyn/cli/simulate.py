@@ -25,8 +25,11 @@ from robodyn.cli.states import Quantity, assembled_state, open_input, remarks, s
 from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
-from robodyn.simulation import MAX_EVALUATIONS, Outcome, Report, Settings, applied_torques, run
-from robodyn.table import Reader, Writer, open_output
+from robodyn.output_file import open_output
+from robodyn.recording import Outcome, Report
+from robodyn.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
+from robodyn.table import Reader
+from robodyn.table_writer import Writer
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

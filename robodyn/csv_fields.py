@@ -1,0 +1,39 @@
+"""Single fields of a CSV row: splitting, quoting, reading numbers, showing text in errors."""
+
+from __future__ import annotations
+
+import math
+import re
+
+LONGEST_SHOWN = 200  # characters of the input that an error repeats
+
+# A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.
+_FIELD = re.compile(r'(?:^|,)("(?:[^"]|"")*+"|[^,]*)')
+
+
+def split_fields(line: str) -> list[str]:
+    """The fields of a row as they are written, quotes included."""
+    return _FIELD.findall(line) if '"' in line else line.split(",")
+
+
+def unquoted(field: str) -> str:
+    return field[1:-1].replace('""', '"') if field[:1] == '"' else field
+
+
+def quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"' if re.search('[,"\r\n]', name) else name
+
+
+def shown(text: str) -> str:
+    """Text of the input as an error repeats it, fit for a terminal."""
+    text = text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+    return text if text.isprintable() else ascii(text)
+
+
+def finite(text: str) -> float | None:
+    """The finite number that a field is, None where it is none."""
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
