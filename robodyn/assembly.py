@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
-PATH_STEP = 0.05  # rad, step of the actuated joints on the path from `start`
+PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
+LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
 NEWTON_STEPS = 12
 
 
@@ -108,7 +109,7 @@ def attempt(
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
         q[..., k] = np.remainder(relative + np.pi, 2 * np.pi) - np.pi
     if plan.rest:
-        q, short = _from_start(mechanism, plan, q)
+        q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
     return q, missing
 
@@ -138,6 +139,12 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
             break
     rest = tuple(k for k in mechanism.passive if k not in known)
     free = [k for k in rest if not any(k in loops[c] for c in waiting)]
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(mechanism.actuated) < freedoms and not free:
+        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
+        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
+        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
+        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
     if free or (rest and mechanism.description.start is None):
         names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or rest)
         limit = (
@@ -181,6 +188,8 @@ def reachable(
 
     The other actuated joints stay as given.  [(-pi, pi)] where all of the circle can be reached.
     """
+    if assembly_plan(mechanism).rest:
+        return _reachable_from_start(mechanism, np.asarray(q_actuated, float), joint)
     edges = np.linspace(-np.pi, np.pi, 1441)
 
     def closes(angles: Array) -> NDArray[np.bool_]:
@@ -299,7 +308,7 @@ def _closures(mechanism: Mechanism) -> int:
 # -- larger loops --------------------------------------------------------------------------------
 
 
-def _from_start(mechanism: Mechanism, plan: Plan, q: Array) -> tuple[Array, Array]:
+def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
     """Close what is left along a path of the actuated joints from the scene's start."""
     given = mechanism.description.start
     assert given is not None  # the plan checks it
@@ -314,18 +323,66 @@ def _from_start(mechanism: Mechanism, plan: Plan, q: Array) -> tuple[Array, Arra
     way = np.remainder(target - begin[..., actuated] + np.pi, 2 * np.pi) - np.pi
     steps = int(np.ceil(np.abs(way).max(initial=0.0) / PATH_STEP))
     here = close_positions(mechanism, begin, held)
+    lost = _open(mechanism, here)
     first = here[..., actuated].copy()
+    passive = list(mechanism.passive)
     for s in range(1, steps + 1):
-        here[..., actuated] = first + way * (s / steps)
-        here = close_positions(mechanism, here, held)
+        there = here.copy()
+        there[..., actuated] = first + way * (s / steps)
+        there = close_positions(mechanism, there, held)
+        # beyond a limit nothing closes, or only after a leap to another branch: the path ends
+        leap = np.abs(there[..., passive] - here[..., passive]).max(axis=-1, initial=0.0) > LEAP
+        lost |= leap | _open(mechanism, there)
+        here = np.where(lost[..., None], here, there)
     here[..., actuated] = target
     gap = np.linalg.norm(closure_gap(mechanism, here), axis=-1)
-    passive = list(mechanism.passive)
     here[..., passive] = np.remainder(here[..., passive] + np.pi, 2 * np.pi) - np.pi
-    return here, np.where(gap > CLOSED * loop_size(mechanism), gap, 0.0)
+    return here, np.where(lost, np.maximum(gap, CLOSED * loop_size(mechanism)), 0.0)
+
+
+def _reachable_from_start(
+    mechanism: Mechanism, q_actuated: Array, joint: int
+) -> list[tuple[float, float]]:
+    """The interval of one actuated joint about its start that a path can reach, rad."""
+    start = mechanism.description.start
+    assert start is not None  # the plan checks it
+    actuated = list(mechanism.actuated)
+    target = np.array(q_actuated)
+    given = start[actuated[joint]]
+    target[joint] = 0.0 if given is None else given
+    here = np.zeros(mechanism.n)
+    here[actuated] = target
+    here, missing = _from_start(mechanism, here)
+    if missing > 0.0:
+        return []
+    ends = []
+    for direction in (-1.0, 1.0):
+        at, step = here.copy(), PATH_STEP
+        while step > 1e-7 and abs(at[actuated[joint]] - target[joint]) < np.pi:
+            there = at.copy()
+            there[actuated[joint]] += direction * step
+            there = close_positions(mechanism, there, actuated)
+            if np.abs(there - at).max() > LEAP * step / PATH_STEP or _open(mechanism, there):
+                step /= 4.0  # the limit is nearer than this
+            else:
+                at = there
+        ends.append(float(at[actuated[joint]]))
+    return [(ends[0], ends[1])]
+
+
+def _open(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
+    """Which states (..., n) do not close."""
+    gap: Array = np.linalg.norm(closure_gap(mechanism, q), axis=-1)
+    return np.asarray(gap > CLOSED * loop_size(mechanism))
 
 
 # -- input and faults ----------------------------------------------------------------------------
+
+
+def _within(angle: float, side: int) -> str:
+    """An end of a range in degrees, rounded into the range."""
+    degrees = float(np.degrees(angle)) * 1e4
+    return f"{(np.ceil(degrees) if side > 0 else np.floor(degrees)) / 1e4:.8g}"
 
 
 def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
@@ -359,7 +416,7 @@ def _cannot_close(
     for place, k in enumerate(mechanism.actuated):
         intervals = reachable(mechanism, given, place, branches)
         shown = " or ".join(
-            f"[{np.degrees(low):.6g}, {np.degrees(high):.6g}] deg" for low, high in intervals
+            f"[{_within(low, 1)}, {_within(high, -1)}] deg" for low, high in intervals
         )
         label = f"q{k + 1} ({mechanism.link_names[k]})"
         ranges.append(f"{label} can reach {shown or 'no angle'}")

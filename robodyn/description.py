@@ -160,7 +160,9 @@ class _Reader(ValueReader):
         if node is None:
             return None
         if not isinstance(node, Mapping):
-            self.fault("start", node, "must map link names to angles, {crank: 30deg}")
+            self.fault(
+                "start", node, "must map link names to angles, {crank: 30deg}", self.shown(node)
+            )
             return None
         angles: list[float | None] = [None] * count
         for name, value in self.keys(node, "start", [], list(self.index), "link").items():
@@ -272,6 +274,7 @@ class _Reader(ValueReader):
                     limit = "must point somewhere"
                     self.fault(f"{place}.on.along", line["along"], limit, "[0, 0]")
                     along = 1 + 0j
+        along /= max(abs(along.real), abs(along.imag))  # first, so that no square overflows
         return Closure(first, Point(None, through), along / abs(along))
 
     def link_name(self, node: Node, place: str) -> int | None:

@@ -29,7 +29,7 @@ class RobodynError(Exception):
 
     def __str__(self) -> str:
         subject = self.what if self.value is None else f"{self.what} = {self.value}"
-        return ": ".join(part for part in (self.where, subject, self.limit) if part)
+        return printable(": ".join(part for part in (self.where, subject, self.limit) if part))
 
     def add_place(self, place: str) -> None:
         """Put `place` (a row of a table, say) before where the error already is."""
@@ -55,7 +55,14 @@ class Fault:
         """The fault as one line, `source:line: place = value: limit`."""
         at = source if self.line is None else f"{source}:{self.line}"
         subject = self.place if self.value is None else f"{self.place} = {self.value}"
-        return ": ".join(part for part in (at, subject, self.limit) if part)
+        return printable(": ".join(part for part in (at, subject, self.limit) if part))
+
+
+def printable(text: str) -> str:
+    """The text with what a terminal would obey (escapes, line ends) written out."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class DescriptionError(InputError):
@@ -63,7 +70,11 @@ class DescriptionError(InputError):
 
     def __init__(self, source: str, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
-        super().__init__("\n".join(fault.text(source) for fault in faults))
+        self.source = source
+        super().__init__(f"{len(self.faults)} faults", where=source)
+
+    def __str__(self) -> str:
+        return "\n".join(fault.text(self.source) for fault in self.faults)
 
 
 class AssemblyError(RobodynError):

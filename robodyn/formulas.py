@@ -16,6 +16,8 @@ from robodyn import expression
 from robodyn.expression import Graph, Value
 from robodyn.mechanism import Mechanism
 
+MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
+
 Planar = tuple[Value, Value]  # a complex number: real and imaginary part
 
 

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import assembly, closed_form, dynamics, loop_rates
+from robodyn.description import Description, Point
 from robodyn.errors import RobodynError
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 STEP = 2e-2  # rad
@@ -77,96 +81,231 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
-    """Every identity at the sampled states."""
+    """Every identity at the sampled states.
+
+    Energies, gaps and dampers are those of the bodies as the scene describes them, found link by
+    link: a wrong constant of the numeric model shows.
+    """
     q, qd = sample.q, sample.qd
-    rng = np.random.default_rng(2)
-    n = mechanism.n
     M = closed_form.mass_matrix(mechanism, q)
-    C = closed_form.coriolis_matrix(mechanism, q, qd)
-    G = closed_form.gravity_vector(mechanism, q)
+    found = [
+        Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
+        Identity("M positive (least eigenvalue >= 0)", _negative_part(M)),
+    ]
+    found += _energy_identities(mechanism, q, qd, M)
+    if mechanism.rows:
+        found += _closure_identities(mechanism, q, qd)
+    return found + _motion_identities(mechanism, q, qd)
+
+
+def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
-    found = [Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M))]
-
     half = 0.5 * np.einsum("...i,...ij,...j->...", qd, M, qd)
-    found.append(Identity("KE = 1/2 qd^T M qd", _relative(KE - half, KE)))
-
+    bodies = _kinetic_energy(mechanism.description, q, qd)
+    C = closed_form.coriolis_matrix(mechanism, q, qd)
     Mdot = _along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), qd)
     skew = Mdot - 2 * C
-    residual = _relative(skew + np.swapaxes(skew, -1, -2), _top(M) * _top(qd))
-    found.append(Identity("Mdot - 2C skew-symmetric", residual))
-
-    directions = rng.normal(size=q.shape)
-    slope = _along(
-        lambda s: closed_form.potential_energy(mechanism, q + s * directions), directions
-    )
+    convective = np.einsum("...ij,...j->...i", C, qd)
+    # C qd = Mdot qd - d(1/2 qd^T M qd)/dq holds for the right C alone
+    slopes = [
+        _along(partial(_shifted_energy, mechanism, q, qd, joint), _ones(q))
+        for joint in np.eye(mechanism.n)
+    ]
+    christoffel = np.einsum("...ij,...j->...i", Mdot, qd) - np.stack(slopes, axis=-1)
+    directions = np.random.default_rng(2).normal(size=q.shape)
+    description = mechanism.description
+    slope = _along(lambda s: _potential_energy(description, q + s * directions), directions)
+    G = closed_form.gravity_vector(mechanism, q)
+    PE = closed_form.potential_energy(mechanism, q)
     work = np.einsum("...i,...i->...", G, directions)
-    found.append(Identity("G = dPE/dq", _relative(slope - work, np.abs(G).max(initial=0.0))))
+    heights = _potential_energy(description, q)
+    return [
+        Identity("KE = 1/2 qd^T M qd", max(_relative(KE - half, KE), _relative(KE - bodies, KE))),
+        Identity(
+            "Mdot - 2C skew-symmetric",
+            _relative(skew + np.swapaxes(skew, -1, -2), _top(M) * _top(qd)),
+        ),
+        Identity(
+            "C qd = Mdot qd - dKE/dq",
+            _relative(convective - christoffel, _top(M) * _top(qd) ** 2),
+        ),
+        Identity("PE = sum of m g h", _relative(PE - heights, heights)),
+        Identity("G = dPE/dq", _relative(slope - work, max(_top(G), _top(slope)))),
+    ]
 
-    if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, q)
-        size = assembly.loop_size(mechanism)
-        gap = closed_form.closure_gap(mechanism, q)
-        slope = _along(lambda s: closed_form.closure_gap(mechanism, q + s * directions), directions)
-        moved = np.einsum("...ij,...j->...i", Psi, directions)
-        bias = closed_form.closure_bias(mechanism, q, qd)
-        turned = _along(
-            lambda s: np.einsum(
-                "...ij,...j->...i", closed_form.closure_jacobian(mechanism, q + s * qd), qd
-            ),
-            qd,
-        )
-        found += [
-            Identity("gap = 0", _relative(gap, size)),
-            Identity("Psi = dgap/dq", _relative(slope - moved, size)),
-            Identity(
-                "Psi qd = 0", _relative(np.einsum("...ij,...j->...i", Psi, qd), size * _top(qd))
-            ),
-            Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
-        ]
 
+def _shifted_energy(mechanism: Mechanism, q: Array, qd: Array, joint: Array, s: Array) -> Array:
+    return closed_form.kinetic_energy(mechanism, q + s * joint, qd)
+
+
+def _closure_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identity]:
+    directions = np.random.default_rng(3).normal(size=q.shape)
+    size = assembly.loop_size(mechanism)
+    gap = closed_form.closure_gap(mechanism, q)
+    bodies = _gap(mechanism.description, q)
+    Psi = closed_form.closure_jacobian(mechanism, q)
+    slope = _along(lambda s: _gap(mechanism.description, q + s * directions), directions)
+    moved = np.einsum("...ij,...j->...i", Psi, directions)
+    bias = closed_form.closure_bias(mechanism, q, qd)
+    turned = _along(
+        lambda s: np.einsum(
+            "...ij,...j->...i", closed_form.closure_jacobian(mechanism, q + s * qd), qd
+        ),
+        qd,
+    )
+    speed = np.einsum("...ij,...j->...i", Psi, qd)
+    return [
+        Identity("gap = 0", max(_relative(gap, size), _relative(bodies, size))),
+        Identity("Psi = dgap/dq", _relative(slope - moved, size)),
+        Identity("Psi qd = 0", _relative(speed, size * _top(qd))),
+        Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
+    ]
+
+
+def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identity]:
+    """Forward dynamics against inverse dynamics, and power against the growth of energy."""
+    description = mechanism.description
     driven = list(mechanism.actuated)
-    tau = np.zeros((len(q), n))
-    tau[:, driven] = rng.normal(size=(len(q), len(driven))) * (np.abs(G).max(initial=0.0) + 1.0)
+    rng = np.random.default_rng(4)
+    G = closed_form.gravity_vector(mechanism, q)
+    tau = np.zeros(q.shape)
+    tau[:, driven] = rng.normal(size=(len(q), len(driven))) * (_top(G) + 1.0)
     try:
         motion = dynamics.forward_dynamics_and_forces(mechanism, q, qd, tau)
-        back = dynamics.required_load(mechanism, q, qd, motion.qdd)
     except RobodynError:
-        return [*found, Identity("forward dynamics", np.inf)]
-    balance = back - tau
+        return [Identity("M qdd + C qd + D qd + G = tau + Psi^T lambda", np.inf)]
+    qdd = motion.qdd
+    damping = np.array([link.damping for link in description.links])
+    terms = [
+        np.einsum("...ij,...j->...i", closed_form.mass_matrix(mechanism, q), qdd),
+        np.einsum("...ij,...j->...i", closed_form.coriolis_matrix(mechanism, q, qd), qd),
+        damping * qd,
+        G,
+        -tau,
+    ]
+    found = []
     if mechanism.rows:
-        forces = np.einsum("...ji,...j->...i", Psi, motion.multipliers)
-        balance = balance - forces
-        size_of_forces = np.abs(forces).max(initial=0.0)
-    else:
-        size_of_forces = 0.0
-    scale = max(_top(back), _top(tau), float(size_of_forces))
-    found.append(
-        Identity("M qdd + C qd + D qd + G = tau + Psi^T lambda", _relative(balance, scale))
+        Psi = closed_form.closure_jacobian(mechanism, q)
+        terms.append(-np.einsum("...ji,...j->...i", Psi, motion.multipliers))
+        opening = np.einsum("...ij,...j->...i", Psi, qdd)
+        opening = opening + closed_form.closure_bias(mechanism, q, qd)
+        size = assembly.loop_size(mechanism) * (_top(qdd) + _top(qd) ** 2)
+        found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
+    scale = max(map(_top, terms))
+    found.insert(
+        0,
+        Identity(
+            "M qdd + C qd + D qd + G = tau + Psi^T lambda",
+            _relative(np.sum(terms, axis=0), scale),
+        ),
     )
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
     def energy(s: Array) -> Array:
-        path = q + s * qd + 0.5 * s**2 * motion.qdd
-        return closed_form.kinetic_energy(
-            mechanism, path, qd + s * motion.qdd
-        ) + closed_form.potential_energy(mechanism, path)
+        path, rate = q + s * qd + 0.5 * s**2 * qdd, qd + s * qdd
+        KE = closed_form.kinetic_energy(mechanism, path, rate)
+        return KE + _potential_energy(description, path)
 
-    growth = _along(energy, np.maximum(np.abs(qd), np.sqrt(np.abs(motion.qdd))))
-    dissipated = np.asarray(mechanism.arrays.damping) * qd**2
-    power = np.einsum("...i,...i->...", tau, qd) - dissipated.sum(axis=-1)
-    found.append(Identity("power in = dE/dt", _relative(growth - power, scale * _top(qd))))
+    growth = _along(energy, np.maximum(np.abs(qd), np.sqrt(np.abs(qdd))))
+    power = np.einsum("...i,...i->...", tau, qd) - (damping * qd**2).sum(axis=-1)
+    return [*found, Identity("power in = dE/dt", _relative(growth - power, scale * _top(qd)))]
+
+
+# -- the bodies as the scene describes them ------------------------------------------------------
+
+
+def _places(description: Description, q: Array) -> tuple[list[Complex], list[Complex]]:
+    """Each link's joint and its direction, found by walking from the ground outward."""
+    joints: dict[int, Complex] = {}
+    directions: dict[int, Complex] = {}
+    links = description.links
+    while len(joints) < len(links):
+        for k, link in enumerate(links):
+            point = link.hangs_from
+            if k in joints or (point.link is not None and point.link not in joints):
+                continue
+            turn = np.exp(1j * q[..., k])
+            if point.link is None:
+                joints[k], directions[k] = np.full(turn.shape, point.at), turn
+            else:
+                above = directions[point.link]
+                joints[k] = joints[point.link] + point.at * above
+                directions[k] = above * turn
+    order = range(len(links))
+    return [joints[k] for k in order], [directions[k] for k in order]
+
+
+def _masses(description: Description, q: Array) -> list[tuple[float, Complex]]:
+    """Every mass and where it is: centres of gravity and payloads."""
+    joints, directions = _places(description, q)
+    found: list[tuple[float, Complex]] = []
+    for link, joint, direction in zip(description.links, joints, directions, strict=True):
+        found += [(link.m, joint + link.r * direction), (link.payload, joint + link.l * direction)]
     return found
 
 
-def _along(function: Callable[[Array], Array], speed: Array) -> Array:
+def _potential_energy(description: Description, q: Array) -> Array:
+    g = description.gravity.conjugate()
+    return np.asarray(-sum(m * (g * place).real for m, place in _masses(description, q)))
+
+
+def _kinetic_energy(description: Description, q: Array, qd: Array) -> Array:
+    velocities = _along(
+        lambda s: np.stack([z for _, z in _masses(description, q + s * qd)], axis=-1), qd
+    )
+    masses = np.array([m for m, _ in _masses(description, q[:1])])
+    spin: dict[int, Array] = {}
+    while len(spin) < len(description.links):
+        for k, link in enumerate(description.links):
+            above = link.hangs_from.link
+            if k not in spin and (above is None or above in spin):
+                spin[k] = qd[..., k] + (0.0 if above is None else spin[above])
+    turning = sum(link.I * spin[k] ** 2 for k, link in enumerate(description.links))
+    return np.asarray(0.5 * (np.abs(velocities) ** 2 @ masses + turning))
+
+
+def _gap(description: Description, q: Array) -> Array:
+    joints, directions = _places(description, q)
+
+    def place(point: Point) -> Complex | complex:
+        return (
+            point.at
+            if point.link is None
+            else joints[point.link] + point.at * directions[point.link]
+        )
+
+    rows: list[Array] = []
+    for closure in description.closures:
+        apart = np.asarray(place(closure.first) - place(closure.second))
+        if closure.along is None:
+            rows += [apart.real, apart.imag]
+        else:
+            rows.append((apart * closure.along.conjugate()).imag)
+    return np.stack(rows, axis=-1)
+
+
+# -- differences and sizes -----------------------------------------------------------------------
+
+
+def _negative_part(M: Array) -> float:
+    """How far M's eigenvalues reach below zero, its diagonal scaled to 1."""
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
+    least = np.linalg.eigvalsh(M / (scale[..., :, None] * scale[..., None, :]))[..., 0]
+    return float(max(0.0, -least.min(initial=0.0)))
+
+
+def _ones(q: Array) -> Array:
+    return np.ones((*q.shape[:-1], 1))
+
+
+def _along(function: Callable[[Array], Any], speed: Array) -> Any:
     """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
     step = STEP / np.maximum(np.abs(speed).max(axis=-1, keepdims=True), 1e-300)
-    total: Array | float = 0.0
+    total: Any = 0.0
     for k, weight in enumerate(WEIGHTS, start=1):
         total = total + weight * (function(k * step) - function(-k * step))
     shaped = step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
-    result: Array = total / shaped
-    return result
+    return total / shaped
 
 
 def _top(values: Array) -> float:

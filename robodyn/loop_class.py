@@ -25,7 +25,13 @@ def loop_class(mechanism: Mechanism, closure: int) -> str:
         return "slider-crank, crank " + ("turns fully" if turns else "rocks")
     if len(links) != 3 or offset == 0.0:
         return f"{len(links) + (offset > 0.0)}-link loop"
-    grounded = [mechanism.parent[k] is None for k in links]
+    sides = mechanism.description.closures[closure]
+    pinned = (
+        {sides.first.link, sides.second.link}
+        if None in (sides.first.link, sides.second.link)
+        else set()
+    )
+    grounded = [mechanism.parent[k] is None or k in pinned for k in links]
     if grounded.count(True) != 2:
         return "4-link loop"
     return _four_bar(lengths, grounded, offset)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import loop_size
+from robodyn.assembly import close_positions, loop_size
 from robodyn.closed_form import (
     absolute_rates,
     as_states,
@@ -25,7 +25,7 @@ from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-SINGULAR = 1e-7  # a least singular value below this part of the largest is named as singular
+SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
 GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
 
 
@@ -64,10 +64,27 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     if not mechanism.rows:
         return ""
     Psi = closure_jacobian(mechanism, q)
-    whole, passive = _smallest(Psi), _smallest(Psi[:, list(mechanism.passive)])
-    if passive > SINGULAR:
+    if _smallest(mechanism, Psi[:, list(mechanism.passive)]) > SINGULAR:
         return ""
-    return "change point" if whole <= SINGULAR else "dead centre"
+    return "change point" if _smallest(mechanism, Psi) <= SINGULAR else "dead centre"
+
+
+def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
+    """Whether Psi has a lower rank at the closed configuration q (n,) than closely beside it.
+
+    Closures that depend on one another everywhere make no change point.
+    """
+    here = np.asarray(q, float)
+    beside = here + 1e-3 * np.random.default_rng(0).normal(size=(4, mechanism.n))
+    beside = close_positions(mechanism, beside)
+    closed = np.abs(closure_gap(mechanism, beside)).max(axis=-1) < 1e-9 * loop_size(mechanism)
+    ranks = _rank(mechanism, closure_jacobian(mechanism, beside[closed]))
+    return bool((ranks > _rank(mechanism, closure_jacobian(mechanism, here))).any())
+
+
+def _rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return np.asarray((s > SINGULAR * loop_size(mechanism)).sum(axis=-1))
 
 
 def check_closed(
@@ -106,10 +123,10 @@ def check_closed(
     return None
 
 
-def _smallest(Psi: Array) -> float:
-    """The least singular value against the largest; 0 for fewer columns than independent rows."""
+def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
+    """The least singular value of Psi or of some of its columns, relative to the loop's size."""
     s = np.linalg.svd(Psi, compute_uv=False)
-    return float(s[-1] / s[0]) if s.size and s[0] > 0.0 else 0.0
+    return np.asarray(s[..., -1] / loop_size(mechanism), dtype=float)
 
 
 def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
@@ -119,6 +136,11 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
     values[..., driven] = actuated
     if not passive:
         return values
+    undetermined = len(passive) > len(mechanism.rows)
+    if undetermined and (np.any(actuated) or np.any(bias)):
+        limit = f"{len(driven)} actuated joints do not determine the {len(passive)} others: "
+        limit += "name more in `actuated`, or give the values of all joints"
+        raise InputError("rates", where=mechanism.source, limit=limit)
     Psi = np.broadcast_to(
         closure_jacobian(mechanism, q), (*values.shape[:-1], len(mechanism.rows), mechanism.n)
     )
@@ -126,8 +148,7 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
     if not np.any(right):
         return values
     columns = Psi[..., passive]
-    s = np.linalg.svd(columns, compute_uv=False)
-    singular = (s[..., -1] <= SINGULAR * s[..., 0]) & np.any(right != 0.0, axis=-1)
+    singular = (_smallest(mechanism, columns) <= SINGULAR) & np.any(right != 0.0, axis=-1)
     if singular.any():
         state = np.unravel_index(int(np.argmax(singular)), singular.shape)
         configuration = np.broadcast_to(q, values.shape)[state]

@@ -125,6 +125,13 @@ def build(description: Description) -> Mechanism:
 
     Raises InputError where the products of masses and lengths leave the range of floats.
     """
+    try:
+        return _build(description)
+    except OverflowError:
+        raise _too_large(description) from None
+
+
+def _build(description: Description) -> Mechanism:
     links = description.links
     parent = tuple(link.hangs_from.link for link in links)
     order = _order(parent)
@@ -151,8 +158,7 @@ def build(description: Description) -> Mechanism:
     rows = tuple(_rows(description, pivots))
     numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
-        limit = "masses, lengths or gravity are too large: their products overflow"
-        raise InputError("links", where=description.source, limit=limit)
+        raise _too_large(description)
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -171,6 +177,11 @@ def build(description: Description) -> Mechanism:
         tips=tuple(_point(pivots, Point(k, complex(link.l))) for k, link in enumerate(links)),
         centres=tuple(_point(pivots, Point(k, link.r)) for k, link in enumerate(links)),
     )
+
+
+def _too_large(description: Description) -> InputError:
+    limit = "masses, lengths or gravity are too large: their products overflow"
+    return InputError("links", where=description.source, limit=limit)
 
 
 def _order(parent: Sequence[int | None]) -> tuple[int, ...]:

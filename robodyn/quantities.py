@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 
+from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_PLAIN = re.compile(rf"[+-]?{_NUMBER}")
+_PLAIN = re.compile(rf"[+-]?{_NUMBER}", re.ASCII)
 _ANGLE = re.compile(
     rf"(?P<sign>[+-]?)(?:(?P<number>{_NUMBER})?(?P<pi>\*?pi)|(?P<value>{_NUMBER}))"
-    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?"
+    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?",
+    re.ASCII,
 )
 
 
@@ -36,13 +38,13 @@ def parse_angle(text: str) -> float:
     if match is None or ((match["pi"] or "").startswith("*") and not match["number"]):
         parse_number(text)  # tells nan and inf from what is no number at all
         raise ValueError("is not an angle")
-    value = float(match["value"] or match["number"] or 1.0)
+    value = parse_number(match["value"] or match["number"] or "1")
     if match["pi"]:
         if match["unit"] == "deg":
             raise ValueError("mixes pi with deg")
         value *= math.pi
     if match["divisor"]:
-        divisor = float(match["divisor"])
+        divisor = parse_number(match["divisor"])
         if divisor == 0.0:
             raise ValueError("divides by zero")
         value /= divisor
@@ -63,7 +65,9 @@ def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:
     for entry in entries:
         if entry == ",":
             if comma:
-                raise InputError(text or "''", where=where, limit="an entry is missing at a comma")
+                raise InputError(
+                    repr(shown(text)), where=where, limit="an entry is missing at a comma"
+                )
             comma = True
             continue
         try:
@@ -72,11 +76,12 @@ def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:
             raise InputError(
                 f"entry {len(values) + 1}",
                 where=where,
-                value=entry,
+                value=shown(entry),
                 limit=f"{error}; write {example}",
             ) from None
         comma = False
+    if not values:
+        raise InputError("the vector is empty", where=where, limit=f"write {example}")
     if comma:
-        what = "an entry is missing at a comma" if values else "the vector is empty"
-        raise InputError(what, where=where, value=repr(text), limit=f"write {example}")
+        raise InputError(repr(shown(text)), where=where, limit="an entry is missing at a comma")
     return values

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form
+from robodyn.assembly import loop_size
 from robodyn.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class Report:
     work: float = 0.0  # of torques less dampers, J
     largest_gap: float = 0.0  # m
     largest_gap_rate: float = 0.0  # m/s
-    nearest_singular: float | None = None  # least singular value of Psi against its largest
+    nearest_singular: float | None = None  # least singular value of Psi against the loop's size
     nearest_singular_time: float | None = None
 
 
@@ -200,8 +201,8 @@ class Recorder:
         report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
         s = np.linalg.svd(Psi, compute_uv=False)
         if not self.rank:  # of closures that depend on one another not all count
-            self.rank = int((s > 1e-9 * s[:, :1]).sum(axis=-1).max())
-        ratio = s[:, self.rank - 1] / s[:, 0]
+            self.rank = max(1, int((s > 1e-9 * loop_size(mechanism)).sum(axis=-1).max()))
+        ratio = s[:, self.rank - 1] / loop_size(mechanism)
         worst = int(np.argmin(ratio))
         self.last_singular = float(ratio[-1])
         if report.nearest_singular is None or ratio[worst] < report.nearest_singular:

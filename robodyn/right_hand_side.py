@@ -5,7 +5,7 @@ Three evaluators serve three sizes (`make bench` shows where they cross):
 
 - few links: generated straight-line floats;
 - more: a sparse factorisation of the symmetric system [M Psi^T; Psi 0] in absolute angles;
-- where M alone is singular, and for states nearly singular: the dense algebra of `dynamics.py`,
+- where M alone is singular or nearly so, and for states nearly singular: `dense_dynamics.py`,
   which keeps to the freedoms that the closures leave.
 
 Near a singular configuration, at a distance d from it, a gap of delta in position or velocity
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import closed_form, dynamics, straightline
+from robodyn import closed_form, dense_dynamics, straightline
 from robodyn.actuation import Actuation
 from robodyn.formulas import projection_formula
 from robodyn.mechanism import Mechanism
@@ -97,7 +97,7 @@ def right_hand_side(
 
 
 def _best_kind(mechanism: Mechanism) -> str:
-    if not dynamics.mass_is_regular(mechanism):
+    if not dense_dynamics.elimination_is_safe(mechanism):
         return "dense"
     terms = len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
     most = STRAIGHT_CLOSED if mechanism.rows else STRAIGHT_OPEN
@@ -112,7 +112,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
         tau = np.array(torques(t, y.tolist()))
-        qdd = dynamics.dense_forward(mechanism, q, qd, tau, baumgarte).qdd
+        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

@@ -71,6 +71,10 @@ class TableWriter(ABC):
     def close(self) -> None:
         """End the table; the stream stays open."""
 
+    def cut(self) -> None:
+        """Leave the table where it is, at the end of a line, after an error."""
+        self._stream.flush()
+
     @abstractmethod
     def _begin(self) -> None: ...
 
@@ -121,6 +125,10 @@ class JsonWriter(TableWriter):
 
     def close(self) -> None:
         self._write("\n]\n" if self._separator else "]\n")
+
+    def cut(self) -> None:
+        if self._separator:
+            self._write("\n")
 
     def _begin(self) -> None:
         names = [json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in self._header]

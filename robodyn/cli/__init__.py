@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -23,16 +24,30 @@ COMMANDS = ("torque", "accel", "simulate", "terms", "assemble", "energy", "check
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    sys.exit(run(sys.argv[1:]))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that open files are tidied up
+    code = run(sys.argv[1:])
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        code = _without_reader()
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
+    if sys.stdout is None:
+        print("Error: stdout is closed: results have no place to go", file=sys.stderr)
+        return 1
     try:
         _application(arguments)(arguments, prog_name="robodyn")
+    except KeyboardInterrupt:
+        return 130
     except SystemExit as stop:
+        if type(sys.stdout).__name__ == "PacifyFlushWrapper":  # typer's mark of a closed pipe
+            return _without_reader()
         return stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
     except RobodynError as error:
         if debug:
@@ -87,13 +102,17 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             function(*args, **kwargs)
             sys.stdout.flush()
         except BrokenPipeError:
-            # what is still buffered has no reader: let the interpreter flush it into nothing
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(0) from None
+            raise typer.Exit(_without_reader()) from None
         except KeyboardInterrupt:
             raise typer.Exit(130) from None
 
     return guarded
+
+
+def _without_reader() -> int:
+    """What is still buffered has no reader: let the interpreter flush it into nothing."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    return 0
 
 
 def _version(wanted: bool) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from robodyn import assembly, loop_rates
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import default_format, new_table, note, render, row_writer, write_structure
-from robodyn.cli.states import Quantity, complete_from, option_source
+from robodyn.cli.states import Quantity, complete_from, option_source, overflow
 from robodyn.closed_form import point_motion
 from robodyn.description import BRANCHES
 from robodyn.mechanism import Mechanism, load
@@ -90,8 +90,11 @@ def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, .
 def _points(mechanism: Mechanism, motion: list[np.ndarray]) -> np.ndarray:
     """Position and velocity (x, y, vx, vy) of each link's joint, tip, centre, (n, 3, 4)."""
     points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
-    position, velocity, _ = point_motion(mechanism, points, motion[0], motion[1])
+    with np.errstate(all="ignore"):
+        position, velocity, _ = point_motion(mechanism, points, motion[0], motion[1])
     both = np.concatenate([position, velocity], axis=-1)
+    if not np.isfinite(both).all():
+        raise overflow()
     return both.reshape(len(PARTS), mechanism.n, 4).transpose(1, 0, 2)
 
 

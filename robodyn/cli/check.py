@@ -37,9 +37,11 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check robots/2r.yaml --format json
     """
     mechanism = load(model)
+    unknown = False
     try:
         sample = sample_states(mechanism, STATES)
     except InputError as error:
+        unknown = True
         note(f"Note: no self-test over closed states: {error}")
         sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
     results = identities(mechanism, sample) if len(sample.q) else []
@@ -58,6 +60,9 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     }
     tables = _tables(mechanism, content, results) if wants_tables(format, out) else None
     write_structure(out, content, tables)
+    if mechanism.rows and sample.closing == 0.0 and not len(sample.q) and not unknown:
+        note("Error: the loops close at none of the random positions of the actuated joints")
+        raise typer.Exit(1)
     failed = [item.name for item in results if not item.holds]
     if failed:
         note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
@@ -94,7 +99,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     cond_M = np.linalg.cond(closed_form.mass_matrix(mechanism, q))
     result: dict[str, object] = {
         "mobility": mechanism.n,
-        "cond_M": [float(cond_M.min()), float(cond_M.max())],
+        "cond_M": _span(cond_M),
         "cond_Psi": None,
     }
     if mechanism.rows:
@@ -103,10 +108,15 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
         rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
         result["mobility"] = mechanism.n - rank
         cond = s[:, 0] / s[:, rank - 1]
-        result["cond_Psi"] = [float(cond.min()), float(cond.max())]
+        result["cond_Psi"] = _span(cond)
         if rank < len(mechanism.rows):
             note(f"Note: {len(mechanism.rows) - rank} of the closures' equations are redundant")
     return result
+
+
+def _span(values: np.ndarray) -> list[float | None]:
+    """The least and the largest value; None for infinity, which JSON does not know."""
+    return [float(x) if np.isfinite(x) else None for x in (values.min(), values.max())]
 
 
 def _tables(
@@ -134,7 +144,9 @@ def _tables(
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         span = content[key]
         if isinstance(span, list):
-            facts.append([label, f"{span[0]:.3g} to {span[1]:.3g}"])
+            facts.append(
+                [label, " to ".join("infinite" if x is None else f"{x:.3g}" for x in span)]
+            )
     if content["closing"] is not None:
         facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
 

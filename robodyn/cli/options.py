@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
@@ -24,8 +23,16 @@ class StructuredFormat(StrEnum):
     json = "json"
 
 
+def named(value: str | None) -> str | None:
+    """A file's name as it is; an empty one is a usage error."""
+    if value == "":
+        raise typer.BadParameter("is empty: name a file")
+    return value
+
+
 Model = Annotated[
-    Path, typer.Argument(metavar="MODEL", help="Scene file (YAML).", show_default=False)
+    str,
+    typer.Argument(metavar="MODEL", help="Scene file (YAML).", show_default=False, callback=named),
 ]
 States = Annotated[
     Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
@@ -33,6 +40,7 @@ States = Annotated[
         metavar="[STATES]",
         help="CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through.",
         show_default=False,
+        callback=named,
     ),
 ]
 
@@ -71,8 +79,13 @@ OutputStructured = Annotated[
     ),
 ]
 Out = Annotated[
-    Optional[Path],  # noqa: UP045
+    Optional[str],  # noqa: UP045
     typer.Option(
-        "--out", "-o", metavar="FILE", help="Write here, all or nothing.", show_default=False
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="Write here, all or nothing.",
+        show_default=False,
+        callback=named,
     ),
 ]

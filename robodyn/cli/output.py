@@ -6,8 +6,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
 from robodyn.output_file import open_output
@@ -43,24 +42,29 @@ class RowWriter(Protocol):
 
 @contextmanager
 def row_writer(
-    format: Format | None, out: Path | None, columns: Sequence[str], header: Sequence[str] = ()
+    format: Format | None, out: str | None, columns: Sequence[str], header: Sequence[str] = ()
 ) -> Iterator[RowWriter]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`."""
     format = default_format(format, out)
     if format is Format.table:
         with open_output(out) as stream:
-            table = TableView(columns, header)
-            yield table
-            table.close()
-            stream.write(table.text(on_terminal=out is None).encode())
+            table = TableView(stream, out is None, columns, header)
+            try:
+                yield table
+            finally:
+                table.close()
         return
     with open_output(out) as stream:
         writer = WRITERS[format.value](stream, columns, header)
-        yield writer
+        try:
+            yield writer
+        except Exception:
+            writer.cut()
+            raise
         writer.close()
 
 
-def default_format(format: Format | None, out: Path | None) -> Format:
+def default_format(format: Format | None, out: str | None) -> Format:
     """The format asked for; else a table on a terminal and CSV elsewhere."""
     if format is not None:
         return format
@@ -70,13 +74,22 @@ def default_format(format: Format | None, out: Path | None) -> Format:
 class TableView:
     """Rows as rich tables; shows numbers to 6 digits, for people."""
 
-    def __init__(self, columns: Sequence[str], header: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        on_terminal: bool,
+        columns: Sequence[str],
+        header: Sequence[str] = (),
+    ) -> None:
+        self._stream, self._on_terminal = stream, on_terminal
         self._names = [*header, *(name for name in columns if name not in header)]
         self._places = [self._names.index(name) for name in columns]
         self._rows: list[list[str]] = []
+        self._tables = 0
 
     def write_row(self, values: Sequence[float | str]) -> None:
         self._rows.append([x if isinstance(x, str) else f"{x:.6g}" for x in values])
+        self._full()
 
     def write_rows(self, lines: Sequence[str], values: NDArray[np.float64]) -> None:
         import csv
@@ -87,21 +100,23 @@ class TableView:
             for place, value in zip(self._places, computed, strict=True):
                 row[place] = f"{value:.6g}"
             self._rows.append(row)
+            self._full()
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Write the rows that wait, or the empty table that there is."""
+        if self._rows or not self._tables:
+            table = new_table([with_unit(name) for name in self._names], self._rows)
+            self._stream.write(render([table], self._on_terminal).encode())
+            self._stream.flush()
+            self._rows, self._tables = [], self._tables + 1
 
-    def text(self, on_terminal: bool) -> str:
-        """The tables as text, with colours where they go to a terminal."""
-        tables = []
-        for begin in range(0, len(self._rows) or 1, PAGE):
-            names = [with_unit(name) for name in self._names]
-            tables.append(new_table(names, self._rows[begin : begin + PAGE]))
-        return render(tables, on_terminal)
+    def _full(self) -> None:
+        if len(self._rows) >= PAGE:
+            self.close()
 
 
 def write_structure(
-    out: Path | None, content: Mapping[str, object], tables: Sequence[Group] | None
+    out: str | None, content: Mapping[str, object], tables: Sequence[Group] | None
 ) -> None:
     """Write a result with parts: its `tables` where there are any, else `content` as JSON."""
     with open_output(out) as stream:
@@ -111,7 +126,7 @@ def write_structure(
             stream.write(render(tables, out is None).encode())
 
 
-def wants_tables(format: StructuredFormat | None, out: Path | None) -> bool:
+def wants_tables(format: StructuredFormat | None, out: str | None) -> bool:
     """Whether a structured result is to be written as tables."""
     if format is None:
         return out is None and sys.stdout.isatty()
@@ -147,7 +162,7 @@ def render(tables: Sequence[Group], on_terminal: bool) -> str:
     from rich.console import Console
 
     console = Console(
-        width=None if on_terminal and sys.stdout.isatty() else 10_000,
+        width=10_000,  # a terminal breaks a line that is too long; a table would hide digits
         no_color=not (on_terminal and sys.stdout.isatty()),
         force_terminal=on_terminal and sys.stdout.isatty(),
     )

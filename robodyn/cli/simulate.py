@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Optional
 
 import numpy as np
@@ -19,7 +18,7 @@ import typer
 
 from robodyn import actuation, closed_form
 from robodyn.actuation import Actuation
-from robodyn.cli.options import Model, Out, Q, Qd
+from robodyn.cli.options import Model, Out, Q, Qd, named
 from robodyn.cli.output import note
 from robodyn.cli.states import Quantity, assembled_state, open_input, remarks, single_state
 from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
@@ -111,8 +110,8 @@ def simulate(
     ] = MAX_EVALUATIONS,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")] = False,
     report: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option("--report", metavar="FILE", help="Write the summary as JSON."),
+        Optional[str],  # noqa: UP045
+        typer.Option("--report", metavar="FILE", help="Write the summary as JSON.", callback=named),
     ] = None,
     out: Out = None,
 ) -> None:

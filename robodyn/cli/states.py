@@ -11,11 +11,11 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from robodyn.cli.options import Format
 from robodyn.cli.output import note, row_writer
+from robodyn.csv_fields import shown
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
 from robodyn.quantities import parse_vector
@@ -67,7 +67,9 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
             wanted += f", or {actuated}, one an actuated joint ({names})"
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
         raise InputError(
-            f"--{quantity.name}", value=f"{quantity.option} ({count})", limit=f"needs {wanted}"
+            f"--{quantity.name}",
+            value=f"{shown(quantity.option)} ({count})",
+            limit=f"needs {wanted}",
         )
     return Source(quantity, values, [], len(values) == n)
 
@@ -78,17 +80,18 @@ def table_source(
     """The source in a table with this header, or in the option, which goes first."""
     everything = quantity.columns(range(mechanism.n))
     if quantity.option is not None:
-        present = [name for name in everything if name in header]
-        if present:
-            limit = f"{source} has the column {present[0]}; leave one of them out"
+        taken = [name for name in everything if name in header]
+        if taken:
+            limit = f"{source} has the column {taken[0]}; leave one of them out"
             raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
         return option_source(mechanism, quantity)
     driven = quantity.columns(mechanism.actuated)
     if set(everything) <= set(header):
         return Source(quantity, None, everything, True)
-    if driven and set(driven) <= set(header):
+    present = [name for name in everything if name in header]
+    if driven and set(driven) == set(present):
         return Source(quantity, None, driven, False)
-    if not quantity.required and not set(everything) & set(header):
+    if not quantity.required and not present:
         return Source(quantity, None, [], False)
     missing = [name for name in everything if name not in header]
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
@@ -108,10 +111,27 @@ def complete(
     """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
     import numpy as np
 
+    with np.errstate(all="ignore"):
+        full = _completed(mechanism, sources, values, branches)
+    if not all(np.isfinite(vector).all() for vector in full):
+        raise overflow()
+    return full
+
+
+def _completed(
+    mechanism: Mechanism,
+    sources: Sequence[Source],
+    values: Sequence[Array],
+    branches: Sequence[str] | None,
+) -> list[Array]:
+    import numpy as np
+
     from robodyn import assembly, loop_rates
 
     full: list[Array] = []
     for source, given in zip(sources, values, strict=True):
+        if not all(np.isfinite(vector).all() for vector in full):
+            raise overflow()
         name = source.quantity.name
         if source.whole:
             full.append(given)
@@ -187,7 +207,7 @@ def evaluate(
     columns: Sequence[str],
     compute: Callable[[list[Array]], Array],
     format: Format | None,
-    out: Path | None,
+    out: str | None,
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`."""
     import numpy as np
@@ -245,6 +265,8 @@ def _values(mechanism: Mechanism, source: Source) -> list[float]:
 def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
     """The binary stream and the name of a CSV file, `-` for stdin."""
     if states == "-":
+        if sys.stdin is None:
+            raise InputError("is closed", where="stdin")
         if sys.stdin.isatty():
             note("reading CSV rows from the keyboard; end with Ctrl-D")
         yield sys.stdin.buffer, "stdin"

@@ -7,7 +7,7 @@ import numpy as np
 from robodyn import closed_form
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
 from robodyn.cli.output import matrix_table, new_table, wants_tables, write_structure
-from robodyn.cli.states import Quantity, single_state
+from robodyn.cli.states import Quantity, overflow, single_state
 from robodyn.mechanism import load
 
 
@@ -30,6 +30,7 @@ def terms(
     """
     mechanism = load(model)
     q_, qd_ = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
+    np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, np.ndarray] = {
         "q": q_,
         "qd": qd_,
@@ -47,6 +48,9 @@ def terms(
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
     }
+    values = [*content.values(), np.array(list(energies.values()))]
+    if not all(np.isfinite(value).all() for value in values):
+        raise overflow()
     tables = None
     if wants_tables(format, out):
         tables = [

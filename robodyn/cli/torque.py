@@ -7,6 +7,7 @@ import math
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
 from robodyn.cli.states import Quantity, evaluate, option_source, overflow
+from robodyn.formulas import MAX_GENERATED
 from robodyn.mechanism import Mechanism, load
 
 
@@ -36,7 +37,8 @@ def torque(
     mechanism = load(model)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
-    if states is None and not mechanism.rows and not mechanism.passive:
+    single = states is None and mechanism.n <= MAX_GENERATED
+    if single and not mechanism.rows and not mechanism.passive:
         tau = _single_state(mechanism, quantities)
         if not all(map(math.isfinite, tau)):
             raise overflow()

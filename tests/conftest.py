@@ -1,0 +1,178 @@
+"""What the tests of the command line share: running it, in process and for real."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import oracles
+from robodyn import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# the scenes of robots/ as the oracles take them
+TWO_LINK = oracles.TwoLink(
+    *(1.5, 0.8, 0.36, 0.082),  # upper arm m, l, r, I
+    *(0.9, 0.6, 0.25, 0.031),  # forearm
+)
+FOUR_BAR = oracles.FourBar(
+    *(0.6, 0.35, 0.15, 0.008),  # crank m, l, r, I
+    *(1.3, 0.95, 0.45, 0.102),  # coupler
+    *(1.0, 0.80, 0.36, 0.061),  # rocker
+    *(1.1, 0.0),  # ground pivot
+)
+
+
+def relative_error(actual: object, expected: object) -> float:
+    """The largest difference, against the largest entry expected (at least 1)."""
+    found, known = np.asarray(actual, float), np.asarray(expected, float)
+    assert found.shape == known.shape
+    return float(np.abs(found - known).max() / max(1.0, np.abs(known).max()))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run of the command line left: exit code, stdout, stderr."""
+
+    code: int
+    out: str
+    err: str
+    seconds: float = 0.0  # of the processor, so that a busy machine does not count
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """stdout as CSV rows."""
+        return list(csv.DictReader(io.StringIO(self.out)))
+
+    @property
+    def row(self) -> dict[str, float]:
+        """The one row of stdout as numbers."""
+        (row,) = self.rows
+        return {name: float(text) for name, text in row.items()}
+
+    @property
+    def json(self) -> object:
+        """stdout as strict JSON, which knows no NaN and no Infinity."""
+        return json.loads(self.out, parse_constant=_no_constant)
+
+    def column(self, name: str) -> list[float]:
+        return [float(row[name]) for row in self.rows]
+
+    def has(self, *names: str) -> list[float]:
+        """The values of these columns in the one row."""
+        return [self.row[name] for name in names]
+
+    def fails(self, code: int, *parts: str) -> Outcome:
+        """Assert this exit code and a message on stderr, fit for people, with all these parts."""
+        assert self.code == code, (self.code, self.out, self.err)
+        for part in parts:
+            assert part in self.err, self.err
+        assert self.err.startswith(("Error: ", "Usage: ", "Note: ", "Warning: ")), self.err
+        assert self.err.endswith("\n")
+        for word in ("Traceback", "defect", 'File "', "RuntimeWarning"):
+            assert word not in self.err, self.err
+        return self
+
+    def succeeds(self) -> Outcome:
+        """Assert exit code 0 and nothing on stderr."""
+        assert self.code == 0, (self.code, self.err)
+        assert self.err == ""
+        return self
+
+
+def children_seconds() -> float:
+    """The processor time that child processes took so far."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def _no_constant(name: str) -> None:
+    raise AssertionError(f"{name} is no JSON")
+
+
+@pytest.fixture
+def robodyn(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Outcome]:
+    """Run the command line in this process, from the project's root."""
+    monkeypatch.chdir(ROOT)
+
+    def run(*arguments: object, stdin: str | bytes = b"") -> Outcome:
+        data = stdin.encode() if isinstance(stdin, str) else stdin
+        begin = time.process_time()
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+        capfd.readouterr()
+        code = cli.run([str(argument) for argument in arguments])
+        sys.stdout.flush()
+        return Outcome(code, *capfd.readouterr(), time.process_time() - begin)
+
+    return run
+
+
+@pytest.fixture
+def process() -> Callable[..., Outcome]:
+    """Run the command line as a process of its own, from the project's root."""
+
+    def run(*arguments: object, stdin: str = "") -> Outcome:
+        begin = children_seconds()
+        done = subprocess.run(
+            [sys.executable, "-m", "robodyn", *map(str, arguments)],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            cwd=ROOT,
+        )
+        return Outcome(done.returncode, done.stdout, done.stderr, children_seconds() - begin)
+
+    return run
+
+
+@pytest.fixture
+def shell() -> Callable[..., Outcome]:
+    """Run a line of bash with pipefail set, `robodyn` being this project's."""
+
+    def run(line: str, cwd: Path = ROOT, env: dict[str, str] | None = None) -> Outcome:
+        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        done = subprocess.run(
+            ["bash", "-c", f"set -o pipefail\n{line}"],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=120,
+            cwd=cwd,
+            env={**os.environ, "PATH": path, **(env or {})},
+        )
+        return Outcome(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Callable[[str | bytes], Path]:
+    """Write a scene file; its path."""
+
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "scene.yaml"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def four_bar_text() -> str:
+    """The scene file of the four-bar, for a change to it."""
+    return (ROOT / "robots/four-bar.yaml").read_text()

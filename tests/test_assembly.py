@@ -1,0 +1,625 @@
+"""Closing loops: positions, rates and accelerations, both branches, and what cannot be closed."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import oracles
+from random_mechanisms import (
+    DYADIC,
+    LOOPS,
+    Pose,
+    Shape,
+    assert_close,
+    mechanism,
+    oracle_closures,
+    oracle_tree,
+    seeded_scene,
+    sizes,
+)
+from robodyn import assembly, loop_rates
+from robodyn import closed_form as cf
+from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
+
+SEEDS = range(8)
+BRANCHES = ("open", "crossed")
+FOUR_BAR = oracles.FourBar(
+    *(0.6, 0.35, 0.15, 0.008),
+    *(1.3, 0.95, 0.45, 0.102),
+    *(1.0, 0.80, 0.36, 0.061),
+    *(1.1, 0.07),
+)
+FAR_LINK = LOOPS["six-bar driven from its far link"]
+
+
+def four_bar(l1, l2, l3, d, e=0.0, closure="[coupler, rocker]", actuated="crank"):
+    return mechanism(
+        "gravity: 9.81\n"
+        "links:\n"
+        f"  - {{name: crank, m: 0.6, l: {l1}, r: 0.15, I: 0.008}}\n"
+        f"  - {{name: coupler, m: 1.3, l: {l2}, r: 0.45, I: 0.102}}\n"
+        f"  - {{name: rocker, m: 1.0, l: {l3}, r: 0.36, I: 0.061, from: [{d}, {e}]}}\n"
+        f"closures: [{closure}]\n"
+        f"actuated: [{actuated}]\n"
+    )
+
+
+def slider_crank(crank, rod, y, along="[1, 0]", actuated="crank"):
+    return mechanism(
+        "links:\n"
+        f"  - {{name: crank, m: 0.8, l: {crank}, r: 0.045, I: 0.0009}}\n"
+        f"  - {{name: rod, m: 0.5, l: {rod}, r: 0.14, I: 0.0048, payload: 0.7}}\n"
+        f"closures: [{{point: rod, on: {{through: [0, {y}], along: {along}}}}}]\n"
+        f"actuated: [{actuated}]\n"
+    )
+
+
+def lecture_four_bar(**changes):
+    p = FOUR_BAR
+    return four_bar(p.l1, p.l2, p.l3, p.d, p.e, **changes)
+
+
+def turn(angle):
+    """The angle less whole turns, in [-pi, pi]."""
+    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+
+
+def driven(mech, values):
+    """The entries of the actuated joints."""
+    return np.asarray(values)[..., list(mech.actuated)]
+
+
+def gaps(mech, q):
+    """Distance of each closure's points, m; for a slider the distance from its line."""
+    pose = Pose(oracle_tree(mech.description), q)
+    pairs = oracle_closures(mech.description)
+    found = []
+    for closure, (first, second) in zip(mech.description.closures, pairs, strict=True):
+        gap = pose.position(first) - pose.position(second)
+        if closure.along is not None:
+            gap = (np.conj(1j * closure.along) * gap).real
+        found.append(abs(gap))
+    return np.array(found)
+
+
+def left_of(a, d, p):
+    """Whether p lies to the left of the line from a to d."""
+    return ((d - a).conjugate() * (p - a)).imag > 0.0
+
+
+def branches_of(mech, q):
+    """The branches that lead to the closed configuration q (all of them tried), at most one."""
+    found = []
+    for choice in itertools.product(BRANCHES, repeat=len(mech.description.closures)):
+        closed, missing = assembly.attempt(mech, driven(mech, q), choice)
+        if missing <= 0.0 and np.abs(turn(closed - q)).max() < 1e-9:
+            found.append(choice)
+    return found
+
+
+class TestBranches:
+    """open: the pin P to the left of the line from A, the joint of the side named first, to D."""
+
+    ANGLES = np.linspace(-np.pi, np.pi, 100)
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    def test_four_bar_equals_freudenstein(self, branch):
+        q = assembly.assemble(lecture_four_bar(), self.ANGLES[:, None], [branch])
+        expected = [oracles.four_bar_position(FOUR_BAR, theta, branch) for theta in self.ANGLES]
+        assert_close(turn(q - expected), np.zeros_like(q), 2 * np.pi)
+        assert np.array_equal(q[:, 0], self.ANGLES)
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    @pytest.mark.parametrize("closure", ["[coupler, rocker]", "[rocker, coupler]"])
+    def test_four_bar_by_the_triangle(self, branch, closure):
+        """Naming the rocker first makes A its pivot and D the crank's tip."""
+        mech = lecture_four_bar(closure=closure)
+        for theta in self.ANGLES:
+            q = assembly.assemble(mech, [theta], [branch])
+            pose = Pose(oracle_tree(mech.description), q)
+            A, D, P = pose.joints[1], pose.joints[2], pose.position((2, FOUR_BAR.l3))
+            if closure == "[rocker, coupler]":
+                A, D = D, A
+            assert left_of(A, D, P) == (branch == "open")
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    def test_rocker_driven_four_bar_by_the_triangle(self, branch):
+        """Crank and coupler are unknown: A the crank's pivot, P the joint between, D the pin."""
+        mech = lecture_four_bar(actuated="rocker")
+        for rocker in np.linspace(1.8, 2.4, 10):
+            q = assembly.assemble(mech, [rocker], [branch])
+            pose = Pose(oracle_tree(mech.description), q)
+            A, P, D = pose.joints[0], pose.joints[1], pose.position((2, FOUR_BAR.l3))
+            assert left_of(A, D, P) == (branch == "open")
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("name", "corners"),
+        [
+            ("four-bar", ("joint 1", "joint 2", "pin")),
+            ("four-bar driven by its coupler joint", ("joint 0", "joint 2", "pin")),
+            ("five-bar", ("joint 1", "joint 3", "pin")),
+            ("chain closed to the ground", ("joint 1", "pin", "joint 2")),
+        ],
+    )
+    def test_random_loops_by_the_triangle(self, name, corners, seed, branch):
+        """A, D and P wherever on the links they are; of a chain, P is its middle joint."""
+        scene = seeded_scene(seed, LOOPS[name])
+        mech = scene.mechanism
+        q, missing = assembly.attempt(mech, driven(mech, scene.q), [branch])
+        assert missing <= 0.0
+        pose = Pose(oracle_tree(mech.description), q)
+        pin, _ = oracle_closures(mech.description)[0]
+        points = {f"joint {k}": joint for k, joint in enumerate(pose.joints)}
+        points["pin"] = pose.position(pin)
+        assert left_of(*(points[corner] for corner in corners)) == (branch == "open")
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    @pytest.mark.parametrize("along", ["[1, 0]", "[-2, 0]", "[1, 1]", "[0, -3]"])
+    def test_slider_lies_ahead_of_or_behind_the_crank(self, branch, along):
+        mech = slider_crank(0.1, 0.32, 0.02, along)
+        direction = mech.description.closures[0].along
+        for theta in self.ANGLES:
+            q = assembly.assemble(mech, [theta], [branch])
+            pose = Pose(oracle_tree(mech.description), q)
+            piston = pose.position((1, 0.32)) - pose.joints[1]
+            assert ((np.conj(direction) * piston).real > 0.0) == (branch == "open")
+
+    @pytest.mark.parametrize("branch", BRANCHES)
+    def test_slider_crank_in_closed_form(self, branch):
+        """x = r cos theta +- sqrt(l^2 - (y - r sin theta)^2) of the offset slider-crank."""
+        mech = slider_crank(0.1, 0.32, 0.02)
+        q = assembly.assemble(mech, self.ANGLES[:, None], [branch])
+        side = 1.0 if branch == "open" else -1.0
+        drop = 0.02 - 0.1 * np.sin(self.ANGLES)
+        x = 0.1 * np.cos(self.ANGLES) + side * np.sqrt(0.32**2 - drop**2)
+        tips = cf.point_motion(mech, mech.tips, q)[0][:, 1]
+        assert_close(tips, np.stack([x, np.full_like(x, 0.02)], axis=-1), 0.42)
+
+    def test_the_scene_chooses_the_branch_where_none_is_given(self):
+        text = seeded_scene(1, LOOPS["four-bar"]).text
+        q = seeded_scene(1, LOOPS["four-bar"]).q
+        for branch in BRANCHES:
+            mech = mechanism(text + f"assembly: {branch}\n")
+            expected = assembly.assemble(mech, [q[0]], [branch])
+            assert np.array_equal(assembly.assemble(mech, [q[0]]), expected)
+
+
+class TestPositions:
+    @pytest.mark.parametrize("name", DYADIC)
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_a_closed_configuration_is_found_by_one_choice_of_branches(self, name, seed):
+        """Loops closed by construction: at points of links, to the ground, on lines, in a row."""
+        scene = seeded_scene(seed, DYADIC[name])
+        mech = scene.mechanism
+        (choice,) = branches_of(mech, scene.q)
+        q = assembly.assemble(mech, driven(mech, scene.q), choice)
+        assert np.array_equal(driven(mech, q), driven(mech, scene.q))
+        assert_close(turn(q - scene.q), np.zeros(scene.n), 2 * np.pi, 1e-13)
+
+    @pytest.mark.parametrize("name", DYADIC)
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_every_branch_that_closes_is_closed(self, name, seed):
+        scene = seeded_scene(seed, DYADIC[name])
+        mech, size = scene.mechanism, sizes(scene.mechanism.description).loop
+        angles = np.linspace(-np.pi, np.pi, 12)[:, None] + driven(mech, scene.q)
+        for choice in itertools.product(BRANCHES, repeat=len(mech.description.closures)):
+            q, missing = assembly.attempt(mech, angles, choice)
+            assert np.isfinite(missing).all()
+            for state in q[missing <= 0.0]:
+                assert_close(gaps(mech, state), np.zeros(len(choice)), size, 1e-14)
+                assert np.abs(state[list(mech.passive)]).max() <= np.pi
+
+    @pytest.mark.parametrize("shape", [(), (1,), (0,), (4, 0), (2, 3)])
+    def test_leading_axes(self, shape):
+        scene = seeded_scene(3, LOOPS["five-bar"])
+        mech = scene.mechanism
+        count = int(np.prod(shape))
+        angles = driven(mech, scene.q) + np.linspace(0.0, 0.05, max(count, 1))[:, None]
+        flat = assembly.assemble(mech, angles, branches_of(mech, scene.q)[0])
+        shaped = assembly.assemble(
+            mech, angles[:count].reshape(*shape, 2), branches_of(mech, scene.q)[0]
+        )
+        assert np.array_equal(shaped, flat[:count].reshape(*shape, 4))
+
+    def test_an_open_chain_needs_no_closing(self):
+        mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
+        assert assembly.assemble(mech, [4.0]).tolist() == [4.0]
+
+    def test_a_loop_driven_at_every_joint_is_checked(self):
+        scene = seeded_scene(1, LOOPS["four-bar"])
+        mech = mechanism(scene.text.replace("actuated: [link0]", "actuated: [link0, link1, link2]"))
+        assert np.array_equal(assembly.assemble(mech, scene.q), scene.q)
+        with pytest.raises(AssemblyError, match="m are missing"):
+            assembly.assemble(mech, scene.q + np.array([0.1, 0.0, 0.0]))
+
+
+class TestRates:
+    @pytest.mark.parametrize("name", LOOPS)
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_rates_and_accelerations_follow_from_the_actuated_ones(self, name, seed):
+        """Psi qd = 0 and Psi qdd + Psidot qd = 0, with qd and qdd made without robodyn."""
+        scene = seeded_scene(seed, LOOPS[name])
+        mech, (q, qd, qdd) = scene.mechanism, scene.states
+        found = loop_rates.loop_velocities(mech, q, driven(mech, qd))
+        assert_close(found, qd, np.abs(qd).max(), 1e-12)
+        found = loop_rates.loop_accelerations(mech, q, qd, driven(mech, qdd))
+        assert_close(found, qdd, np.abs(qdd).max() + np.abs(qd).max() ** 2, 1e-12)
+
+    @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "six-bar, dyad on the coupler"])
+    def test_they_are_the_derivatives_of_positions(self, name):
+        """Central differences of assembled positions along q1(t) = q1 + qd1 t + qdd1 t^2 / 2."""
+        scene = seeded_scene(5, LOOPS[name])
+        mech = scene.mechanism
+        (choice,) = branches_of(mech, scene.q)
+        speed, push, h = 1.5, -4.0, 1e-3
+        t = h * np.array([[-2.0], [-1.0], [0.0], [1.0], [2.0]])
+        q = assembly.assemble(mech, scene.q[:1] + speed * t + push * t**2 / 2, choice)
+        q = scene.q + turn(q - scene.q)
+        first = (q[0] - 8 * q[1] + 8 * q[3] - q[4]) / (12 * h)
+        second = (-q[0] + 16 * q[1] - 30 * q[2] + 16 * q[3] - q[4]) / (12 * h**2)
+        qd = loop_rates.loop_velocities(mech, scene.q, [speed])
+        qdd = loop_rates.loop_accelerations(mech, scene.q, qd, [push])
+        size = np.abs(qdd).max() + np.abs(qd).max() ** 2
+        assert_close(first, qd, size, 1e-8)
+        assert_close(second, qdd, size, 1e-8)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_four_bar_coefficients(self, seed):
+        """qd = k theta1d, qdd = k theta1dd + k' theta1d^2."""
+        rng = np.random.default_rng(seed)
+        q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi))
+        k, k_prime = oracles.four_bar_coefficients(FOUR_BAR, q)
+        mech = lecture_four_bar()
+        assert_close(loop_rates.loop_velocities(mech, q, [3.0]), 3.0 * k, 3.0, 1e-12)
+        qdd = loop_rates.loop_accelerations(mech, q, 3.0 * k, [5.0])
+        assert_close(qdd, 5.0 * k + 9.0 * k_prime, np.abs(qdd).max() + 9.0, 1e-12)
+
+    @pytest.mark.parametrize("name", LOOPS)
+    def test_nearest_rates_keep_the_loops_and_change_no_rates_that_do(self, name):
+        """The orthogonal projection of any rates onto Psi qd = 0."""
+        scene = seeded_scene(4, LOOPS[name])
+        mech, Psi = scene.mechanism, cf.closure_jacobian(scene.mechanism, scene.q)
+        rates = np.random.default_rng(0).normal(size=(6, scene.n))
+        found = loop_rates.nearest_velocities(mech, np.tile(scene.q, (6, 1)), rates)
+        assert_close(found @ Psi.T, np.zeros((6, len(mech.rows))), 10.0)
+        moves = np.linalg.svd(Psi)[2][len(mech.rows) :]
+        assert_close((found - rates) @ moves.T, np.zeros((6, len(moves))), 10.0)
+
+    def test_leading_axes_broadcast(self):
+        scene = seeded_scene(2, LOOPS["five-bar"])
+        mech, rates = scene.mechanism, np.random.default_rng(0).normal(size=(3, 4, 2))
+        together = loop_rates.loop_velocities(mech, scene.q, rates)
+        assert together.shape == (3, 4, 4)
+        alone = loop_rates.loop_velocities(mech, scene.q, rates[2, 1])
+        assert_close(together[2, 1], alone, np.abs(alone).max(), 1e-14)
+        assert loop_rates.loop_velocities(mech, np.zeros((0, 4)), np.zeros((0, 2))).shape == (0, 4)
+
+
+class TestReach:
+    """Crank tip A and rocker pivot D must be |l2 - l3| to l2 + l3 apart."""
+
+    @settings(deadline=None, max_examples=100)
+    @given(*[st.integers(10, 200)] * 4, st.integers(-180, 180), st.sampled_from(BRANCHES))
+    def test_closes_where_the_triangle_inequality_allows(self, l1, l2, l3, d, degrees, branch):
+        l1, l2, l3, d = (x / 100 for x in (l1, l2, l3, d))
+        theta = np.radians(degrees)
+        AD = abs(l1 * np.exp(1j * theta) - d)
+        missing = max(AD - (l2 + l3), abs(l2 - l3) - AD)
+        assume(abs(missing) > 1e-6)
+        mech = four_bar(l1, l2, l3, d)
+        if missing < 0.0:
+            assert gaps(mech, assembly.assemble(mech, [theta], [branch])).max() < 1e-14 * 10
+        else:
+            with pytest.raises(AssemblyError) as failure:
+                assembly.assemble(mech, [theta], [branch])
+            (told,) = re.findall(r": (\S+) m are missing", str(failure.value))
+            assert float(told) == pytest.approx(missing, rel=1e-5)
+
+    def test_message_tells_where_what_and_the_range(self):
+        """AD <= 1.1 where cos theta >= (0.81 + 1 - 1.21) / 1.8: up to 70.52878 deg, cut to 1e-4."""
+        with pytest.raises(AssemblyError) as failure:
+            assembly.assemble(four_bar(0.9, 0.5, 0.6, 1.0), [np.pi / 2])
+        assert str(failure.value) == (
+            "scene.yaml: cannot be closed at q1 = 90 deg: 0.245362 m are missing: "
+            "q1 (crank) can reach [-70.5287, 70.5287] deg"
+        )
+        assert failure.value.exit_code == 1
+
+    @pytest.mark.parametrize(
+        ("lengths", "limits"),
+        [
+            ((0.9, 0.5, 0.6, 1.0), [(-70.5287793655, 70.5287793655)]),  # too far beyond
+            ((0.6, 1.2, 0.6, 1.0), [(33.5573098, 326.4426902)]),  # too near about 0
+            ((0.9, 1.1, 0.3, 1.0), [(-94.7801917, -49.4583981), (49.4583981, 94.7801917)]),
+            ((0.3, 0.8, 0.7, 1.0), [(-180.0, 180.0)]),  # a Grashof crank
+            ((0.1, 0.2, 0.3, 2.0), []),  # links that never meet
+        ],
+    )
+    def test_reachable_range_is_that_of_the_triangle(self, lengths, limits):
+        """cos theta = (l1^2 + d^2 - AD^2) / (2 l1 d) at the limits of AD."""
+        found = assembly.reachable(four_bar(*lengths), [0.0], 0)
+        assert len(found) == len(limits)
+        l1, l2, l3, d = lengths
+        for interval, expected in zip(found, limits, strict=True):
+            assert np.degrees(interval) == pytest.approx(expected, abs=1e-5)
+            for limit in interval if limits != [(-180.0, 180.0)] else ():
+                AD = abs(l1 * np.exp(1j * limit) - d)
+                assert min(abs(AD - (l2 + l3)), abs(AD - abs(l2 - l3))) < 1e-8
+
+    @pytest.mark.parametrize("lengths", [(0.9, 0.5, 0.6, 1.0), (0.9, 1.1, 0.3, 1.0)])
+    def test_the_limits_told_can_be_reached(self, lengths):
+        """Whoever types a limit of the message back gets a configuration, not another error."""
+        mech = four_bar(*lengths)
+        with pytest.raises(AssemblyError) as failure:
+            assembly.assemble(mech, [3.0])
+        told = re.findall(r"\[(\S+), (\S+)\] deg", str(failure.value))
+        assert told
+        for limit in itertools.chain(*told):
+            assert assembly.attempt(mech, [np.radians(float(limit))])[1] <= 0.0
+
+    def test_no_angle_at_all(self):
+        with pytest.raises(AssemblyError, match=r"q1 \(crank\) can reach no angle"):
+            assembly.assemble(four_bar(0.1, 0.2, 0.3, 2.0), [0.0])
+
+    def test_each_of_several_actuated_joints_has_its_range(self):
+        """Five-bar with rods too short for cranks that point apart."""
+        links = [("a", 0.3, ""), ("b", 0.4, ""), ("c", 0.3, ", from: [0.7, 0]"), ("d", 0.4, "")]
+        mech = mechanism(
+            "links:\n"
+            + "".join(
+                f"  - {{name: {name}, m: 1, l: {l}, r: 0.1, I: 0.01{place}}}\n"
+                for name, l, place in links
+            )
+            + "closures: [[b, d]]\nactuated: [a, c]\n"
+        )
+        with pytest.raises(AssemblyError) as failure:
+            assembly.assemble(mech, [np.pi, 0.0])
+        text = str(failure.value)
+        assert "q1 = 180 deg, q3 = 0 deg: 0.5 m are missing" in text
+        assert "q1 (a) can reach [-" in text
+        assert "q3 (c) can reach [" in text
+        assert text.endswith("with the other actuated joints as given")
+
+    def test_slider_too_far_from_the_crank(self):
+        """|y - r sin theta| <= l: crank 1, rod 0.5, line at 0.8: sin theta >= 0.3."""
+        mech = slider_crank(1.0, 0.5, 0.8)
+        with pytest.raises(AssemblyError) as failure:
+            assembly.assemble(mech, [-np.pi / 2])
+        assert "1.3 m are missing" in str(failure.value)
+        ((low, high),) = assembly.reachable(mech, [0.0], 0)
+        assert np.sin([low, high]) == pytest.approx([0.3, 0.3], abs=1e-8)
+
+    def test_the_worst_of_many_states_is_told(self):
+        mech = four_bar(0.9, 0.5, 0.6, 1.0)
+        with pytest.raises(AssemblyError, match=r"q1 = 180 deg: 0\.8 m are missing"):
+            assembly.assemble(mech, [[0.3], [np.pi], [np.pi / 2]])
+
+
+class TestSingular:
+    """Dead centre: the actuated joint cannot move the others.  Change point: Psi loses rank."""
+
+    DEAD = np.arccos((1.3**2 - 1.1**2 - 0.8**2) / (2 * 1.1 * 0.8))  # crank and coupler in line
+
+    @pytest.mark.parametrize(
+        ("mech", "angle", "kind"),
+        [
+            (four_bar(0.35, 0.95, 0.8, 1.1, actuated="rocker"), DEAD, "dead centre"),
+            (four_bar(0.35, 0.95, 0.8, 1.1, actuated="rocker"), 2.0, ""),
+            (four_bar(0.3, 0.7, 0.3, 0.7), 0.0, "change point"),
+            (four_bar(0.3, 0.7, 0.3, 0.7), np.pi, "change point"),
+            (four_bar(0.3, 0.7, 0.3, 0.7), 1.0, ""),
+            (slider_crank(0.3, 0.3, 0.0), np.pi / 2, "change point"),
+            (slider_crank(0.1, 0.32, 0.02), 1.0, ""),
+        ],
+    )
+    def test_is_named(self, mech, angle, kind):
+        q = assembly.assemble(mech, [angle])
+        assert loop_rates.singular_kind(mech, q) == kind
+        if not kind:
+            assert np.isfinite(loop_rates.loop_velocities(mech, q, [1.0])).all()
+            return
+        with pytest.raises(SingularError, match=rf"singular configuration \({kind}\) at q = "):
+            loop_rates.loop_velocities(mech, q, [1.0])
+        with pytest.raises(SingularError, match=rf"\({kind}\)"):
+            loop_rates.loop_accelerations(mech, q, np.zeros(mech.n), [1.0])
+
+    def test_standing_still_is_possible_there(self):
+        mech = four_bar(0.3, 0.7, 0.3, 0.7)
+        q = assembly.assemble(mech, [0.0])
+        assert loop_rates.loop_velocities(mech, q, [0.0]).tolist() == [0.0] * 3
+
+    def test_one_singular_state_among_others_is_told(self):
+        mech = four_bar(0.3, 0.7, 0.3, 0.7)
+        q = assembly.assemble(mech, [[1.0], [0.0], [2.0]])
+        with pytest.raises(SingularError, match="at q = 0, 0, 0: "):
+            loop_rates.loop_velocities(mech, q, [1.0])
+
+    def test_both_branches_meet_at_the_limit_of_reach(self):
+        mech = four_bar(0.9, 0.5, 0.6, 1.0)
+        limit = np.arccos((0.81 + 1.0 - 1.21) / 1.8)
+        both = [assembly.assemble(mech, [limit], [branch]) for branch in BRANCHES]
+        assert_close(turn(both[0] - both[1]), np.zeros(3), 1.0, 1e-6)
+        assert loop_rates.singular_kind(mech, both[0]) == "dead centre"
+
+    def test_an_open_chain_has_none(self):
+        mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
+        assert loop_rates.singular_kind(mech, [0.0]) == ""
+
+
+class TestLargerLoops:
+    """A six-bar driven from its far link is no chain of dyads: it needs a `start`."""
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_start_itself(self, seed):
+        scene = seeded_scene(seed, FAR_LINK)
+        q = assembly.assemble(scene.mechanism, scene.q[4:])
+        assert_close(turn(q - scene.q), np.zeros(5), 1.0, 1e-13)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_is_the_six_bar_driven_from_its_crank(self, seed):
+        """From the crank it is a chain of dyads; its far link then leads back to the same."""
+        scene = seeded_scene(seed, FAR_LINK)
+        lines = [line for line in scene.text.splitlines() if not line.startswith("start")]
+        by_crank = mechanism("\n".join(lines).replace("actuated: [link4]", "actuated: [link0]"))
+        (choice,) = branches_of(by_crank, scene.q)
+        steps = np.array([[-0.02], [-0.01], [0.01], [0.02]])
+        expected, missing = assembly.attempt(by_crank, scene.q[:1] + steps, choice)
+        expected = expected[missing <= 0.0]
+        assert len(expected) >= 2
+        q = assembly.assemble(scene.mechanism, expected[:, 4:])
+        assert_close(turn(q - expected), np.zeros_like(q), 1.0, 1e-11)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_what_lies_beyond_a_limit_is_not_reached(self, seed):
+        """Along the way from the start, once the loops cannot close no farther angle is reached.
+
+        A closure found beyond by Newton's method is another assembly, reached by a jump.
+        """
+        scene = seeded_scene(seed, FAR_LINK)
+        for direction in (-1.0, 1.0):
+            way = np.linspace(0.0, 3.1, 63)[:, None]
+            _, missing = assembly.attempt(scene.mechanism, scene.q[4:] + direction * way)
+            closes = missing <= 0.0
+            assert closes[0]
+            assert (closes[1:] <= closes[:-1]).all(), "closes again beyond a gap"
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_neighbours_lie_close_together(self, seed):
+        """The configurations along the way form one motion: no jumps up to the first limit."""
+        scene = seeded_scene(seed, FAR_LINK)
+        way = np.arange(0.0, 3.1, 0.02)[:, None]
+        q, missing = assembly.attempt(scene.mechanism, scene.q[4:] + way)
+        closes = missing <= 0.0
+        count = len(q) if closes.all() else int(np.argmin(closes))
+        assert count > 5
+        assert np.abs(turn(np.diff(q[:count], axis=0))).max() < 0.7
+
+    def test_out_of_reach_tells_the_range_about_the_start(self):
+        scene = seeded_scene(1, FAR_LINK)
+        with pytest.raises(AssemblyError) as failure:
+            assembly.assemble(scene.mechanism, scene.q[4:] + 3.0)
+        text = str(failure.value)
+        ((low, high),) = re.findall(r"q5 \(link4\) can reach \[(\S+), (\S+)\] deg", text)
+        assert float(low) < np.degrees(scene.q[4]) < float(high)
+        assert re.search(r": \S+ m are missing", text)
+
+    def test_start_may_be_rough_and_leave_out_the_driven_joint(self):
+        scene = seeded_scene(2, FAR_LINK)
+        angles = ", ".join(f"link{k}: {scene.q[k] + 0.02 * (-1) ** k}" for k in range(4))
+        text = re.sub("start: .*", f"start: {{{angles}}}", scene.text)
+        q = assembly.assemble(mechanism(text), scene.q[4:])
+        assert_close(turn(q - scene.q), np.zeros(5), 1.0, 1e-12)
+
+    def test_without_a_start_is_an_input_error(self):
+        scene = seeded_scene(0, FAR_LINK)
+        lines = [line for line in scene.text.splitlines() if not line.startswith("start")]
+        with pytest.raises(InputError, match=r"cannot assemble q1 \(link0\), .*add a `start`"):
+            assembly.assemble(mechanism("\n".join(lines)), [0.0])
+
+
+class TestUndetermined:
+    """The actuated joints must determine all others."""
+
+    FIVE_BAR = seeded_scene(2, LOOPS["five-bar"])
+
+    def test_a_joint_neither_actuated_nor_in_a_loop(self):
+        scene = seeded_scene(1, LOOPS["loop in a tree"])
+        mech = mechanism(scene.text.replace("[link0, link2, link3]", "[link0, link2]"))
+        with pytest.raises(InputError, match=r"q4 \(link3\): neither actuated nor held by a loop"):
+            assembly.assemble(mech, [0.0, 0.0])
+
+    @pytest.mark.parametrize("start", [False, True])
+    def test_fewer_actuators_than_freedoms(self, start):
+        """Two freedoms and one actuator: a start does not make up for the actuator missing."""
+        scene = self.FIVE_BAR
+        text = scene.text.replace("actuated: [link0, link2]", "actuated: [link0]")
+        if start:
+            angles = ", ".join(f"link{k}: {angle}" for k, angle in enumerate(scene.q))
+            text += f"start: {{{angles}}}\n"
+        with pytest.raises(RobodynError, match="actuat"):
+            assembly.assemble(mechanism(text), scene.q[:1] + 0.1)
+
+    def test_rates_of_fewer_actuators_than_freedoms(self):
+        text = self.FIVE_BAR.text.replace("actuated: [link0, link2]", "actuated: [link0]")
+        with pytest.raises(RobodynError):
+            loop_rates.loop_velocities(mechanism(text), self.FIVE_BAR.q, [1.0])
+
+    @pytest.mark.parametrize(
+        ("values", "place"),
+        [
+            ([0.1], r"q_actuated\.shape = \(1,\): must have 2 values .*\(link0, link2\)"),
+            (0.1, r"q_actuated\.shape = \(\)"),
+            ([0.1, np.nan], r"q_actuated.*must be finite"),
+        ],
+    )
+    def test_values_that_do_not_fit(self, values, place):
+        with pytest.raises(InputError, match=place):
+            assembly.assemble(self.FIVE_BAR.mechanism, values)
+
+
+class TestProjection:
+    @pytest.mark.parametrize("name", LOOPS)
+    def test_newton_closes_what_is_nearly_closed(self, name):
+        scene = seeded_scene(6, LOOPS[name])
+        mech = scene.mechanism
+        held = list(mech.actuated)
+        rough = scene.q + 0.01 * np.random.default_rng(0).normal(size=(20, scene.n))
+        rough[:, held] = scene.q[held]
+        size = sizes(mech.description).loop
+        for fixed in ((), held):
+            q = assembly.close_positions(mech, rough, fixed)
+            assert_close(cf.closure_gap(mech, q), np.zeros((20, len(mech.rows))), size, 1e-15)
+            assert np.abs(q - rough).max() < 1.0
+            assert np.array_equal(q[:, list(fixed)], rough[:, list(fixed)])
+
+    def test_an_open_chain_and_no_states_are_left_alone(self):
+        chain = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
+        assert assembly.close_positions(chain, [[1.0], [2.0]]).tolist() == [[1.0], [2.0]]
+        four = seeded_scene(1, LOOPS["four-bar"]).mechanism
+        assert assembly.close_positions(four, np.zeros((0, 3))).shape == (0, 3)
+
+
+class TestCheckClosed:
+    scene = seeded_scene(7, LOOPS["six-bar with a piston"])
+
+    def many(self):
+        return [np.tile(state, (5, 1)) for state in self.scene.states]
+
+    def test_a_closed_motion_passes(self):
+        assert loop_rates.check_closed(self.scene.mechanism, *self.many()) is None
+
+    @pytest.mark.parametrize(
+        ("which", "text"),
+        [(0, "gap in position"), (1, "gap in velocity"), (2, "gap in acceleration")],
+    )
+    def test_the_first_open_state_is_told_with_its_gap(self, which, text):
+        states = self.many()
+        states[which][3] += 0.01
+        states[which][4] += 0.02
+        index, error = loop_rates.check_closed(self.scene.mechanism, *states)
+        assert index == 3
+        assert isinstance(error, InputError)
+        assert text in str(error)
+
+    def test_the_gap_told_is_the_distance(self):
+        """Links of 1 m: the coupler's tip at (1, 1), the rocker's at (2, 0)."""
+        _, error = loop_rates.check_closed(four_bar(1, 1, 1, 1), np.array([0.0, np.pi / 2, 0.0]))
+        assert "gap in position = 1.41421 m" in str(error)
+
+    def test_open_chains_and_no_states_have_nothing_to_check(self):
+        chain = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
+        assert loop_rates.check_closed(chain, np.zeros(1)) is None
+        assert loop_rates.check_closed(self.scene.mechanism, np.zeros((0, 4))) is None
+
+
+def test_shapes_that_need_a_start_are_no_chains_of_dyads():
+    for name, shape in LOOPS.items():
+        plan = assembly.assembly_plan(seeded_scene(0, shape).mechanism)
+        assert bool(plan.rest) == shape.start, name
+    assert isinstance(FAR_LINK, Shape)

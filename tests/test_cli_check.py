@@ -1,0 +1,282 @@
+"""`robodyn check`: what was read, the loop's class, and a self-test that can fail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
+
+import oracles
+
+Run = Callable[..., Outcome]
+ROBOTS = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
+    given = robodyn("check", f"robots/{name}.yaml")
+    assert given.code == 0, given.err
+    found = given.json
+    assert found["passed"] is True
+    assert found["states"] >= 100
+    assert found["identities"]
+    assert max(found["identities"].values()) <= found["bound"] <= 1e-8
+    assert (found["closing"] is None) == (found["loops"] == [])
+
+
+@pytest.mark.parametrize(
+    ("name", "mobility", "actuated", "loops"),
+    [
+        ("2r", 2, ["upper arm", "forearm"], []),
+        ("3r", 3, ["upper arm", "forearm", "hand"], []),
+        ("pendulum", 1, ["rod"], []),
+        ("four-bar", 1, ["crank"], ["crank-rocker"]),
+        ("parallelogram", 1, ["crank"], ["change point"]),
+        ("slider-crank", 1, ["crank"], ["slider-crank"]),
+        ("five-bar", 2, ["left crank", "right crank"], ["5"]),
+    ],
+)
+def test_mobility_and_loops(
+    robodyn: Run, name: str, mobility: int, actuated: list[str], loops: list[str]
+) -> None:
+    found = robodyn("check", f"robots/{name}.yaml").json
+    assert (found["mobility"], found["actuated"]) == (mobility, actuated)
+    assert len(found["loops"]) == len(loops)
+    for kind, word in zip(found["loops"], loops, strict=True):
+        assert word in kind
+
+
+def test_what_was_read(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene(
+        "name: rig\n"
+        "gravity: [0.5, -9.5]\n"
+        "links:\n"
+        "  - {name: a, m: 1.5, l: 0.8, r: [0.3, -0.1], I: 0.08, from: [0.25, 1]}\n"
+        "  - {name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.03, payload: 0.4, damping: 0.02}\n"
+        "  - {name: c, m: 0.7, l: 0.5, r: 0.2, I: 0.02, from: {link: a, at: [0.1, 0.35]}}\n"
+    )
+    found = robodyn("check", path).json
+    assert (found["name"], found["gravity"]) == ("rig", [0.5, -9.5])
+    a, b, c = found["links"]
+    assert (a["name"], a["m"], a["l"], a["r"], a["I"]) == ("a", 1.5, 0.8, [0.3, -0.1], 0.08)
+    assert (b["r"], b["payload"], b["damping"]) == ([0.25, 0], 0.4, 0.02)
+    assert a["from"] == "ground (0.25, 1)"
+    assert b["from"] == "a (0.8, 0)"
+    assert c["from"] == "a (0.1, 0.35)"
+
+
+GRASHOF = [
+    # crank, coupler, rocker, ground: the shortest link decides, if the chain is Grashof's at all
+    ((0.35, 0.95, 0.80, 1.10), "crank-rocker"),
+    ((0.80, 0.95, 0.35, 1.10), "crank-rocker"),
+    ((0.90, 0.95, 0.80, 0.30), "double-crank"),
+    ((0.90, 0.30, 0.80, 1.10), "double-rocker"),
+    ((0.70, 0.60, 0.65, 1.40), "triple-rocker"),
+    ((0.30, 0.70, 0.30, 0.70), "change point"),
+    ((0.40, 0.90, 0.70, 0.60), "change point"),
+]
+
+
+def shape(four_bar_text: str, lengths: tuple[float, ...]) -> str:
+    crank, coupler, rocker, ground = lengths
+    for old, new in (
+        ("l: 0.35", f"l: {crank}"),
+        ("l: 0.95", f"l: {coupler}"),
+        ("l: 0.80", f"l: {rocker}"),
+        ("[1.1, 0.0]", f"[0.0, {ground}]"),
+    ):
+        assert four_bar_text.count(old) == 1
+        four_bar_text = four_bar_text.replace(old, new)
+    return four_bar_text
+
+
+@pytest.mark.parametrize(("lengths", "kind"), GRASHOF)
+def test_grashof(
+    robodyn: Run,
+    scene: Callable[[str], Path],
+    four_bar_text: str,
+    lengths: tuple[float, ...],
+    kind: str,
+) -> None:
+    given = robodyn("check", scene(shape(four_bar_text, lengths)))
+    assert given.json["loops"][0].startswith(kind)
+    assert given.json["mobility"] == 1
+    assert given.code == 0, given.err
+    share = given.json["closing"]
+    low, high = abs(lengths[1] - lengths[2]), lengths[1] + lengths[2]
+    # the crank's tip is at this distance from the rocker's pivot, the dyad spans low to high
+    angles = np.linspace(-math.pi, math.pi, 10_001)
+    distance = np.abs(lengths[0] * np.exp(1j * angles) - lengths[3])
+    assert share == pytest.approx(((distance > low) & (distance < high)).mean(), abs=0.08)
+
+
+@pytest.mark.parametrize(("rod", "word"), [(0.32, "turns"), (0.11, "rocks")])
+def test_a_slider_crank_turns_or_rocks(
+    robodyn: Run, scene: Callable[[str], Path], rod: float, word: str
+) -> None:
+    """Crank 0.10 and offset 0.02: a rod of 0.12 is the shortest that lets the crank turn."""
+    text = (ROOT / "robots/slider-crank.yaml").read_text()
+    given = robodyn("check", scene(text.replace("l: 0.32", f"l: {rod}")))
+    assert word in given.json["loops"][0]
+
+
+def test_conditioning_of_m(robodyn: Run) -> None:
+    """Over all q2 (M knows no q1) the condition number of the lecture's M spans this range."""
+    conditions = [
+        np.linalg.cond(oracles.two_link_terms(TWO_LINK, [0, q2], [0, 0])[0])
+        for q2 in np.linspace(0, math.pi, 1000)
+    ]
+    low, high = robodyn("check", "robots/2r.yaml").json["cond_M"]
+    assert low == pytest.approx(min(conditions), rel=0.05)
+    assert high == pytest.approx(max(conditions), rel=0.05)
+
+
+def test_conditioning_of_psi(robodyn: Run) -> None:
+    conditions = []
+    for theta1 in np.linspace(-math.pi, math.pi, 1000):
+        q = oracles.four_bar_position(FOUR_BAR, theta1)
+        Psi = oracles.four_bar_terms(FOUR_BAR, q, [0, 0, 0]).Psi
+        conditions.append(np.linalg.cond(Psi))
+    low, high = robodyn("check", "robots/four-bar.yaml").json["cond_Psi"]
+    assert low == pytest.approx(min(conditions), rel=0.05)
+    assert high == pytest.approx(max(conditions), rel=0.05)
+
+
+def test_a_singular_m_leaves_the_json_strict(
+    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
+) -> None:
+    """Infinity is no JSON; a massless coupler makes M singular, and the mechanism works."""
+    text = four_bar_text.replace("m: 1.3, l: 0.95, r: 0.45, I: 0.102", "m: 0, l: 0.95, r: 0, I: 0")
+    given = robodyn("check", scene(text))
+    assert given.code == 0, given.err
+    assert given.json["passed"] is True
+    assert given.json["cond_M"] is None or None in given.json["cond_M"]
+
+
+def test_the_identities_are_those_of_the_design(robodyn: Run) -> None:
+    told = " ".join(robodyn("check", "robots/four-bar.yaml").json["identities"])
+    for part in ("M = M^T", "KE", "2C skew", "G = dPE/dq", "Psi", "Psidot", "power", "lambda"):
+        assert part in told
+
+
+def test_a_wrong_coriolis_matrix_is_found_out(
+    robodyn: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The self-test must be able to fail: here C is made 1 % too large."""
+    from robodyn import closed_form
+
+    right = closed_form.coriolis_matrix
+    monkeypatch.setattr(closed_form, "coriolis_matrix", lambda *given: 1.01 * right(*given))
+    given = robodyn("check", "robots/2r.yaml").fails(1, "Mdot - 2C")
+    assert given.json["passed"] is False
+    assert given.json["identities"]["Mdot - 2C skew-symmetric"] > 1e-4
+
+
+def test_the_same_scene_gives_the_same_report(robodyn: Run) -> None:
+    first, second = (robodyn("check", "robots/five-bar.yaml").out for _ in range(2))
+    assert first == second
+
+
+def test_the_table(robodyn: Run) -> None:
+    given = robodyn("check", "robots/four-bar.yaml", "--format", "table").succeeds().out
+    for word in (
+        *("crank-rocker four-bar", "m [kg]", "l [m]", "r [m]", "I [kg m²]"),
+        *("1 crank", "2 coupler", "3 rocker", "0.102", "ground (1.1, 0)", "m/s²"),
+        *("mobility", "Grashof", "condition of M", "condition of Psi", "residual", "holds"),
+    ):
+        assert word in given
+    assert "FAILS" not in given
+    assert "\x1b" not in given
+
+
+def test_the_table_shows_payload_and_damping_where_there_are_any(robodyn: Run) -> None:
+    table = robodyn("check", "robots/slider-crank.yaml", "--format", "table").succeeds().out
+    assert "payload [kg]" in table
+    assert "damping" not in table
+
+
+@pytest.mark.parametrize("name", ["[red]arm", "[/red]arm", "[/]", "[bold]", ":smile:"])
+def test_names_are_shown_as_they_are(robodyn: Run, scene: Callable[[str], Path], name: str) -> None:
+    path = scene(
+        f"name: '{name}'\nlinks:\n"
+        f"  - {{name: '{name}', m: 1, l: 1, r: 0.5, I: 0.1}}\n"
+        "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+    )
+    table = robodyn("check", path, "--format", "table").succeeds().out
+    assert table.splitlines()[0].strip() == name
+    assert f"1 {name} " in table
+    assert f"{name} (1, 0)" in table
+
+
+def test_out(robodyn: Run, tmp_path: Path) -> None:
+    file = tmp_path / "check.json"
+    assert robodyn("check", "robots/2r.yaml", "-o", file).succeeds().out == ""
+    assert file.read_text() == robodyn("check", "robots/2r.yaml").succeeds().out
+
+
+def test_a_loop_that_never_closes_does_not_pass(
+    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
+) -> None:
+    path = scene(four_bar_text.replace("[1.1, 0.0]", "[11, 0.0]"))
+    given = robodyn("check", path)
+    assert given.json["closing"] == 0.0
+    assert given.json["passed"] is not True
+    given.fails(1, "clos")
+
+
+def test_more_actuators_than_freedoms_leave_the_mobility(
+    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
+) -> None:
+    """Random angles of crank and rocker do not fit each other; there is a freedom all the same."""
+    path = scene(four_bar_text.replace("actuated: [crank]", "actuated: [crank, rocker]"))
+    assert robodyn("check", path).json["mobility"] == 1
+
+
+def test_too_few_actuators_say_why_there_is_no_sample(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    path = scene(
+        "links:\n"
+        "  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+        "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+        "  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+        "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+        "closures: [[d, [1.5, 0.5]]]\n"
+    )
+    given = robodyn("check", path)
+    assert given.json["passed"] is not True
+    given.fails(given.code, str(path), "q2 (b)", "name more in `actuated`")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ("", ["MODEL"]),
+        ("none.yaml", ["none.yaml", "no such file"]),
+        ("robots", ["robots", "directory"]),
+        ("robots/2r.yaml --format csv", ["--format", "csv", "json"]),
+        ("robots/2r.yaml --q 1,2", ["--q"]),
+        ("robots/2r.yaml extra", ["extra"]),
+    ],
+)
+def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
+    assert robodyn("check", *arguments.split()).fails(2, *parts).out == ""
+
+
+def test_all_faults_of_a_scene_are_told_one_a_line(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    path = scene("gravty: 9.81\nlinks:\n  - {name: a, m: -1, l: yes, r: [1], I: nan}\n")
+    failed = robodyn("check", path).fails(2)
+    assert failed.out == ""
+    assert failed.err.splitlines() == [
+        f"Error: {path}:1: gravty: is an unknown key; did you mean gravity?",
+        f"       {path}:3: links[0] (a).m = -1: must be >= 0",
+        f"       {path}:3: links[0] (a).l = yes: is a truth value, not a number",
+        f"       {path}:3: links[0] (a).r = 1 values: must be two numbers, [x, y]",
+        f"       {path}:3: links[0] (a).I = nan: must be a finite number",
+    ]

@@ -1,0 +1,149 @@
+"""`robodyn terms` against the lecture's matrices."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+
+import oracles
+
+Run = Callable[..., Outcome]
+
+
+def text(vector: object) -> str:
+    return ",".join(repr(float(x)) for x in np.ravel(vector))
+
+
+def heights_energy(masses: list[float], heights: list[float]) -> float:
+    return 9.81 * float(np.dot(masses, heights))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_2r_arm(robodyn: Run, seed: int) -> None:
+    q, qd = np.random.default_rng(seed).uniform(-3, 3, (2, 2))
+    found = robodyn("terms", "robots/2r.yaml", "--q", text(q), "--qd", text(qd)).succeeds().json
+    M, C, G = oracles.two_link_terms(TWO_LINK, q, qd)
+    assert list(found) == ["q", "qd", "M", "C", "G", "KE", "PE"]
+    assert relative_error(found["M"], M) < 1e-14
+    assert relative_error(found["C"], C) < 1e-14
+    assert relative_error(found["G"], G) < 1e-14
+    assert (found["q"], found["qd"]) == (q.tolist(), qd.tolist())
+    assert found["KE"] == pytest.approx(qd @ M @ qd / 2, rel=1e-13)
+    y1, y12 = math.sin(q[0]), math.sin(q[0] + q[1])
+    heights = [0.36 * y1, 0.8 * y1 + 0.25 * y12]
+    assert found["PE"] == pytest.approx(heights_energy([1.5, 0.9], heights), rel=1e-13)
+
+
+@pytest.mark.parametrize("theta1", [0.3, math.pi / 3, -2.0])
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_four_bar(robodyn: Run, theta1: float, whole: bool) -> None:
+    q = oracles.four_bar_position(FOUR_BAR, theta1)
+    qd = oracles.four_bar_coefficients(FOUR_BAR, q)[0] * 5.0
+    given = [text(x) if whole else text(x[:1]) for x in (q, qd)]
+    found = robodyn("terms", "robots/four-bar.yaml", "--q", given[0], "--qd", given[1]).succeeds()
+    known = oracles.four_bar_terms(FOUR_BAR, q, qd)
+    expected = {
+        "q": q,
+        "qd": qd,
+        "M": known.M,
+        "C": known.C,
+        "G": known.G,
+        "Psi": known.Psi,
+        "Psidot_qd": known.Psidot @ qd,
+        "gap": known.gap,
+        "KE": qd @ known.M @ qd / 2,
+    }
+    assert list(found.json) == [*expected, "PE"]
+    for name, value in expected.items():
+        assert relative_error(found.json[name], value) < 1e-12, name
+    a, b, c = math.sin(q[0]), math.sin(q[0] + q[1]), math.sin(q[2])
+    heights = [0.15 * a, 0.35 * a + 0.45 * b, 0.36 * c]
+    assert found.json["PE"] == pytest.approx(heights_energy([0.6, 1.3, 1.0], heights), rel=1e-12)
+
+
+def test_a_3r_arm_by_lagrange(robodyn: Run) -> None:
+    tree = [
+        {"m": 2.4, "r": 0.32, "I": 0.112, "parent": None, "at": 0j},
+        {"m": 1.4, "r": 0.26, "I": 0.041, "parent": 0, "at": 0.70 + 0j},
+        {"m": 0.75, "r": 0.14, "I": 0.0065, "parent": 1, "at": 0.55 + 0j},
+    ]
+    q, qd = np.random.default_rng(4).uniform(-3, 3, (2, 3))
+    known = oracles.sympy_terms(tree, -9.81j)(q, qd)
+    found = robodyn("terms", "robots/3r.yaml", "--q", text(q), "--qd", text(qd)).succeeds().json
+    for name in ("M", "C", "G", "KE", "PE"):
+        assert relative_error(found[name], getattr(known, name)) < 1e-13, name
+
+
+def test_rates_left_out_are_zero(robodyn: Run) -> None:
+    found = robodyn("terms", "robots/2r.yaml", "--q", "30deg,-1").succeeds().json
+    assert found["q"] == [pytest.approx(math.pi / 6, abs=1e-16), -1.0]
+    assert found["qd"] == [0.0, 0.0]
+    assert (found["C"], found["KE"]) == ([[0, 0], [0, 0]], 0.0)
+
+
+def test_a_slider_has_one_equation(robodyn: Run) -> None:
+    found = robodyn("terms", "robots/slider-crank.yaml", "--q", "50deg", "--qd", "10").json
+    q, qd, l1, l2 = found["q"], np.array(found["qd"]), 0.10, 0.32
+    along = [l1 * math.cos(q[0]) + l2 * math.cos(q[0] + q[1]), l2 * math.cos(q[0] + q[1])]
+    assert relative_error(found["Psi"], [along]) < 1e-14
+    assert abs(np.dot(along, qd)) < 1e-13
+    height = l1 * math.sin(q[0]) + l2 * math.sin(q[0] + q[1])
+    assert height == pytest.approx(0.02, abs=1e-15)
+    assert relative_error(found["gap"], [0.0]) < 1e-15
+    bend = -l1 * math.sin(q[0]) * qd[0] ** 2 - l2 * math.sin(q[0] + q[1]) * (qd[0] + qd[1]) ** 2
+    assert relative_error(found["Psidot_qd"], [bend]) < 1e-12
+
+
+def test_a_horizontal_plane_has_no_gravity_terms(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    path = scene("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    found = robodyn("terms", path, "--q", "1").succeeds().json
+    assert (found["G"], found["PE"]) == ([0.0], 0.0)
+    assert found["M"] == [[pytest.approx(0.35, rel=1e-15)]]
+
+
+def test_the_table_shows_every_term_with_its_unit(robodyn: Run) -> None:
+    arguments = ["terms", "robots/four-bar.yaml", "--q", "60deg", "--qd", "5", "--format", "table"]
+    given = robodyn(*arguments).succeeds()
+    for title in (
+        *("q [rad]", "qd [rad/s]", "M [kg m²]", "C [kg m²/s]", "G [N m]"),
+        *("Psi [m]", "Psidot qd [m/s²]", "gap [m]", "KE [J]", "PE [J]"),
+    ):
+        assert re.search(rf"(^|  ){re.escape(title)}( |$)", given.out, re.MULTILINE), title
+    assert f"{oracles.four_bar_position(FOUR_BAR, math.pi / 3)[1]:.6g}" in given.out
+    assert "\x1b" not in given.out
+
+
+def test_out(robodyn: Run, tmp_path: Path) -> None:
+    file = tmp_path / "terms.json"
+    arguments = ["terms", "robots/2r.yaml", "--q", "1,2"]
+    assert robodyn(*arguments, "-o", file).succeeds().out == ""
+    assert file.read_text() == robodyn(*arguments).succeeds().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ("robots/2r.yaml", ["--q", "missing"]),
+        ("robots/2r.yaml --q 1", ["--q", "1 value", "2 values"]),
+        ("robots/2r.yaml --q 1,x", ["--q", "entry 2 = x"]),
+        ("robots/2r.yaml --q 1,2 --format csv", ["--format", "csv", "json"]),
+        ("robots/2r.yaml states.csv --q 1,2", ["states.csv"]),
+        ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
+        ("none.yaml --q 1", ["none.yaml", "no such file"]),
+    ],
+)
+def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
+    assert robodyn("terms", *arguments.split()).fails(2, *parts).out == ""
+
+
+def test_terms_that_leave_the_floats_are_an_error(process: Run) -> None:
+    """NaN is no JSON."""
+    assert process("terms", "robots/2r.yaml", "--q", "1,2", "--qd", "1e200,1").fails(1).out == ""

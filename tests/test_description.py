@@ -1,0 +1,731 @@
+"""Scenes: the good ones as DESIGN has them; every fault of a bad one told with its place."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robodyn.description import Closure, Description, Link, Point, from_text, read
+from robodyn.errors import DescriptionError, InputError
+from robodyn.mechanism import build
+
+ROBOTS = ROOT / "robots"
+NAMES = ["2r", "3r", "pendulum", "four-bar", "parallelogram", "slider-crank", "five-bar"]
+
+ARM = """\
+name: arm
+gravity: 9.81
+links:
+  - {name: upper, m: 1.5, l: 0.8, r: 0.36, I: 0.082}
+  - {name: lower, m: 0.9, l: 0.6, r: 0.25, I: 0.031}
+"""
+LOOP = """\
+name: loop
+gravity: 9.81
+links:
+  - {name: crank,   m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker,  m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}
+closures:
+  - [coupler, rocker]
+actuated: [crank]
+assembly: open
+"""
+EVERYTHING = """\
+name: everything
+gravity: [0.3, -9.7]
+links:
+  - {name: plate, m: 2.0, l: 0.5, r: [0.21, 0.13], I: 0.05, payload: 0.4, damping: 0.02}
+  - {name: left, m: 0.5, l: 0.3, r: 0.14, I: 0.004, from: {link: plate, at: [0.3, 0.2]}}
+  - {name: right, m: 0.6, l: 0.4, r: [-0.1, 0], I: 0.007, from: plate}
+  - {name: slide, m: 0.7, l: 0.9, r: 0.4, I: 0.06, from: right}
+closures:
+  - [left, [0.9, 0.1]]
+  - {point: {link: slide, at: [0.8, 0.05]}, on: {through: [0, 0.02], along: [3, 4]}}
+actuated: [right, plate]
+assembly: [crossed, open]
+start: {plate: 30deg, right: -pi/4, slide: 0.5}
+"""
+
+
+def faults_of(text: str) -> list[tuple[str, object, str, int | None]]:
+    """(place, value, limit, line) of every fault, each told in the error's text."""
+    with pytest.raises(DescriptionError) as caught:
+        from_text(text, "my.yaml")
+    told = str(caught.value).splitlines()
+    assert len(told) == len(caught.value.faults)
+    for fault, line in zip(caught.value.faults, told, strict=True):
+        assert line.startswith("my.yaml")
+        for part in (fault.place, fault.limit, fault.value, fault.line):
+            assert part is None or str(part) in line
+    return [(x.place, x.value, x.limit, x.line) for x in caught.value.faults]
+
+
+def only_fault_of(text: str) -> tuple[str, object, str, int | None]:
+    faults = faults_of(text)
+    assert len(faults) == 1, faults
+    return faults[0]
+
+
+def edited(text: str, old: str, new: str) -> str:
+    """The text with one thing in it put otherwise."""
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+# Good scenes
+
+
+def test_the_2r_arm_is_the_one_of_the_design() -> None:
+    arm = read(ROBOTS / "2r.yaml")
+    assert arm == Description(
+        source=str(ROBOTS / "2r.yaml"),
+        name="planar 2R arm",
+        gravity=-9.81j,
+        links=(
+            Link("upper arm", 1.5, 0.8, 0.36 + 0j, 0.082, Point(None, 0j)),
+            Link("forearm", 0.9, 0.6, 0.25 + 0j, 0.031, Point(0, 0.8 + 0j)),
+        ),
+        closures=(),
+        branches=(),
+        actuated=None,
+        start=None,
+    )
+
+
+def test_the_four_bar_is_the_one_of_the_design() -> None:
+    four_bar = read(ROBOTS / "four-bar.yaml")
+    assert four_bar == Description(
+        source=str(ROBOTS / "four-bar.yaml"),
+        name="crank-rocker four-bar",
+        gravity=-9.81j,
+        links=(
+            Link("crank", 0.6, 0.35, 0.15 + 0j, 0.008, Point(None, 0j)),
+            Link("coupler", 1.3, 0.95, 0.45 + 0j, 0.102, Point(0, 0.35 + 0j)),
+            Link("rocker", 1.0, 0.80, 0.36 + 0j, 0.061, Point(None, 1.1 + 0j)),
+        ),
+        closures=(Closure(Point(1, 0.95 + 0j), Point(2, 0.8 + 0j)),),
+        branches=("open",),
+        actuated=(0,),
+        start=None,
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_numbers_of_a_shipped_scene_are_those_that_its_yaml_has(name: str) -> None:
+    path = ROBOTS / f"{name}.yaml"
+    plain = yaml.safe_load(path.read_text())
+    found = read(path)
+    assert found.name == plain["name"]
+    assert found.gravity == -1j * plain["gravity"]
+    for link, entry in zip(found.links, plain["links"], strict=True):
+        numbers = {key: value for key, value in entry.items() if key != "from"}
+        assert numbers.items() <= dataclasses.asdict(link).items()
+    driven = plain.get("actuated", [entry["name"] for entry in plain["links"]])
+    assert [found.links[k].name for k in build(found).actuated] == driven
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_scene_has_a_sketch_units_a_source_and_distinct_numbers(name: str) -> None:
+    text = (ROBOTS / f"{name}.yaml").read_text()
+    header = re.match(r"(#.*\n)+", text)
+    assert header
+    for word in ("Units:", "Numbers:", "try: --q", "/////"):
+        assert word in header[0]
+    entries = yaml.safe_load(text)["links"]
+    numbers = [entry[key] for entry in entries for key in ("m", "r", "I")]
+    if name != "parallelogram":  # its geometry demands equal lengths
+        numbers += [entry["l"] for entry in entries]
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_all_shipped_scenes_are_tested() -> None:
+    assert {path.stem for path in ROBOTS.glob("*.yaml")} >= set(NAMES)
+
+
+def test_a_scene_that_uses_the_whole_format() -> None:
+    scene = from_text(EVERYTHING, "my.yaml")
+    plate, left, right, slide = scene.links
+    assert scene.gravity == 0.3 - 9.7j
+    assert (plate.r, plate.payload, plate.damping) == (0.21 + 0.13j, 0.4, 0.02)
+    assert (left.payload, left.damping) == (0.0, 0.0)
+    assert left.hangs_from == Point(0, 0.3 + 0.2j)
+    assert (right.r, right.hangs_from) == (-0.1 + 0j, Point(0, 0.5 + 0j))
+    assert slide.hangs_from == Point(2, 0.4 + 0j)
+    assert scene.closures == (
+        Closure(Point(1, 0.3 + 0j), Point(None, 0.9 + 0.1j)),
+        Closure(Point(3, 0.8 + 0.05j), Point(None, 0.02j), along=0.6 + 0.8j),
+    )
+    assert scene.branches == ("crossed", "open")
+    assert scene.actuated == (0, 2)
+    assert scene.start == (math.radians(30), None, -math.pi / 4, 0.5)
+
+
+def test_defaults() -> None:
+    scene = from_text("links: [{name: a, m: 1, l: 2, r: 0.5, I: 0}]", "rig/my.yaml")
+    assert (scene.name, scene.gravity, scene.closures, scene.start) == ("my", 0j, (), None)
+    assert scene.links[0].hangs_from == Point(None, 0j)
+
+
+def test_from_may_name_a_link_further_down() -> None:
+    text = edited(ARM, "r: 0.36, I: 0.082", "r: 0.36, I: 0.082, from: lower")
+    scene = from_text(edited(text, "I: 0.031", "I: 0.031, from: [1, 2]"), "my.yaml")
+    assert [link.hangs_from for link in scene.links] == [Point(1, 0.6 + 0j), Point(None, 1 + 2j)]
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "+.001", "0.001", "10e-4", "!!float 1e-3"])
+def test_1e_3_is_the_number_that_it_is(text: str) -> None:
+    scene = from_text(edited(ARM, "I: 0.031", f"I: {text}"), "my.yaml")
+    assert scene.links[1].I == 0.001
+
+
+def test_words_that_yaml_would_turn_into_something_else_stay_names() -> None:
+    scene = from_text(ARM.replace("upper", "on").replace("lower", "1e3"), "my.yaml")
+    assert [link.name for link in scene.links] == ["on", "1e3"]
+
+
+def test_legitimate_aliases() -> None:
+    text = """\
+links:
+  - {name: a, m: &mass 1.5, l: 0.8, r: &centre [0.3, 0.1], I: 0.08, from: &pivot [0.1, 0.2]}
+  - {name: b, m: *mass, l: 0.6, r: *centre, I: 0.03, from: *pivot}
+"""
+    a, b = from_text(text, "my.yaml").links
+    assert (a.m, a.r, a.hangs_from) == (1.5, 0.3 + 0.1j, Point(None, 0.1 + 0.2j))
+    assert (b.m, b.r, b.hangs_from) == (a.m, a.r, a.hangs_from)
+
+
+@pytest.mark.parametrize("text", [ARM.replace("\n", "\r\n"), "\ufeff" + ARM, f"---\n{ARM}...\n"])
+def test_line_ends_byte_order_mark_and_document_marks_do_not_matter(
+    text: str, scene: Callable[[str], Path]
+) -> None:
+    path = scene(text)
+    assert read(path) == dataclasses.replace(from_text(ARM, ""), source=str(path))
+
+
+# Files that are none
+
+
+def test_a_file_that_is_absent(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=r"none\.yaml: no such file"):
+        read(tmp_path / "none.yaml")
+
+
+def test_a_directory(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError, match=f"{tmp_path}: is a directory"):
+        read(tmp_path)
+
+
+def test_a_path_that_cannot_be() -> None:
+    with pytest.raises(DescriptionError, match="cannot be read"):
+        read("my\0.yaml")
+    with pytest.raises(DescriptionError, match="cannot be read"):
+        read("x" * 5000)
+
+
+def test_a_file_that_is_no_utf_8_names_byte_and_line(scene: Callable[[bytes], Path]) -> None:
+    path = scene(ARM.encode() + "# gez\u00e4hlt\n".encode("latin-1"))
+    with pytest.raises(DescriptionError, match=rf"{path}:6: is not UTF-8 text: byte 0xe4"):
+        read(path)
+
+
+def test_utf_16_is_no_utf_8(scene: Callable[[bytes], Path]) -> None:
+    with pytest.raises(DescriptionError, match="not UTF-8"):
+        read(scene(ARM.encode("utf-16")))
+
+
+def test_a_file_without_end() -> None:
+    with pytest.raises(DescriptionError, match="/dev/zero: is larger than 16 MiB"):
+        read("/dev/zero")
+
+
+@pytest.mark.parametrize("text", ["", " \n\n", "# only a remark\n", "---\n", "---\n...\n"])
+def test_an_empty_file(text: str) -> None:
+    _, _, limit, _ = only_fault_of(text)
+    assert limit.startswith("is empty")
+    assert "links" in limit
+
+
+@pytest.mark.parametrize("text", ["hello", "12", "[a, b]", "- links", '""', "null"])
+def test_a_file_that_is_no_mapping(text: str) -> None:
+    _, _, limit, line = only_fault_of(text)
+    assert "must be a mapping" in limit
+    assert line == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("name: [a\nlinks: b\n", 2),
+        ("name: a\n\tlinks: b\n", 2),
+        ("name: a: b\n", 1),
+        ("name: 'a\n", None),
+        ("{" * 5, None),
+        ("name: @a\n", 1),
+        ("%YAML 2.0\n---\nname: a\n", 1),
+    ],
+)
+def test_a_file_that_is_no_yaml(text: str, line: int | None) -> None:
+    _, _, limit, found = only_fault_of(text)
+    assert limit.startswith("is not YAML: ")
+    assert "\n" not in limit
+    assert line is None or found == line
+
+
+def test_control_characters_are_refused() -> None:
+    _, _, limit, _ = only_fault_of(ARM + "\x00")
+    assert limit.startswith("is not YAML")
+
+
+def test_several_documents() -> None:
+    _, _, limit, line = only_fault_of(f"{ARM}---\n{ARM}")
+    assert "more than one YAML document" in limit
+    assert line == 6
+
+
+# YAML's traps
+
+
+@pytest.mark.parametrize(
+    ("tag", "shown"),
+    [
+        ("!!python/object/apply:os.system", "!!python/object/apply:os.system"),
+        ("!!python/name:os.system", "!!python/name:os.system"),
+        ("!own", "!own"),
+        ("!!set", "!!set"),
+        ("!!binary", "!!binary"),
+        ("!<tag:example.org,2000:x>", "tag:example.org,2000:x"),
+    ],
+)
+def test_custom_tags_are_refused(tag: str, shown: str) -> None:
+    _, _, limit, line = only_fault_of(edited(ARM, "gravity: 9.81", f"gravity: {tag} 9.81"))
+    assert f"tag {shown} is refused" in limit
+    assert line == 2
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        '!!python/object/apply:os.system ["touch {}"]',
+        '!!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path ["{}"]]',
+        '!!python/object/new:subprocess.Popen [["touch", "{}"]]',
+    ],
+)
+def test_tags_are_never_executed(harm: str, tmp_path: Path) -> None:
+    victim = tmp_path / "touched"
+    faults_of(f"name: {harm.format(victim)}\n{ARM}")
+    faults_of(f"? {harm.format(victim)}\n: 1\n{ARM}")
+    assert not victim.exists()
+
+
+def laughs(levels: int, form: str) -> str:
+    text = "a0: &a0 [ha]\n"
+    for k in range(1, levels):
+        text += f"a{k}: &a{k} " + form.replace("*", f"*a{k - 1}") + "\n"
+    return text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        laughs(12, "[*, *, *, *, *, *, *, *, *, *]"),
+        laughs(70, "{x: *, y: *}"),
+        laughs(30, "[*, *]") + "links: *a29\n",
+    ],
+)
+def test_aliases_that_blow_up(text: str) -> None:
+    _, _, limit, line = only_fault_of(text)
+    assert "aliases counted" in limit
+    assert re.search(r"more than \d+ values", limit)
+    assert line is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("links: &a [*a]\n", "inside its own anchor"),
+        ("links: *nowhere\n", "*nowhere has no anchor"),
+    ],
+)
+def test_aliases_that_lead_nowhere(text: str, part: str) -> None:
+    _, _, limit, line = only_fault_of(text)
+    assert part in limit
+    assert line == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, "{a: " * 30_000, "- " * 20_000, "? " * 20_000, f"x: {'[' * 60}{']' * 60}"],
+)
+def test_deep_nesting(text: str) -> None:
+    _, _, limit, _ = only_fault_of(text)
+    assert re.search(r"nests deeper than \d+ levels", limit)
+
+
+@pytest.mark.parametrize("key", ["[a, b]", "{a: b}"])
+def test_keys_that_are_no_names(key: str) -> None:
+    _, _, limit, line = only_fault_of(f"? {key}\n: 1\n{ARM}")
+    assert "key must be a plain name" in limit
+    assert line == 1
+
+
+# Faults: place, value, what is allowed, line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "value", "limit", "line"),
+    [
+        # keys
+        ("gravity", "gravty", "gravty", None, "unknown key; did you mean gravity?", 2),
+        ("name: arm", "xyz: red", "xyz", None, "is an unknown key; known: links, name, gr", 1),
+        ("r: 0.36", "R: 0.36, r: 0.36", "links[0] (upper).R", None, "is an unknown key", 4),
+        ("I: 0.031", "I: 0.031, dampng: 1", "links[1] (lower).dampng", None, "mean damping?", 5),
+        ("l: 0.6, ", "", "links[1] (lower).l", None, "is missing", 5),
+        ("name: lower, ", "", "links[1].name", None, "is missing", 5),
+        ("I: 0.031", "I: 0.031, m: 2", "links[1] (lower).m", None, "is given twice", 5),
+        ("gravity: 9.81", "gravity: 9.81\ngravity: 9.81", "gravity", None, "is given twice", 3),
+        # numbers
+        ("m: 1.5", "m: heavy", "links[0] (upper).m", "heavy", "must be a number", 4),
+        ("m: 1.5", "m: '1.5'", "links[0] (upper).m", "'1.5'", "quoted text, not a number", 4),
+        ("m: 1.5", "m: ", "links[0] (upper).m", "nothing", "must be a number", 4),
+        ("m: 1.5", "m: null", "links[0] (upper).m", "null", "must be a number", 4),
+        ("m: 1.5", "m: ~", "links[0] (upper).m", "~", "must be a number", 4),
+        ("m: 1.5", "m: 1.5kg", "links[0] (upper).m", "1.5kg", "must be a number", 4),
+        ("m: 1.5", "m: 1_5", "links[0] (upper).m", "1_5", "must be a number", 4),
+        ("m: 1.5", "m: 0x15", "links[0] (upper).m", "0x15", "must be a number", 4),
+        ("m: 1.5", "m: 1:30", "links[0] (upper).m", "1:30", "must be a number", 4),
+        ("m: 1.5", "m: 2026-01-01", "links[0] (upper).m", "2026-01-01", "must be a number", 4),
+        ("m: 1.5", "m: [1.5]", "links[0] (upper).m", "a list", "must be a number", 4),
+        ("m: 1.5", "m: {kg: 1.5}", "links[0] (upper).m", "a mapping", "must be a number", 4),
+        ("m: 1.5", "m: nan", "links[0] (upper).m", "nan", "must be a finite number", 4),
+        ("m: 1.5", "m: .NaN", "links[0] (upper).m", ".NaN", "must be a finite number", 4),
+        ("m: 1.5", "m: .inf", "links[0] (upper).m", ".inf", "must be a finite number", 4),
+        ("m: 1.5", "m: -.inf", "links[0] (upper).m", "-.inf", "must be a finite number", 4),
+        ("m: 1.5", "m: 1e999", "links[0] (upper).m", "1e999", "too large", 4),
+        ("m: 1.5", "m: yes", "links[0] (upper).m", "yes", "is a truth value, not a number", 4),
+        ("m: 1.5", "m: No", "links[0] (upper).m", "No", "is a truth value, not a number", 4),
+        ("m: 1.5", "m: true", "links[0] (upper).m", "true", "is a truth value, not a number", 4),
+        ("m: 1.5", "m: off", "links[0] (upper).m", "off", "is a truth value, not a number", 4),
+        # amounts
+        ("m: 1.5", "m: -1.5", "links[0] (upper).m", "-1.5", "must be >= 0", 4),
+        ("l: 0.8", "l: -0.8", "links[0] (upper).l", "-0.8", "must be >= 0", 4),
+        ("I: 0.082", "I: -1e-9", "links[0] (upper).I", "-1e-9", "must be >= 0", 4),
+        ("r: 0.36", "r: -0.36", "links[0] (upper).r", "-0.36", "must be >= 0; write [x, y]", 4),
+        ("I: 0.082", "I: 1, payload: -2", "links[0] (upper).payload", "-2", "must be >= 0", 4),
+        ("I: 0.082", "I: 1, damping: -2", "links[0] (upper).damping", "-2", "must be >= 0", 4),
+        # vectors
+        ("r: 0.36", "r: [1]", "links[0] (upper).r", "1 values", "two numbers, [x, y]", 4),
+        ("r: 0.36", "r: [1, 2, 3]", "links[0] (upper).r", "3 values", "two numbers, [x, y]", 4),
+        ("r: 0.36", "r: []", "links[0] (upper).r", "0 values", "two numbers, [x, y]", 4),
+        ("r: 0.36", "r: [1, no]", "links[0] (upper).r[1]", "no", "is a truth value", 4),
+        ("r: 0.36", "r: [nan, 1]", "links[0] (upper).r[0]", "nan", "finite number", 4),
+        ("9.81", "[0, -9.81, 0]", "gravity", "3 values", "two numbers, [x, y]", 2),
+        ("9.81", "earth", "gravity", "earth", "must be a number", 2),
+        ("9.81", "{y: 9.81}", "gravity", "a mapping", "must be a number", 2),
+        # names
+        ("name: lower", "name: upper", "links[1].name", "upper", "links[0] too", 5),
+        ("name: lower", "name: ''", "links[1] ().name", "''", "must be a name", 5),
+        ("name: lower", "name: [a]", "links[1].name", "a list", "must be a name", 5),
+        ("name: arm", "name: {a: b}", "name", "a mapping", "must be a name", 1),
+        # from
+        ("I: 0.031", "I: 1, from: uper", "links[1] (lower).from", "uper", "mean upper?", 5),
+        ("I: 0.031", "I: 1, from: [1]", "links[1] (lower).from", "1 values", "[x, y]", 5),
+        ("I: 0.031", "I: 1, from: ", "links[1] (lower).from", "nothing", "must be a name", 5),
+        ("I: 0.031", "I: 1, from: lower", "links[1] (lower).from", None, "lower -> lower", 5),
+        (
+            *("I: 0.031", "I: 1, from: {link: xyz, at: [1, 2]}"),
+            *("links[1] (lower).from.link", "xyz", "names no link; known: upper, lower", 5),
+        ),
+        (
+            *("I: 0.031", "I: 1, from: {link: upper, at: [1, x]}"),
+            *("links[1] (lower).from.at[1]", "x", "must be a number", 5),
+        ),
+        (
+            *("I: 0.031", "I: 1, from: {link: upper}"),
+            *("links[1] (lower).from.at", None, "is missing", 5),
+        ),
+    ],
+)
+def test_a_fault_of_a_chain(
+    old: str, new: str, place: str, value: object, limit: str, line: int
+) -> None:
+    found = only_fault_of(edited(ARM, old, new))
+    assert (found[0], found[1], found[3]) == (place, value, line)
+    assert limit in found[2]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "value", "limit", "line"),
+    [
+        # closures
+        ("[coupler, rocker]", "[couple, rocker]", "closures[0][0]", "couple", "mean coupler?", 8),
+        ("[coupler, rocker]", "[coupler, tail]", "closures[0][1]", "tail", "known: crank, co", 8),
+        ("[coupler, rocker]", "[coupler]", "closures[0]", "1 sides", "must name two sides", 8),
+        ("[coupler, rocker]", "coupler", "closures[0]", "coupler", "must be a list", 8),
+        ("[coupler, rocker]", "[rocker, rocker]", "closures[0]", None, "two points of one link", 8),
+        ("[coupler, rocker]", "[[0, 0], [1, 1]]", "closures[0]", None, "points of the ground", 8),
+        ("[coupler, rocker]", "[coupler, [1]]", "closures[0][1]", "1 values", "[x, y]", 8),
+        (
+            *("[coupler, rocker]", "[{link: coupler, at: [1, yes]}, rocker]"),
+            *("closures[0][0].at[1]", "yes", "is a truth value, not a number", 8),
+        ),
+        (
+            *("[coupler, rocker]", "{point: couple, on: {through: [0, 0], along: [1, 0]}}"),
+            *("closures[0].point", "couple", "did you mean coupler?", 8),
+        ),
+        (
+            *("[coupler, rocker]", "{point: rocker, on: {through: [0, 0], along: [0, 0]}}"),
+            *("closures[0].on.along", "[0, 0]", "must point somewhere", 8),
+        ),
+        (
+            *("[coupler, rocker]", "{point: rocker, on: {along: [1, 0]}}"),
+            *("closures[0].on.through", None, "is missing", 8),
+        ),
+        (
+            *("[coupler, rocker]", "{point: [1, 0], on: {through: [0, 0], along: [1, 0]}}"),
+            *("closures[0].point", None, "must be a point of a link", 8),
+        ),
+        ("\n  - [coupler, rocker]", " 3", "closures", "3", "must be a list", 7),
+        # actuated, assembly, start
+        ("[crank]", "[cranck]", "actuated[0]", "cranck", "names no link; did you mean crank?", 9),
+        ("[crank]", "[crank, crank]", "actuated[1]", "crank", "is named twice", 9),
+        ("[crank]", "crank", "actuated", "crank", "must be a list", 9),
+        ("open", "opne", "assembly", "opne", "must be open or crossed", 10),
+        ("open", "yes", "assembly", "yes", "must be open or crossed", 10),
+        ("open", "[open, crossed]", "assembly", "2 words", "one for each of the 1 closures", 10),
+        ("open", "[shut]", "assembly[0]", "shut", "must be open or crossed", 10),
+        ("open", "open\nstart: {arm: 1}", "start.arm", None, "is an unknown link", 11),
+        ("open", "open\nstart: {crank: up}", "start.crank", "up", "must be a number", 11),
+        ("open", "open\nstart: {crank: 1, crank: 2}", "start.crank", None, "is given twice", 11),
+        ("open", "open\nstart: {crank: 1/0}", "start.crank", "1/0", "divides by zero", 11),
+        ("open", "open\nstart: [1, 2, 3]", "start", "a list", "must map link names to angles", 11),
+    ],
+)
+def test_a_fault_of_a_loop(
+    old: str, new: str, place: str, value: object, limit: str, line: int
+) -> None:
+    found = only_fault_of(edited(LOOP, old, new))
+    assert (found[0], found[1], found[3]) == (place, value, line)
+    assert limit in found[2]
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "value", "limit"),
+    [
+        ("name: a", "links", None, "is missing"),
+        ("links:", "links", "nothing", "must be a list"),
+        ("links: []", "links", "[]", "at least one link"),
+        ("links: {a: 1}", "links", "a mapping", "must be a list"),
+        ("links: 3", "links", "3", "must be a list"),
+        ("links: [3]", "links[0]", "3", "must be a mapping"),
+        ("links: [[a]]", "links[0]", "a list", "must be a mapping"),
+    ],
+)
+def test_faults_of_the_list_of_links(text: str, place: str, value: object, limit: str) -> None:
+    found = only_fault_of(text)
+    assert found[:2] == (place, value)
+    assert limit in found[2]
+
+
+def test_a_start_that_is_no_mapping_tells_its_value() -> None:
+    _, value, _, _ = only_fault_of(edited(LOOP, "open", "open\nstart: soon"))
+    assert value == "soon"
+
+
+def test_a_cycle_is_told_once_with_its_way_around() -> None:
+    text = """\
+links:
+  - {name: a, m: 1, l: 1, r: 0, I: 0, from: c}
+  - {name: b, m: 1, l: 1, r: 0, I: 0, from: a}
+  - {name: c, m: 1, l: 1, r: 0, I: 0, from: b}
+  - {name: d, m: 1, l: 1, r: 0, I: 0}
+"""
+    place, _, limit, line = only_fault_of(text)
+    assert place == "links[0] (a).from"
+    assert limit.endswith("a -> c -> b -> a")
+    assert line == 2
+
+
+def test_an_empty_link_lacks_every_key() -> None:
+    assert [(place, limit) for place, _, limit, _ in faults_of("links: [{}]")] == [
+        (f"links[0].{key}", "is missing") for key in ("name", "m", "l", "r", "I")
+    ]
+
+
+def test_all_faults_are_told_at_once_in_the_order_of_the_file() -> None:
+    text = """\
+nam: rig
+gravity: yes
+links:
+  - {name: a, m: -1, l: inf, r: [1, 2, 3], I: x}
+  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1, from: z, colour: red}
+closures:
+  - [a, q]
+actuated: [w]
+assembly: shut
+start: {v: 1}
+"""
+    faults = faults_of(text)
+    assert {(place, line) for place, _, _, line in faults} == {
+        ("nam", 1),
+        ("gravity", 2),
+        ("links[0] (a).m", 4),
+        ("links[0] (a).l", 4),
+        ("links[0] (a).r", 4),
+        ("links[0] (a).I", 4),
+        ("links[1].name", 5),
+        ("links[1] (a).colour", 5),
+        ("links[1] (a).from", 5),
+        ("closures[0][1]", 7),
+        ("actuated[0]", 8),
+        ("assembly", 9),
+        ("start.v", 10),
+    }
+    lines = [line or 0 for *_, line in faults]
+    assert lines == sorted(lines)
+
+
+def test_a_long_value_is_shortened() -> None:
+    place, value, limit, _ = only_fault_of(edited(ARM, "m: 1.5", f"m: {'9' * 5000}"))
+    assert place == "links[0] (upper).m"
+    assert "too large" in limit
+    assert len(str(value)) <= 60
+
+
+def test_a_message_holds_no_control_characters() -> None:
+    """A name or a value of the file must not write to the terminal on its own account."""
+    for text in (
+        edited(ARM, "name: lower, m: 0.9", r'name: "lo\e[31mwer", m: -1'),
+        edited(ARM, "name: lower, m: 0.9", r'name: "lo\nwer", m: -1'),
+        edited(ARM, "m: 1.5", r'm: "\e[31m1"'),
+        edited(ARM, "m: 1.5", r'm: 1.5, "\e[31mx": 1'),
+    ):
+        with pytest.raises(DescriptionError) as caught:
+            from_text(text, "my.yaml")
+        assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("m: 1.5, l: 0.8", "m: 1e300, l: 1e300"),
+        ("m: 1.5, l: 0.8, r: 0.36", "m: 1e200, l: 1, r: 1e100"),
+        ("m: 1.5, l: 0.8, r: 0.36", "m: 1.5, l: 0.8, r: [1e200, 1e200]"),
+        ("m: 1.5, l: 0.8", "m: 1.5, l: 1e200"),
+        ("I: 0.031", "I: 0.031, from: {link: upper, at: [1e200, 1e308]}"),
+        ("I: 0.031", "I: 0.031, from: [1e308, 1e308]"),
+    ],
+)
+def test_numbers_whose_products_overflow_are_an_input_error(change: tuple[str, str]) -> None:
+    with pytest.raises(InputError, match=r"my\.yaml.*too large"):
+        build(from_text(edited(ARM, *change), "my.yaml"))
+
+
+@pytest.mark.parametrize(
+    "along", ["[3, 4]", "[0, -1e-300]", "[1.7e308, 1.7e308]", "[5e-324, 5e-324]", "[1e-200, 1]"]
+)
+def test_a_sliders_direction_is_a_unit_vector_or_refused(along: str) -> None:
+    line = f"{{point: rocker, on: {{through: [0, 0], along: {along}}}}}"
+    with refusal(DescriptionError):
+        (closure,) = from_text(edited(LOOP, "[coupler, rocker]", line), "my.yaml").closures
+        assert closure.along is not None
+        assert abs(closure.along) == pytest.approx(1, abs=1e-15)
+
+
+# Fuzz
+
+
+def loads_or_is_refused(text: str) -> None:
+    """Any text is a scene or a DescriptionError; what loads is finite and makes sense."""
+    with refusal(DescriptionError):
+        scene = from_text(text, "my.yaml")
+        assert scene.links
+        for link in scene.links:
+            assert link.name
+            assert min(link.m, link.l, link.I, link.payload, link.damping) >= 0
+            assert all(map(math.isfinite, (link.m, link.l, abs(link.r), link.I)))
+        with refusal(InputError):
+            build(scene)
+
+
+@contextmanager
+def refusal(kind: type[InputError]) -> Iterator[None]:
+    """An error of this very kind may be raised here, if it names the file."""
+    error = None
+    try:
+        yield
+    except kind as caught:
+        error = caught
+    assert error is None or (type(error) is kind and "my.yaml" in str(error))
+
+
+PIECES = st.sampled_from(
+    [
+        *("", "-", ":", ",", "[", "]", "{", "}", "&a ", "*a", "!", "!!str ", "? ", "#", "'", '"'),
+        *("\n", "  ", "---\n", "...\n", "<<: ", "|\n", ">\n", "%", "@", "`", "\t", "\0", "\ufeff"),
+        *("nan", ".inf", "1e999", "1e300", "-1", "1e-3", "0", "yes", "null", "~", "[0, 0]", "[]"),
+        *("{}", "[1, 2]", "plate", "left", "open", "from: left", "link", "at: [1, 2]", "start: "),
+    ]
+)
+
+
+@st.composite
+def mutations(draw: st.DrawFn) -> str:
+    """A good scene with a few pieces cut out, doubled, swapped in or put in."""
+    text = draw(st.sampled_from([ARM, LOOP, EVERYTHING]))
+    for _ in range(draw(st.integers(1, 4))):
+        begin = draw(st.integers(0, len(text)))
+        end = min(len(text), begin + draw(st.integers(0, 12)))
+        piece = draw(st.one_of(PIECES, st.just(text[begin:end] * 2), st.text(max_size=3)))
+        text = text[:begin] + piece + text[end:]
+    return text
+
+
+@st.composite
+def value_mutations(draw: st.DrawFn) -> str:
+    """A good scene with some of its words exchanged for others."""
+    parts = re.split(r"([\w.+-]+)", draw(st.sampled_from([ARM, LOOP, EVERYTHING])))
+    words = st.one_of(PIECES, st.sampled_from(parts[1::2]))
+    for _ in range(draw(st.integers(1, 3))):
+        place = draw(st.integers(0, len(parts) // 2 - 1))
+        parts[2 * place + 1] = draw(words)
+    return "".join(parts)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(mutations())
+def test_a_damaged_scene_loads_or_is_refused(text: str) -> None:
+    loads_or_is_refused(text)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(value_mutations())
+def test_a_scene_with_wrong_words_loads_or_is_refused(text: str) -> None:
+    loads_or_is_refused(text)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.one_of(st.text(), st.text(alphabet="ab:-,[]{}&*!?#'\"\n |>%@`\t0")))
+def test_any_text_is_refused_or_loads(text: str) -> None:
+    loads_or_is_refused(text)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.binary(max_size=60))
+def test_any_bytes_are_refused(data: bytes) -> None:
+    with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
+        file.write(data)
+        file.flush()
+        with pytest.raises(DescriptionError, match=file.name):
+            read(file.name)

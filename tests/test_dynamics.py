@@ -1,0 +1,774 @@
+"""Inverse and forward dynamics against the lecture, Newton-Euler and 30 digits.
+
+M qdd + C qd + D qd + G = S^T tau_act + Psi^T lambda        Psi qdd + Psidot qd = 0      (1)
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from mpmath import mp, mpf
+
+import oracles
+import robodyn
+from random_mechanisms import (
+    LOOPS,
+    Shape,
+    assert_close,
+    loops,
+    mechanism,
+    oracle_closures,
+    oracle_tree,
+    seeded_scene,
+    seeded_tree,
+    sizes,
+    trees,
+)
+from robodyn import closed_form as cf
+from robodyn import dense_dynamics, formulas
+from robodyn import dynamics as dyn
+from robodyn.errors import InputError, RobodynError, SingularError
+
+SEEDS = range(8)
+EACH_LOOP = pytest.mark.parametrize("name", LOOPS)
+
+TWO_LINK = oracles.TwoLink(1.5, 0.8, 0.36, 0.082, 0.9, 0.6, 0.25, 0.031)
+FOUR_BAR = oracles.FourBar(
+    *(0.6, 0.35, 0.15, 0.008),
+    *(1.3, 0.95, 0.45, 0.102),
+    *(1.0, 0.80, 0.36, 0.061),
+    *(1.1, 0.07),
+)
+FOUR_BAR_LINKS = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.6, l: 0.35, r: 0.15, I: 0.008}
+  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
+  - {name: rocker, m: 1.0, l: 0.8, r: 0.36, I: 0.061, from: [1.1, 0.07]}
+"""
+FOUR_BAR_YAML = FOUR_BAR_LINKS + "closures: [[coupler, rocker]]\n"
+TWO_LINK_YAML = """
+gravity: 9.81
+links:
+  - {name: upper arm, m: 1.5, l: 0.8, r: 0.36, I: 0.082}
+  - {name: forearm, m: 0.9, l: 0.6, r: 0.25, I: 0.031}
+"""
+PARALLELOGRAM_YAML = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.45, l: 0.3, r: 0.14, I: 0.0041}
+  - {name: coupler, m: 1.1, l: 0.7, r: 0.36, I: 0.049}
+  - {name: rocker, m: 0.55, l: 0.3, r: 0.16, I: 0.0052, from: [0.7, 0]}
+closures: [[coupler, rocker]]
+"""
+THREE_CRANKS_YAML = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.45, l: 0.3, r: 0.14, I: 0.0041}
+  - {name: coupler, m: 1.1, l: 0.7, r: 0.36, I: 0.049}
+  - {name: rocker, m: 0.55, l: 0.3, r: 0.16, I: 0.0052, from: [0.7, 0]}
+  - {name: third, m: 0.25, l: 0.3, r: 0.11, I: 0.0032, from: [0.3, 0]}
+closures: [[coupler, rocker], [{link: coupler, at: [0.3, 0]}, third]]
+actuated: [crank]
+"""
+
+
+# -- equation (1) at 30 digits -------------------------------------------------------------------
+
+
+class Exact:
+    """Equation (1) of a mechanism at one state at 30 digits, every float taken as exact."""
+
+    def __init__(self, mech, q, qd):
+        description = mech.description
+        with mp.workdps(30):
+            terms = oracles.sympy_terms(
+                oracle_tree(description),
+                mech.gamma,
+                oracle_closures(description),
+                backend="mpmath",
+            )(q, qd)
+            self.mech = mech
+            self.M = terms.M
+            self.free = terms.C @ qd + terms.G + np.array(mech.damping) * qd  # load at qdd = 0
+            Psi, bias = [], []
+            for c, closure in enumerate(description.closures):
+                x, y = terms.Psi[2 * c], terms.Psi[2 * c + 1]
+                ax, ay = terms.Psidot_qd[2 * c], terms.Psidot_qd[2 * c + 1]
+                if closure.along is None:
+                    Psi += [x, y]
+                    bias += [ax, ay]
+                else:  # the component along the normal i * along
+                    nx, ny = -closure.along.imag, closure.along.real
+                    Psi.append(nx * x + ny * y)
+                    bias.append(nx * ax + ny * ay)
+            self.Psi = np.array(Psi, dtype=object).reshape(len(bias), mech.n)
+            self.bias = np.array(bias, dtype=object)
+
+    def forward(self, tau):
+        """qdd and lambda: [M -Psi^T; Psi 0] [qdd; lambda] = [tau - free; -bias]."""
+        with mp.workdps(30):
+            r = len(self.bias)
+            top = np.hstack([self.M, -self.Psi.T])
+            bottom = np.hstack([self.Psi, np.zeros((r, r), dtype=object)])
+            found = _solve(np.vstack([top, bottom]), np.concatenate([tau - self.free, -self.bias]))
+            return found[: self.mech.n], found[self.mech.n :]
+
+    def inverse(self, qdd):
+        """tau (n,) and lambda: [S^T Psi^T] [tau_act; lambda] = M qdd + free, where square."""
+        with mp.workdps(30):
+            driven = list(self.mech.actuated)
+            S = np.eye(self.mech.n)[:, driven]
+            found = _solve(np.hstack([S, self.Psi.T]), self.M @ qdd + self.free)
+            tau = np.full(self.mech.n, mpf(0), dtype=object)
+            tau[driven] = found[: len(driven)]
+            return tau, found[len(driven) :]
+
+    def unbalance(self, qdd, tau, lam):
+        """The largest entry of M qdd + free - tau - Psi^T lambda, N m, and of Psi qdd + bias."""
+        with mp.workdps(30):
+            torque = self.M @ qdd + self.free - tau - self.Psi.T @ lam
+            bend = self.Psi @ qdd + self.bias
+            return float(max(abs(torque))), float(max(abs(bend), default=0))
+
+
+def _solve(matrix, right):
+    return np.array(mp.lu_solve(mp.matrix(matrix.tolist()), mp.matrix(right.tolist())))
+
+
+def neighbours(scene, count, seed=0):
+    """Many states (q, qd, qdd) around a scene's own; equation (1) holds for open loops too."""
+    rng = np.random.default_rng(seed)
+    spreads = (0.05, 1.0, 10.0)
+    return tuple(
+        state + spread * rng.normal(size=(count, scene.n))
+        for state, spread in zip(scene.states, spreads, strict=True)
+    )
+
+
+def one_by_one(function, mech, states):
+    """Joint values and multipliers of `function` called with each state by itself."""
+    found = [function(mech, *state)[:2] for state in zip(*states, strict=True)]
+    return tuple(np.array(part) for part in zip(*found, strict=True))
+
+
+# ------------------------------------------------------------------------------------------------
+
+
+class TestOpenInverse:
+    @settings(deadline=None, max_examples=80)
+    @given(trees(most=7))
+    def test_newton_euler(self, scene):
+        mech = scene.mechanism
+        expected = (
+            oracles.newton_euler(oracle_tree(mech.description), mech.gamma, *scene.states)
+            + np.array(mech.damping) * scene.qd
+        )
+        tau = dyn.inverse_dynamics(mech, *scene.states)
+        assert_close(tau, expected, sizes(mech.description).torque(scene.qd, scene.qdd))
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_lecture_2r(self, seed):
+        """tau = M qdd + C qd + G, equations (24)-(27)."""
+        q, qd, qdd = np.random.default_rng(seed).normal(size=(3, 2)) * [[2.0], [5.0], [20.0]]
+        mech = mechanism(TWO_LINK_YAML)
+        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
+        size = sizes(mech.description).torque(qd, qdd)
+        assert_close(tau, oracles.two_link_torque(TWO_LINK, q, qd, qdd), size)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_thirty_digits(self, seed):
+        scene = seeded_tree(seed, 6)
+        mech = scene.mechanism
+        exact = oracles.newton_euler_mp(oracle_tree(mech.description), mech.gamma, *scene.states)
+        tau = dyn.inverse_dynamics(mech, *scene.states)
+        with mp.workdps(30):
+            exact = exact + np.array(mech.damping) * scene.qd
+            assert_close(tau, exact, sizes(mech.description).torque(scene.qd, scene.qdd), 1e-14)
+
+    def test_damping_is_at_the_joint(self):
+        """0.4 N m s/rad at the elbow, moving at 5 rad/s: 2 N m more there, nothing elsewhere."""
+        damped = TWO_LINK_YAML.replace("I: 0.031}", "I: 0.031, damping: 0.4}")
+        states = [0.1, 0.2], [3.0, 5.0], [0.0, 0.0]
+        more = dyn.inverse_dynamics(mechanism(damped), *states) - dyn.inverse_dynamics(
+            mechanism(TWO_LINK_YAML), *states
+        )
+        assert_close(more, [0.0, 2.0], 20.0)
+
+    def test_the_public_name(self):
+        mech = mechanism(TWO_LINK_YAML)
+        states = [0.1, 0.2], [3.0, 5.0], [1.0, 2.0]
+        tau = robodyn.inverse_dynamics(mech, *states)
+        assert_close(robodyn.forward_dynamics(mech, *states[:2], tau), states[2], 10.0)
+
+
+class TestOpenForward:
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_lecture_2r(self, seed):
+        q, qd, tau = np.random.default_rng(seed).normal(size=(3, 2)) * [[2.0], [5.0], [20.0]]
+        expected = oracles.two_link_acceleration(TWO_LINK, q, qd, tau)
+        qdd = dyn.forward_dynamics(mechanism(TWO_LINK_YAML), q, qd, tau)
+        assert_close(qdd, expected, np.abs(expected).max() + np.abs(qd).max() ** 2)
+
+    @settings(deadline=None, max_examples=80)
+    @given(trees(most=7))
+    def test_undoes_inverse(self, scene):
+        """forward(inverse(qdd)) = qdd, to the rounding of tau times 1 / (least eigenvalue of M)."""
+        mech = scene.mechanism
+        tau = dyn.inverse_dynamics(mech, *scene.states)
+        qdd = dyn.forward_dynamics(mech, scene.q, scene.qd, tau)
+        least = np.linalg.eigvalsh(cf.mass_matrix(mech, scene.q))[0]
+        size = sizes(mech.description).torque(scene.qd, scene.qdd) / least
+        assert_close(qdd, scene.qdd, size)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_balances_forces_at_thirty_digits(self, seed):
+        scene = seeded_tree(seed, 5)
+        mech = scene.mechanism
+        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, scene.q, scene.qd)
+        tau = 30.0 * np.sin(np.arange(5.0))
+        qdd = dyn.forward_dynamics(mech, scene.q, scene.qd, tau)
+        with mp.workdps(30):
+            back = M @ qdd + C @ scene.qd + G + np.array(mech.damping) * scene.qd
+            assert_close(back, tau, sizes(mech.description).torque(scene.qd, qdd))
+
+
+class TestMassRatios:
+    """Masses up to a million million apart, at 30 digits."""
+
+    CHAINS = ((1e-6, 1.0), (1.0, 1e-6), (1e6, 1.0, 1e-6), (1e-6, 1.0, 1e6), (1.0, 1e6, 1e-6, 1e6))
+
+    @staticmethod
+    def chain(masses):
+        return mechanism(
+            "gravity: 9.81\nlinks:\n"
+            + "".join(
+                f"  - {{name: l{k}, m: {m}, l: {0.8 - 0.1 * k}, r: 0.3, I: {0.02 * m}}}\n"
+                for k, m in enumerate(masses)
+            )
+        )
+
+    @pytest.mark.parametrize("masses", CHAINS)
+    def test_torque_of_each_joint(self, masses):
+        """To 1e-13 of what the links from that joint on weigh and bear."""
+        mech, n = self.chain(masses), len(masses)
+        q, qd, qdd = np.random.default_rng(n).normal(size=(3, n)) * [[2.0], [3.0], [9.0]]
+        tree = oracle_tree(mech.description)
+        exact = oracles.newton_euler_mp(tree, mech.gamma, q, qd, qdd)
+        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
+        acceleration = np.abs(qdd).sum() + np.abs(qd).sum() ** 2 + 10.0
+        for k in range(n):
+            assert_close(tau[k], float(exact[k]), 3.0 * sum(masses[k:]) * acceleration)
+
+    @pytest.mark.parametrize("masses", CHAINS)
+    def test_accelerations_balance_the_forces(self, masses):
+        mech, n = self.chain(masses), len(masses)
+        q, qd = np.random.default_rng(n).normal(size=(2, n)) * [[2.0], [3.0]]
+        tau = np.array([sum(masses[k:]) for k in range(n)]) * np.cos(np.arange(n))
+        qdd = dyn.forward_dynamics(mech, q, qd, tau)
+        exact = Exact(mech, q, qd)
+        unbalance, _ = exact.unbalance(qdd, tau, np.zeros(0))
+        assert unbalance <= 1e-13 * sizes(mech.description).torque(qd, qdd)
+
+    @pytest.mark.parametrize("coupler", [1e-6, 1e6])
+    @pytest.mark.parametrize("rocker", [1e-6, 1.0, 1e6])
+    @pytest.mark.parametrize("count", [1, 200])
+    def test_four_bar(self, coupler, rocker, count):
+        p = FOUR_BAR._replace(m2=1.3 * coupler, I2=0.102 * coupler)
+        p = p._replace(m3=1.0 * rocker, I3=0.061 * rocker)
+        text = FOUR_BAR_YAML.replace("m: 1.3", f"m: {p.m2}").replace("I: 0.102", f"I: {p.I2}")
+        text = text.replace("m: 1.0", f"m: {p.m3}").replace("I: 0.061", f"I: {p.I3}")
+        mech = mechanism(text)
+        q = oracles.four_bar_position(p, 1.0)
+        k, _ = oracles.four_bar_coefficients(p, q)
+        qd, tau = 3.0 * k, np.array([2.0 * (1.0 + coupler + rocker), 0.0, 0.0])
+        motion = dyn.forward_dynamics_and_forces(mech, np.tile(q, (count, 1)), qd, tau)
+        qdd, lam = (x.astype(float) for x in Exact(mech, q, qd).forward(tau))
+        assert_close(motion.qdd[0], qdd, np.abs(qdd).max(), 1e-10)
+        assert_close(motion.multipliers[0], lam, np.abs(lam).max() + tau[0], 1e-10)
+
+
+class TestFourBar:
+    """The lecture's four-bar, broken at O3."""
+
+    @pytest.mark.parametrize("assembly", ["open", "crossed"])
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_acceleration_is_equation_33(self, seed, assembly):
+        """M qdd = f - Psi^T (Psi M^-1 Psi^T)^-1 (Psi M^-1 f + Psidot qd), f = tau - C qd - G."""
+        rng = np.random.default_rng(seed)
+        q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi), assembly)
+        qd = oracles.four_bar_coefficients(FOUR_BAR, q)[0] * rng.uniform(-5.0, 5.0)
+        tau = rng.uniform(-20.0, 20.0, 3)  # torques at every joint
+        qdd, lam = oracles.four_bar_acceleration(FOUR_BAR, q, qd, tau)
+        motion = dyn.forward_dynamics_and_forces(mechanism(FOUR_BAR_YAML), q, qd, tau)
+        assert_close(motion.qdd, qdd, np.abs(qdd).max(), 1e-12)
+        assert_close(motion.multipliers, lam, np.abs(lam).max(), 1e-12)
+
+    @pytest.mark.parametrize("assembly", ["open", "crossed"])
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_torque_is_that_of_the_passive_rows(self, seed, assembly):
+        rng = np.random.default_rng(seed)
+        q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi), assembly)
+        k, k_prime = oracles.four_bar_coefficients(FOUR_BAR, q)
+        speed, acceleration = rng.uniform(-5.0, 5.0), rng.uniform(-20.0, 20.0)
+        qd, qdd = k * speed, k * acceleration + k_prime * speed**2
+        tau1, lam = oracles.four_bar_torque(FOUR_BAR, q, qd, qdd)
+        found = dyn.inverse_dynamics_and_forces(mechanism(FOUR_BAR_YAML), q, qd, qdd)
+        assert found.tau[1:].tolist() == [0.0, 0.0]
+        assert_close(found.tau[0], tau1, abs(tau1) + np.abs(lam).max(), 1e-12)
+        assert_close(found.multipliers, lam, np.abs(lam).max(), 1e-12)
+
+        back = oracles.four_bar_reduced_acceleration(FOUR_BAR, q[0], speed, tau1, assembly)
+        assert_close(back, acceleration, np.abs(qdd).max(), 1e-11)
+
+
+class TestPinForces:
+    """A multiplier is the force on the side that the closure names first."""
+
+    def state(self):
+        q = oracles.four_bar_position(FOUR_BAR, 0.9)
+        return q, 4.0 * oracles.four_bar_coefficients(FOUR_BAR, q)[0], np.array([3.0, 0.0, 0.0])
+
+    def test_moment_on_the_second_side_is_the_opposite(self):
+        """(I3 + m3 r3^2) phi1dd = l3 x (-F) - weight, F on the coupler, -F on the rocker."""
+        mech, p = mechanism(FOUR_BAR_YAML), FOUR_BAR
+        q, qd, tau = self.state()
+        motion = dyn.forward_dynamics_and_forces(mech, q, qd, tau)
+        ((fx, fy),) = dyn.pin_forces(mech, motion.multipliers)
+        c, s = np.cos(q[2]), np.sin(q[2])
+        moment = p.l3 * (c * -fy - s * -fx) - p.m3 * p.g * p.r3 * c
+        inertia = p.I3 + p.m3 * p.r3**2
+        assert_close(inertia * motion.qdd[2], moment, abs(fx) + abs(fy))
+
+    def test_naming_the_other_side_first_turns_the_force_around(self):
+        swapped = mechanism(FOUR_BAR_LINKS + "closures: [[rocker, coupler]]\n")
+        found = dyn.forward_dynamics_and_forces(mechanism(FOUR_BAR_YAML), *self.state())
+        turned = dyn.forward_dynamics_and_forces(swapped, *self.state())
+        size = np.abs(found.multipliers).max()
+        assert_close(turned.multipliers, -found.multipliers, size, 1e-12)
+        assert_close(turned.qdd, found.qdd, np.abs(found.qdd).max(), 1e-12)
+
+    def test_a_line_bears_the_weight_of_a_rod(self):
+        """A rod of 2 kg, l = 1, r = 0.25, at rest on Y = 0: the line lifts with m g r / l."""
+        mech = mechanism(
+            "gravity: 9.81\n"
+            "links: [{name: rod, m: 2, l: 1, r: 0.25, I: 0.1}]\n"
+            "closures: [{point: rod, on: {through: [0, 0], along: [-2, 0]}}]"
+        )
+        motion = dyn.forward_dynamics_and_forces(mech, [0.0], [0.0], [0.0])
+        assert motion.qdd.tolist() == [0.0]
+        expected = [[0.0, 2 * 9.81 * 0.25]]
+        assert_close(dyn.pin_forces(mech, motion.multipliers), expected, 10.0)
+
+    def test_an_inclined_line_pushes_along_its_normal_only(self):
+        scene = seeded_scene(3, LOOPS["slider-crank"])
+        mech = scene.mechanism
+        found = dyn.inverse_dynamics_and_forces(mech, *scene.states)
+        ((fx, fy),) = dyn.pin_forces(mech, found.multipliers)
+        along = mech.description.closures[0].along
+        size = float(np.hypot(fx, fy))
+        assert size > 0.1
+        assert_close(fx * along.real + fy * along.imag, 0.0, size)
+
+    def test_each_closure_has_its_force(self):
+        scene = seeded_scene(4, LOOPS["six-bar with a piston"])
+        mech = scene.mechanism
+        lam = np.array([[1.0, 2.0, 3.0]] * 5)
+        forces = dyn.pin_forces(mech, lam)
+        normal = 1j * mech.description.closures[1].along
+        assert forces.shape == (5, 2, 2)
+        assert_close(forces[4], [[1.0, 2.0], [3 * normal.real, 3 * normal.imag]], 3.0)
+
+
+class TestClosed:
+    @EACH_LOOP
+    def test_inverse_at_thirty_digits(self, name):
+        for seed in SEEDS:
+            scene = seeded_scene(seed, LOOPS[name])
+            found = dyn.inverse_dynamics_and_forces(scene.mechanism, *scene.states)
+            tau, lam = Exact(scene.mechanism, scene.q, scene.qd).inverse(scene.qdd)
+            size = float(max([*abs(tau), *abs(lam)]))
+            assert_close(found.tau, tau.astype(float), size)
+            assert_close(found.multipliers, lam.astype(float), size)
+
+    @EACH_LOOP
+    def test_forward_at_thirty_digits(self, name):
+        for seed in SEEDS:
+            scene = seeded_scene(seed, LOOPS[name])
+            mech, size = scene.mechanism, sizes(scene.mechanism.description)
+            tau = 20.0 * np.cos(seed + np.arange(scene.n))
+            qdd, lam = dyn.forward_dynamics_and_forces(mech, scene.q, scene.qd, tau)[:2]
+            exact = Exact(mech, scene.q, scene.qd)
+            unbalance, bend = exact.unbalance(qdd, tau, lam)
+            assert unbalance <= 1e-13 * (size.torque(scene.qd, qdd) + size.loop * np.abs(lam).sum())
+            turning = np.abs(qdd).sum() + np.abs(scene.qd).sum() ** 2
+            assert bend <= 1e-13 * size.loop * turning
+            expected, forces = exact.forward(tau)
+            assert_close(qdd, expected.astype(float), float(max(abs(expected))), 1e-12)
+            assert_close(lam, forces.astype(float), float(max(abs(forces))), 1e-12)
+
+    @settings(deadline=None, max_examples=80)
+    @given(loops())
+    def test_forward_undoes_inverse(self, scene):
+        mech = scene.mechanism
+        found = dyn.inverse_dynamics_and_forces(mech, *scene.states)
+        motion = dyn.forward_dynamics_and_forces(mech, scene.q, scene.qd, found.tau)
+        size = np.abs(scene.qdd).max() + np.abs(scene.qd).max() ** 2 + 10.0
+        assert_close(motion.qdd, scene.qdd, size, 1e-11)
+
+    def test_passive_joints_carry_no_torque(self):
+        for name, shape in LOOPS.items():
+            scene = seeded_scene(1, shape)
+            tau = dyn.inverse_dynamics(scene.mechanism, *scene.states)
+            assert not tau[list(scene.mechanism.passive)].any(), name
+
+
+class TestMasslessLinks:
+    CLOSED = (
+        ("four-bar", (1,)),
+        ("four-bar driven by its rocker", (0, 1)),
+        ("slider-crank", (1,)),
+        ("five-bar", (1, 3)),
+        ("six-bar, dyad on the coupler", (3,)),
+    )
+
+    @pytest.mark.parametrize(("name", "massless"), CLOSED)
+    def test_in_a_loop_that_moves_mass(self, name, massless):
+        """M alone is singular; the constrained system is not."""
+        for seed in SEEDS:
+            scene = seeded_scene(seed, LOOPS[name], massless)
+            mech = scene.mechanism
+            assert not dense_dynamics.elimination_is_safe(mech)
+            tau = 20.0 * np.cos(seed + np.arange(scene.n))
+            qdd, lam = dyn.forward_dynamics_and_forces(mech, scene.q, scene.qd, tau)[:2]
+            expected, forces = Exact(mech, scene.q, scene.qd).forward(tau)
+            assert_close(qdd, expected.astype(float), float(max(abs(expected))), 1e-12)
+            assert_close(lam, forces.astype(float), float(max(abs(forces))), 1e-12)
+
+    @pytest.mark.parametrize(("name", "massless"), CLOSED)
+    def test_in_a_batch(self, name, massless):
+        scene = seeded_scene(1, LOOPS[name], massless)
+        q, qd, tau = neighbours(scene, 250)
+        together = dyn.forward_dynamics(scene.mechanism, q, qd, tau)
+        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, scene.mechanism, (q, qd, tau))
+        assert_close(together, alone, np.abs(alone).max(), 1e-12)
+
+    @pytest.mark.parametrize("n", [1, 2, 4])
+    @pytest.mark.parametrize("count", [1, 300])
+    def test_at_the_end_of_an_open_chain_is_named(self, n, count):
+        scene = seeded_scene(n, Shape((None, *range(n - 1))), massless=(n - 1,))
+        q, qd, tau = neighbours(scene, count)
+        with pytest.raises(SingularError, match=rf"link{n - 1} can move without any inertia"):
+            dyn.forward_dynamics(scene.mechanism, q, qd, tau)
+
+    def test_within_an_open_chain_is_no_trouble(self):
+        scene = seeded_scene(5, Shape((None, 0, 1)), massless=(1,))
+        mech = scene.mechanism
+        tau = dyn.inverse_dynamics(mech, *scene.states)
+        qdd = dyn.forward_dynamics(mech, scene.q, scene.qd, tau)
+        assert_close(qdd, scene.qdd, np.abs(scene.qdd).max() + 100.0, 1e-12)
+
+    @pytest.mark.parametrize("count", [1, 300])
+    def test_singular_at_one_configuration_only(self, count):
+        """A point mass at the tip of two massless rods: free to be pulled apart once stretched."""
+        mech = mechanism(
+            "links:\n"
+            "  - {name: first, m: 0, l: 1, r: 0, I: 0}\n"
+            "  - {name: second, m: 1, l: 1, r: 1, I: 0}\n"
+        )
+        q = np.zeros((count, 2))
+        q[:, 1] = np.linspace(0.5, 2.0, count)
+        assert np.isfinite(dyn.forward_dynamics(mech, q, 0 * q, [1.0, 0.0])).all()
+        q[count // 2, 1] = 0.0
+        with pytest.raises(SingularError, match="can move without any inertia"):
+            dyn.forward_dynamics(mech, q, 0 * q, [1.0, 0.0])
+
+    def test_inverse_dynamics_needs_no_mass_at_all(self):
+        mech = mechanism("links: [{name: wire, m: 0, l: 1, r: 0, I: 0, damping: 2}]")
+        assert dyn.inverse_dynamics(mech, [1.0], [3.0], [5.0]).tolist() == [6.0]
+
+
+class TestRedundantClosures:
+    """A parallelogram with a third parallel crank: one freedom, four closure rows of rank three.
+
+    With k = dq/dtheta = (1, -1, 1, 1), constant: k^T M k thetadd + k^T (C qd + G) = tau1.
+    """
+
+    K = np.array([1.0, -1.0, 1.0, 1.0])
+    pytestmark = pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+
+    def reduced(self, theta, speed):
+        mech = mechanism(THREE_CRANKS_YAML)
+        q, qd = theta * self.K, speed * self.K
+        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
+        load = self.K @ (C @ qd + G)
+        return mech, q, qd, float(self.K @ M @ self.K), float(load)
+
+    @pytest.mark.parametrize("theta", [0.7, -2.0, 1.57])
+    def test_accelerations(self, theta):
+        mech, q, qd, inertia, load = self.reduced(theta, 4.0)
+        motion = dyn.forward_dynamics_and_forces(mech, q, qd, [2.0, 0.0, 0.0, 0.0])
+        expected = (2.0 - load) / inertia
+        assert_close(motion.qdd, expected * self.K, abs(expected), 1e-12)
+
+    @pytest.mark.parametrize("theta", [0.7, -2.0, 1.57])
+    def test_torque(self, theta):
+        mech, q, qd, inertia, load = self.reduced(theta, 4.0)
+        tau = dyn.inverse_dynamics(mech, q, qd, 9.0 * self.K)
+        expected = inertia * 9.0 + load
+        assert_close(tau, [expected, 0.0, 0.0, 0.0], abs(expected), 1e-12)
+
+    def test_pin_forces_balance_and_are_the_least(self):
+        """M qdd + C qd + G = tau + Psi^T lambda with the lambda that has no part in null(Psi^T)."""
+        mech, q, qd, _, _ = self.reduced(0.7, 4.0)
+        tau = np.array([2.0, 0.0, 0.0, 0.0])
+        qdd, lam = dyn.forward_dynamics_and_forces(mech, q, qd, tau)[:2]
+        Psi = cf.closure_jacobian(mech, q)
+        load = dense_dynamics.required_load(mech, q, qd, qdd)
+        assert_close(load, tau + Psi.T @ lam, np.abs(lam).max(), 1e-12)
+        U, s, _ = np.linalg.svd(Psi)
+        assert s[3] < 1e-15 * s[0]
+        assert_close(U[:, 3] @ lam, 0.0, np.abs(lam).max(), 1e-12)
+
+    def test_pin_forces_that_are_not_unique_come_with_a_warning(self):
+        mech, q, qd, _, _ = self.reduced(0.7, 4.0)
+        with pytest.warns(dyn.RobodynWarning):
+            dyn.forward_dynamics_and_forces(mech, q, qd, [2.0, 0.0, 0.0, 0.0])
+
+    def test_in_a_batch(self):
+        mech = mechanism(THREE_CRANKS_YAML)
+        theta = np.linspace(0.2, 2.9, 250)[:, None]
+        q, qd, tau = theta * self.K, 4.0 * self.K, np.array([2.0, 0.0, 0.0, 0.0])
+        qdd = dyn.forward_dynamics(mech, q, qd, tau)
+        alone = np.array([dyn.forward_dynamics(mech, state, qd, tau) for state in q])
+        assert_close(qdd, alone, np.abs(alone).max(), 1e-12)
+        back = dyn.inverse_dynamics(mech, q, qd, qdd)
+        assert_close(back, np.broadcast_to(tau, back.shape), 20.0, 1e-11)
+
+
+class TestActuation:
+    @staticmethod
+    def driven(shape, *actuated):
+        return Shape(shape.parents, shape.closures, shape.sliders, actuated)
+
+    @pytest.mark.parametrize("name", ["four-bar", "five-bar", "slider-crank", "loop in a tree"])
+    @pytest.mark.parametrize("count", [1, 250])
+    def test_more_actuators_than_freedoms_share_the_load(self, name, count):
+        """Of all tau with N^T S tau = N^T load (N the null space of Psi) the shortest."""
+        scene = seeded_scene(2, LOOPS[name])
+        text = scene.text.replace("actuated: [", "actuated: [link1, ")
+        mech = mechanism(text)
+        states = tuple(np.tile(state, (count, 1)) for state in scene.states)
+        with pytest.warns(dyn.RobodynWarning, match="least norm"):
+            found = dyn.inverse_dynamics_and_forces(mech, *states)
+
+        load = dense_dynamics.required_load(mech, *scene.states)
+        Psi = cf.closure_jacobian(mech, scene.q)
+        N = np.linalg.svd(Psi)[2][len(mech.rows) :].T
+        driven = list(mech.actuated)
+        least = np.linalg.lstsq(N[driven].T, N.T @ load)[0]
+        assert_close(found.tau[-1, driven], least, np.abs(load).max(), 1e-11)
+        balance = found.tau[-1] + Psi.T @ found.multipliers[-1]
+        assert_close(balance, load, np.abs(load).max(), 1e-11)
+
+    def test_the_exact_number_of_actuators_does_not_warn(self):
+        scene = seeded_scene(2, LOOPS["five-bar"])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            dyn.inverse_dynamics(scene.mechanism, *scene.states)
+
+    @pytest.mark.parametrize("count", [1, 250])
+    def test_fewer_actuators_name_the_free_joint(self, count):
+        scene = seeded_scene(2, self.driven(LOOPS["five-bar"], 0, 2))
+        mech = mechanism(scene.text.replace("actuated: [link0, link2]", "actuated: [link0]"))
+        states = [np.tile(state, (count, 1)) for state in scene.states]
+        text = r"fewer actuators \(1\) than freedoms \(2\): joint q[234] \(link"
+        with pytest.raises(RobodynError, match=text):
+            dyn.inverse_dynamics(mech, *states)
+
+    def test_an_arm_with_a_passive_shoulder_names_it(self):
+        mech = mechanism(TWO_LINK_YAML + "actuated: [forearm]")
+        with pytest.raises(RobodynError, match=r"joint q1 \(upper arm\) is free"):
+            dyn.inverse_dynamics(mech, [0.1, 0.2], [0.0, 0.0], [0.0, 0.0])
+
+    def test_a_pendulum_on_a_loop_with_too_many_actuators_is_still_free(self):
+        """Four-bar driven twice and a passive pendulum on its coupler: the numbers hide it."""
+        scene = seeded_scene(2, LOOPS["loop in a tree"])
+        mech = mechanism(scene.text.replace("[link0, link2, link3]", "[link0, link1, link2]"))
+        with pytest.raises(RobodynError, match=r"joint q4 \(link3\) is free"):
+            dyn.inverse_dynamics(mech, *scene.states)
+
+    def test_a_passive_joint_of_an_open_chain_moves_freely(self):
+        """Forward dynamics asks for no actuators: the acrobot falls as the 2R arm does."""
+        states = [0.1, 0.2], [1.0, 2.0], [0.0, 3.0]
+        expected = oracles.two_link_acceleration(TWO_LINK, *states[:2], np.array(states[2]))
+        mech = mechanism(TWO_LINK_YAML + "actuated: [forearm]")
+        assert_close(dyn.forward_dynamics(mech, *states), expected, np.abs(expected).max(), 1e-12)
+
+    def test_dead_centre(self):
+        """The rocker cannot drive the crank where crank and coupler lie in line."""
+        mech = mechanism(FOUR_BAR_YAML.replace("0.07", "0") + "actuated: [rocker]")
+        rocker = np.arccos((1.3**2 - 1.1**2 - 0.8**2) / (2 * 1.1 * 0.8))
+        q = robodyn.assemble(mech, [rocker])
+        k = np.linalg.svd(cf.closure_jacobian(mech, q))[2][2]  # the motion possible here
+        assert abs(k[2]) < 1e-7
+        with pytest.raises(SingularError, match=r"dead centre.*\((crank|coupler)\) is free here"):
+            dyn.inverse_dynamics(mech, q, [0.0] * 3, 10.0 * k)
+
+    @pytest.mark.parametrize("count", [1, 300])
+    def test_change_point(self, count):
+        """All links in line: the crank alone cannot hold the second freedom."""
+        mech = mechanism(PARALLELOGRAM_YAML)
+        q = np.linspace(0.3, 1.2, count)[:, None] * [1.0, -1.0, 1.0]
+        q[-1] = 0.0
+        with pytest.raises(SingularError, match="change point"):
+            dyn.inverse_dynamics(mech, q, [0.0] * 3, [0.0] * 3)
+
+
+class TestBatch:
+    """From BATCH states on generated array code runs; it must give what single states give."""
+
+    @EACH_LOOP
+    def test_loops(self, name):
+        scene = seeded_scene(1, LOOPS[name])
+        mech, states = scene.mechanism, neighbours(scene, dyn.BATCH + 50)
+        for function in (dyn.inverse_dynamics_and_forces, dyn.forward_dynamics_and_forces):
+            together = function(mech, *states)[:2]
+            for found, alone in zip(together, one_by_one(function, mech, states), strict=True):
+                size = np.abs(alone).max(axis=-1, keepdims=True)
+                assert_close(found / size, alone / size, 1.0, 1e-12)
+
+    @settings(deadline=None, max_examples=25)
+    @given(trees(most=7))
+    def test_trees(self, scene):
+        mech, (q, qd, qdd) = scene.mechanism, neighbours(scene, dyn.BATCH)
+        size = sizes(mech.description).torque(np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0))
+        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
+        alone, _ = one_by_one(dyn.inverse_dynamics_and_forces, mech, (q, qd, qdd))
+        assert_close(tau, alone, size)
+        least = np.linalg.eigvalsh(cf.mass_matrix(mech, q))[:, 0].min()
+        found = dyn.forward_dynamics(mech, q, qd, tau)
+        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q, qd, tau))
+        assert_close(found, alone, size / least)
+
+    @pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+    @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-9, 0.0])
+    def test_states_near_a_change_point(self, angle):
+        """Among good states one near, or at, the change point of a parallelogram."""
+        mech, k = mechanism(PARALLELOGRAM_YAML), np.array([1.0, -1.0, 1.0])
+        q = np.linspace(0.4, 1.3, dyn.BATCH + 1)[:, None] * k
+        q[77] = angle * k
+        qd, tau = np.tile(5.0 * k, (len(q), 1)), np.tile([2.0, 0.0, 0.0], (len(q), 1))
+        together = dyn.forward_dynamics_and_forces(mech, q, qd, tau)[:2]
+        alone = one_by_one(dyn.forward_dynamics_and_forces, mech, (q, qd, tau))
+        for found, expected in zip(together, alone, strict=True):
+            size = np.abs(expected).max(axis=-1, keepdims=True)
+            assert_close(found / size, expected / size, 1.0, 1e-12)
+
+    @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6])
+    def test_states_near_a_change_point_are_right(self, angle):
+        """k^T M k thetadd + k^T (C qd + G) = tau1 with k = (1, -1, 1), at 30 digits."""
+        mech, k = mechanism(PARALLELOGRAM_YAML), np.array([1.0, -1.0, 1.0])
+        q, qd, tau = angle * k, 5.0 * k, [2.0, 0.0, 0.0]
+        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
+        expected = float((2.0 - k @ (C @ qd + G)) / (k @ M @ k))
+        for count in (1, dyn.BATCH):
+            qdd = dyn.forward_dynamics(mech, np.tile(q, (count, 1)), qd, tau)
+            assert_close(qdd[0], expected * k, abs(expected), 1e-14 / angle)
+
+    def test_states_near_a_dead_centre(self):
+        """Inverse dynamics where the rocker hardly moves the crank; the state is made closed."""
+        mech = mechanism(FOUR_BAR_YAML.replace("0.07", "0") + "actuated: [rocker]")
+        limit = np.arccos((1.3**2 - 1.1**2 - 0.8**2) / (2 * 1.1 * 0.8))
+        rocker = limit + np.geomspace(1e-12, 0.3, dyn.BATCH)
+        q = robodyn.assemble(mech, rocker[:, None])
+        p = FOUR_BAR._replace(e=0.0)
+        k = np.array([oracles.four_bar_coefficients(p, state)[0] for state in q])
+        states = q, k, np.zeros_like(q)
+        together = dyn.inverse_dynamics_and_forces(mech, *states)[:2]
+        alone = one_by_one(dyn.inverse_dynamics_and_forces, mech, states)
+        for found, expected in zip(together, alone, strict=True):
+            size = np.abs(expected).max(axis=-1, keepdims=True)
+            conditioned = np.abs(k).max(axis=-1, keepdims=True) / np.abs(k[:, 2:])
+            assert_close(found / size / conditioned, expected / size / conditioned, 1.0, 1e-12)
+
+    @pytest.mark.parametrize("count", [dyn.BATCH - 1, dyn.BATCH, 8193, 70_000])
+    def test_sizes_of_batches(self, count):
+        """Below and at the threshold, beyond one block, and shared among threads."""
+        rng = np.random.default_rng(0)
+        q, qd, qdd = rng.normal(size=(3, count, 2)) * [[[2.0]], [[5.0]], [[20.0]]]
+        mech = mechanism(TWO_LINK_YAML)
+        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
+        assert_close(tau, dense_dynamics.required_load(mech, q, qd, qdd), 500.0)
+        for i in (0, count // 2, count - 1):
+            expected = oracles.two_link_torque(TWO_LINK, q[i], qd[i], qdd[i])
+            assert_close(tau[i], expected, 500.0)
+        assert_close(dyn.forward_dynamics(mech, q, qd, tau), qdd, 5e4)
+
+    def test_more_links_than_code_is_generated_for(self):
+        n = formulas.MAX_GENERATED + 1
+        scene = seeded_scene(0, Shape((None, *range(n - 1))))
+        states = neighbours(scene, dyn.BATCH)
+        tau = dyn.inverse_dynamics(scene.mechanism, *states)
+        tree, gamma = oracle_tree(scene.mechanism.description), scene.mechanism.gamma
+        state = [part[5] for part in states]
+        expected = oracles.newton_euler(tree, gamma, *state) + state[1] * scene.mechanism.damping
+        assert_close(tau[5], expected, sizes(scene.mechanism.description).torque(*state[1:]))
+
+    def test_arrays_in_any_layout_and_untouched(self):
+        scene = seeded_scene(1, LOOPS["four-bar"])
+        states = neighbours(scene, 300)
+        odd = [np.asfortranarray(states[0]), states[1][::-1][::-1], np.array(states[2])]
+        copies = [state.copy() for state in odd]
+        expected = dyn.inverse_dynamics(scene.mechanism, *states)
+        assert np.array_equal(dyn.inverse_dynamics(scene.mechanism, *odd), expected)
+        for state, copy in zip(odd, copies, strict=True):
+            assert np.array_equal(state, copy)
+
+
+class TestBroadcasting:
+    FUNCTIONS = pytest.mark.parametrize(
+        "function", [dyn.inverse_dynamics_and_forces, dyn.forward_dynamics_and_forces]
+    )
+    SCENES = pytest.mark.parametrize(
+        "scene",
+        [seeded_tree(1, 3), seeded_scene(1, LOOPS["four-bar"])],
+        ids=["tree", "four-bar"],
+    )
+
+    @FUNCTIONS
+    @SCENES
+    @pytest.mark.parametrize("count", [5, 300])
+    def test_one_configuration_many_rates(self, function, scene, count):
+        mech, (_, qd, _) = scene.mechanism, neighbours(scene, count)
+        found = function(mech, scene.q, qd, scene.qdd)[:2]
+        alone = one_by_one(lambda mech, rate: function(mech, scene.q, rate, scene.qdd), mech, [qd])
+        for part, expected in zip(found, alone, strict=True):
+            assert_close(part, expected, np.abs(expected).max(initial=1.0), 1e-12)
+
+    @FUNCTIONS
+    @SCENES
+    @pytest.mark.parametrize("shape", [(), (1,), (0,), (4, 0), (2, 3), (20, 15)])
+    def test_leading_axes(self, function, scene, shape):
+        mech, count = scene.mechanism, int(np.prod(shape))
+        states = neighbours(scene, max(count, 1))
+        flat = function(mech, *states)[:2]
+        shaped = function(mech, *(state[:count].reshape(*shape, 3) for state in states))[:2]
+        for part, expected in zip(shaped, flat, strict=True):
+            wanted = expected[:count].reshape(*shape, expected.shape[-1])
+            assert_close(part, wanted, np.abs(expected).max(initial=1.0), 1e-13)
+
+    @FUNCTIONS
+    @pytest.mark.parametrize(
+        ("q", "qd", "qdd", "place"),
+        [
+            ([0.0, 0.0, 0.0], [0.0] * 2, [0.0] * 2, r"q\.shape = \(3,\)"),
+            ([0.0, 0.0], [0.0, np.nan], [0.0] * 2, r"qd\[1\] = nan: must be finite"),
+            (np.zeros((3, 2)), [0.0] * 2, np.zeros((3, 1)), r"(qdd|tau)\.shape = \(3, 1\)"),
+            (np.zeros((3, 2)), np.zeros((4, 2)), [0.0] * 2, r"shape"),
+        ],
+    )
+    def test_arrays_that_do_not_fit_are_input_errors(self, function, q, qd, qdd, place):
+        with pytest.raises(InputError, match=place):
+            function(mechanism(TWO_LINK_YAML), q, qd, qdd)

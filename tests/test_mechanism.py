@@ -1,0 +1,272 @@
+"""The constants of a mechanism: A, B, closures and points, against their definitions."""
+
+import math
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from random_mechanisms import (
+    LOOPS,
+    Pose,
+    assert_close,
+    loops,
+    mechanism,
+    oracle_closures,
+    oracle_tree,
+    seeded_scene,
+    seeded_tree,
+    sizes,
+    trees,
+)
+from robodyn.errors import InputError
+from robodyn.mechanism import joint_index, load
+
+ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
+examples = settings(deadline=None, max_examples=40)
+
+
+def chain(n, extra=""):
+    """A serial arm of n links with distinct parameters."""
+    links = [
+        f"  - {{name: link{k}, m: {1 + 0.1 * k}, l: {0.5 + 0.01 * k}, r: 0.2, I: 0.05}}"
+        for k in range(n)
+    ]
+    return "\n".join(["gravity: 9.81", "links:", *links]) + "\n" + extra
+
+
+def weights(tree):
+    """rho (n, n): s_b = const + sum_k rho_bk E_k, DESIGN section 3, walking down from each body."""
+    rho = np.zeros((len(tree), len(tree)), complex)
+    for b, body in enumerate(tree):
+        rho[b, b] = body["r"]
+        link = b
+        while tree[link]["parent"] is not None:
+            rho[b, tree[link]["parent"]] = tree[link]["at"]
+            link = tree[link]["parent"]
+    return rho
+
+
+class TestConstants:
+    @examples
+    @given(trees())
+    def test_A_and_B_are_sums_over_the_bodies(self, scene):
+        """A = sum_b m_b conj(rho_b) rho_b^T + diag(I_b), B = sum_b m_b rho_b."""
+        mech = scene.mechanism
+        tree = oracle_tree(mech.description)
+        rho = weights(tree)
+        m, I = (np.array([link[key] for link in tree]) for key in ("m", "I"))
+        size = sizes(mech.description)
+        assert_close(mech.arrays.A, rho.conj().T @ (m[:, None] * rho) + np.diag(I), size.inertia)
+        assert_close(mech.arrays.B * abs(mech.gamma), m @ rho * abs(mech.gamma), size.gravity)
+
+    @examples
+    @given(trees())
+    def test_J_has_ones_on_the_path_from_the_ground(self, scene):
+        mech = scene.mechanism
+        pose = Pose(oracle_tree(mech.description), scene.q)
+        path = [[float(k in pose.path(i)) for k in range(scene.n)] for i in range(scene.n)]
+        assert mech.arrays.J.tolist() == path
+        assert_close(mech.arrays.J @ scene.q, pose.alpha, np.abs(scene.q).sum(), 1e-15)
+
+    @examples
+    @given(trees())
+    def test_order_puts_every_link_after_the_one_it_hangs_from(self, scene):
+        order = scene.mechanism.order
+        assert sorted(order) == list(range(scene.n))
+        for k, parent in enumerate(scene.mechanism.parent):
+            assert parent is None or order.index(parent) < order.index(k)
+
+    def test_links_may_hang_from_links_further_down_the_file(self):
+        """The same arm written from the hand to the shoulder has the same constants, reversed."""
+        forward = mechanism(chain(3)).arrays
+        lines = chain(3).splitlines()
+        tips = ["[0, 0]", "link0", "link1"]
+        links = [line[:-1] + f", from: {tip}}}" for line, tip in zip(lines[2:], tips, strict=True)]
+        backward = mechanism("\n".join([*lines[:2], *links[::-1]])).arrays
+        assert np.array_equal(backward.A, forward.A[::-1, ::-1])
+        assert np.array_equal(backward.B, forward.B[::-1])
+        assert np.array_equal(backward.J, forward.J[::-1, ::-1])
+
+    def test_only_links_on_one_path_couple(self):
+        star = mechanism(
+            "links:\n"
+            + "".join(
+                f"  - {{name: ray{k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [{k}, 0]}}\n"
+                for k in range(20)
+            )
+        )
+        assert len(star.A) == 20
+        assert len(mechanism(chain(20)).A) == 20 * 21 // 2
+
+    def test_payload_is_a_point_mass_at_the_tip(self):
+        """m = 1 at r = 0.2, I = 0.3, and 0.5 kg at l = 0.7: I_O = 0.3 + 0.04 + 0.245."""
+        mech = mechanism("links: [{name: a, m: 1, l: 0.7, r: 0.2, I: 0.3, payload: 0.5}]")
+        ((_, _, inertia),), (moment,) = mech.A, mech.B
+        assert inertia == pytest.approx(0.585, rel=1e-15)
+        assert moment == pytest.approx(0.55, rel=1e-15)
+
+    def test_constants_that_overflow_are_an_input_error(self):
+        huge = "links: [{name: a, m: 1e300, l: 1e300, r: 1e300, I: 1}]"
+        with pytest.raises(InputError, match=r"scene\.yaml: links: .* overflow"):
+            mechanism(huge)
+
+    def test_long_chains_are_built_in_little_time_and_memory(self):
+        mech = mechanism(chain(300))
+        assert mech.n == 300
+        assert mech.arrays.J.sum() == 300 * 301 / 2
+
+
+class TestPoints:
+    @examples
+    @given(trees())
+    def test_pivots_tips_and_centres_lie_where_the_links_are(self, scene):
+        mech = scene.mechanism
+        pose = Pose(oracle_tree(mech.description), scene.q)
+        E = np.exp(1j * (mech.arrays.J @ scene.q))
+        links = mech.description.links
+        expected = {
+            "pivots": pose.joints,
+            "tips": [pose.position((k, link.l)) for k, link in enumerate(links)],
+            "centres": [pose.position((k, link.r)) for k, link in enumerate(links)],
+        }
+        for name, positions in expected.items():
+            found = [
+                point.constant + sum(value * E[k] for k, value in point.terms)
+                for point in getattr(mech, name)
+            ]
+            assert_close(found, positions, 10.0, 1e-15)
+
+    @examples
+    @given(loops())
+    def test_closures_are_linear_in_E(self, scene):
+        """gap = Re(sum_k P_k E_k) + offset, along the direction of each row, at any angles."""
+        mech = scene.mechanism
+        q = scene.q + np.arange(1, scene.n + 1)  # open loops
+        pose = Pose(oracle_tree(mech.description), q)
+        sides = oracle_closures(mech.description)
+        E = np.exp(1j * (mech.arrays.J @ q))
+        for row in mech.rows:
+            first, second = sides[row.closure]
+            gap = pose.position(first) - pose.position(second)
+            expected = (np.conj(row.direction) * gap).real
+            found = sum((value * E[k]).real for k, value in row.P) + row.offset
+            assert_close(found, expected, sizes(mech.description).loop, 1e-14)
+            assert abs(row.direction) == pytest.approx(1.0, rel=1e-15)
+
+    def test_a_slider_keeps_the_component_normal_to_its_line(self):
+        mech = mechanism(
+            "links: [{name: rod, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+            "closures: [{point: rod, on: {through: [0, 0.25], along: [3, 0]}}]"
+        )
+        (row,) = mech.rows
+        assert (row.direction, row.P, row.offset) == (1j, ((0, -1j),), -0.25)
+
+    def test_links_that_both_sides_share_take_no_part_in_a_closure(self):
+        scene = seeded_scene(0, LOOPS["loop in a tree"])
+        assert {k for row in scene.mechanism.rows for k, _ in row.P} == {0, 1, 4}
+        carried = mechanism(
+            "links:\n"
+            "  - {name: base, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+            "  - {name: left, m: 1, l: 1, r: 0.5, I: 0.1, from: base}\n"
+            "  - {name: right, m: 1, l: 1, r: 0.5, I: 0.1, from: base}\n"
+            "closures: [[left, right]]"
+        )
+        assert {k for row in carried.rows for k, _ in row.P} == {1, 2}
+
+
+class TestActuated:
+    def test_default_is_every_joint_of_an_open_chain(self):
+        mech = mechanism(chain(4))
+        assert mech.actuated == (0, 1, 2, 3)
+        assert mech.passive == ()
+
+    def test_default_is_the_first_joint_of_a_loop(self):
+        assert load(ROBOTS[0].parent / "four-bar.yaml").actuated == (0,)
+
+    @pytest.mark.parametrize(
+        ("name", "expected"),
+        [
+            ("chain closed to the ground", (0,)),
+            ("slider-crank", (0,)),
+            ("six-bar, dyad on the coupler", (0,)),  # two loops that share links are one group
+            ("loop in a tree", (0, 2, 3)),  # its loop is 0, 1, 4
+        ],
+    )
+    def test_default_of_mixed_mechanisms(self, name, expected):
+        text = seeded_scene(0, LOOPS[name]).text
+        silent = "\n".join(line for line in text.splitlines() if "actuated" not in line)
+        assert mechanism(silent).actuated == expected
+
+    def test_links_that_carry_a_whole_loop_are_not_in_it(self):
+        """A four-bar on an arm: the arm's joint and the first of the loop are driven."""
+        mech = mechanism(
+            "links:\n"
+            "  - {name: arm, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+            "  - {name: crank, m: 1, l: 0.35, r: 0.2, I: 0.1}\n"
+            "  - {name: coupler, m: 1, l: 0.95, r: 0.5, I: 0.1}\n"
+            "  - {name: rocker, m: 1, l: 0.8, r: 0.4, I: 0.1, from: {link: arm, at: [2.1, 0]}}\n"
+            "closures: [[coupler, rocker]]"
+        )
+        assert mech.actuated == (0, 1)
+
+    def test_passive_are_the_others(self):
+        mech = seeded_scene(1, LOOPS["five-bar"]).mechanism
+        assert (mech.actuated, mech.passive) == ((0, 2), (1, 3))
+
+
+class TestObject:
+    def test_arrays_are_made_once_and_cannot_be_written(self):
+        arrays = seeded_scene(2, LOOPS["four-bar"]).mechanism.arrays
+        for name in ("A", "B", "J", "P", "offset", "damping"):
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(arrays, name)[...] = 0.0
+        mech = seeded_tree(2, 3).mechanism
+        assert mech.arrays is mech.arrays
+
+    def test_is_immutable_and_compared_by_identity(self):
+        mech, twin = seeded_tree(3, 2).mechanism, seeded_tree(3, 2).mechanism
+        with pytest.raises(AttributeError):
+            mech.gamma = 0j
+        assert mech != twin
+        assert len({mech, twin}) == 2
+
+    def test_travels_to_another_process(self):
+        mech = seeded_scene(4, LOOPS["slider-crank"]).mechanism
+        arrays = mech.arrays
+        copy = pickle.loads(pickle.dumps(mech))
+        assert copy.A == mech.A
+        assert copy.description == mech.description
+        assert np.array_equal(copy.arrays.P, arrays.P)
+
+    def test_joint_index_maps_names_to_joints(self):
+        mech = load(ROBOTS[0].parent / "four-bar.yaml")
+        assert joint_index(mech) == {"crank": 0, "coupler": 1, "rocker": 2}
+
+    def test_loading_needs_no_numpy(self):
+        code = (
+            "import sys, robodyn.mechanism as m\n"
+            f"m.load({str(ROBOTS[0])!r})\n"
+            "sys.exit('numpy' in sys.modules)"
+        )
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+class TestExamples:
+    @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+    def test_every_scene_loads_and_its_parameters_differ(self, path):
+        """Equal parameters would hide a swap; only the parallelogram's lengths must be equal."""
+        mech = load(path)
+        links = mech.description.links
+        for key in ("m", "r", "I") + (() if path.stem == "parallelogram" else ("l",)):
+            assert len({getattr(link, key) for link in links}) == mech.n
+        assert all(math.isfinite(value.real) for _, _, value in mech.A)
+
+    def test_the_examples_that_the_issue_names_are_there(self):
+        names = {path.stem for path in ROBOTS}
+        assert names >= {"2r", "3r", "pendulum", "four-bar", "parallelogram", "slider-crank"}
+        assert "five-bar" in names

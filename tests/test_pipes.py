@@ -1,0 +1,574 @@
+"""Manners of the command line where only real processes show them: pipes, files, signals, help."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, TWO_LINK, Outcome, relative_error
+
+import oracles
+from robodyn import cli
+
+Run = Callable[..., Outcome]
+PATIENCE = 30.0  # s, on a busy machine; nothing here takes one second
+GENERATE = """awk 'BEGIN {print "q1,q2"; for (i = 0; i < %d; i++) print i/1e4 "," i/5e3}'"""
+COMMANDS = {
+    "torque": "robodyn torque robots/2r.yaml --q 1,2",
+    "accel": "robodyn accel robots/2r.yaml --q 1,2",
+    "terms": "robodyn terms robots/2r.yaml --q 1,2",
+    "assemble": "robodyn assemble robots/four-bar.yaml --q 1",
+    "energy": "robodyn energy robots/2r.yaml --q 1,2",
+    "check": "robodyn check robots/pendulum.yaml",
+}
+BATCHES = ("torque", "accel", "energy")
+
+
+def gravity(q1: float, q2: float) -> list[float]:
+    """Torques that hold the 2R arm still."""
+    return list(oracles.two_link_terms(TWO_LINK, [q1, q2], [0, 0])[2])
+
+
+# Pipes
+
+
+@pytest.mark.parametrize("command", BATCHES)
+def test_head_ends_a_long_table_quietly(shell: Run, command: str) -> None:
+    line = f"{GENERATE % 100_000} 2>/dev/null | robodyn {command} robots/2r.yaml - | head -1"
+    given = shell(f"{line}; echo ${{PIPESTATUS[1]}} ${{PIPESTATUS[2]}}")
+    header, codes = given.out.splitlines()
+    assert header.startswith("q1,q2,")
+    assert codes == "0 0"
+    assert given.err == ""
+
+
+def test_head_with_pipefail(shell: Run, tmp_path: Path) -> None:
+    """The file is read by robodyn itself, so that only its own exit code counts."""
+    states = tmp_path / "states.csv"
+    states.write_text("q1,q2\n" + "".join(f"{k / 1e4},{-k / 5e3}\n" for k in range(100_000)))
+    for format, first in (("csv", "q1,q2,tau1,tau2\n"), ("json", "[\n")):
+        given = shell(f"robodyn torque robots/2r.yaml {states} --format {format} | head -1")
+        assert given.succeeds().out == first
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *COMMANDS.values(),
+        *(f"{line} --format table" for line in COMMANDS.values()),
+        *("robodyn --help", "robodyn torque --help", "robodyn --version"),
+    ],
+)
+def test_a_pipe_that_is_closed_already(shell: Run, line: str) -> None:
+    given = shell(f"{{ sleep 0.1; {line}; echo $? >&2; }} | exec 0<&-")
+    assert given.err == "0\n"
+
+
+def test_a_pipe_of_two_commands(shell: Run) -> None:
+    """Energy of states that passed through torque, columns and all."""
+    states = "printf 'q1,note,q2\\n0.3,a b,-0.7\\n'"
+    given = shell(f"{states} | robodyn torque robots/2r.yaml - | robodyn energy robots/2r.yaml -")
+    (row,) = given.succeeds().rows
+    assert list(row) == ["q1", "note", "q2", "tau1", "tau2", "KE", "PE", "energy"]
+    assert row["note"] == "a b"
+    assert relative_error([float(row["tau1"]), float(row["tau2"])], gravity(0.3, -0.7)) < 1e-13
+
+
+def test_floats_make_the_round_trip(shell: Run, tmp_path: Path) -> None:
+    """What one command writes the next reads to the last bit."""
+    one = shell("robodyn torque robots/2r.yaml --q 0.1,0.2 --qd 1,-1 --qdd 0.3,0.7").succeeds()
+    torques = one.out.splitlines()[1]
+    given = shell(
+        f"printf 'tau1,tau2\\n{torques}\\n' |robodyn accel robots/2r.yaml - --q 0.1,0.2 --qd 1,-1"
+    ).succeeds()
+    assert given.out.splitlines()[1].startswith(torques + ",")
+    found = [float(given.rows[0][name]) for name in ("qdd1", "qdd2")]
+    assert relative_error(found, [0.3, 0.7]) < 1e-13
+
+
+def test_json_of_every_command_is_json(shell: Run) -> None:
+    tool = "--format json | python -m json.tool >/dev/null"
+    line = " && ".join(f"{command} {tool}" for command in COMMANDS.values())
+    assert shell(line).succeeds().out == ""
+
+
+def test_json_of_a_batch_is_json(shell: Run) -> None:
+    line = f"{GENERATE % 3} | robodyn torque robots/2r.yaml - --format json | python -m json.tool"
+    rows = json.loads(shell(line).succeeds().out)
+    assert [row["q1"] for row in rows] == [0, 0.0001, 0.0002]
+    assert relative_error([rows[2]["tau1"], rows[2]["tau2"]], gravity(0.0002, 0.0004)) < 1e-13
+
+
+def test_structured_commands_speak_json_in_a_pipe(shell: Run) -> None:
+    for command in ("terms", "check"):
+        assert shell(f"{COMMANDS[command]} | python -m json.tool").succeeds().out.startswith("{")
+
+
+@pytest.mark.parametrize(
+    "empty", ["</dev/null", "< <(printf '\\n\\n')", "< <(printf '\\xef\\xbb\\xbf')"]
+)
+def test_empty_input(shell: Run, empty: str) -> None:
+    for command in BATCHES:
+        given = shell(f"robodyn {command} robots/2r.yaml - {empty}")
+        assert given.fails(2, "stdin", "empty", "column names").out == ""
+
+
+def test_degrees_and_negative_vectors(shell: Run) -> None:
+    for q, radians in (
+        ("-0.5,-1", (-0.5, -1)),
+        ("'-0.5 -1'", (-0.5, -1)),
+        ("30deg,-pi/4", (np.pi / 6, -np.pi / 4)),
+        ("-90deg,2*pi/3", (-np.pi / 2, 2 * np.pi / 3)),
+    ):
+        given = shell(f"robodyn torque robots/2r.yaml --q {q} | cat").succeeds()
+        assert relative_error(given.has("tau1", "tau2"), gravity(*radians)) < 1e-13
+
+
+def test_columns_in_any_order_and_unknown_columns(shell: Run) -> None:
+    given = shell("printf 'b,q2,a,q1\\nx,-0.4, y ,0.3\\n' | robodyn torque robots/2r.yaml -")
+    header, row = given.succeeds().out.splitlines()
+    assert header == "b,q2,a,q1,tau1,tau2"
+    assert row.startswith("x,-0.4, y ,0.3,")
+    assert relative_error([float(x) for x in row.split(",")[4:]], gravity(0.3, -0.4)) < 1e-13
+
+
+def test_missing_columns_list_the_header(shell: Run) -> None:
+    given = shell("printf 't,q1,angle\\n0,1,2\\n' | robodyn torque robots/2r.yaml -")
+    assert given.fails(2, "stdin", "q2", "the header has t, q1, angle").out == ""
+
+
+def test_a_bad_row_names_its_line_and_the_rows_before_it_are_delivered(shell: Run) -> None:
+    bad = f"{{ {GENERATE % 20_000}; echo 1,oops; echo 3,4; }}"
+    given = shell(f"{bad} | robodyn torque robots/2r.yaml - | tail -1")
+    given.fails(2, "stdin: line 20002: q2 = oops")
+    assert given.out.startswith("1.9999,3.9998,")
+
+
+def test_stdin_may_be_closed(shell: Run) -> None:
+    given = shell("robodyn torque robots/2r.yaml - <&-")
+    assert given.fails(2, "stdin").out == ""
+
+
+def test_stdout_may_be_closed(shell: Run) -> None:
+    """There is nowhere to write to: a failure, but no defect of robodyn's."""
+    shell("robodyn torque robots/2r.yaml --q 1,2 >&-").fails(1, "stdout")
+
+
+def test_stderr_may_be_closed(shell: Run) -> None:
+    assert shell("robodyn torque robots/2r.yaml --q 1,2 2>&-").succeeds().out != ""
+    assert shell("robodyn torque robots/2r.yaml --q 1 2>&-").code == 2
+
+
+@pytest.mark.parametrize("line", [*COMMANDS.values(), "robodyn --version", "robodyn torque -h"])
+def test_a_full_disk_is_told(shell: Run, line: str) -> None:
+    shell(f"{line} >/dev/full").fails(1, "No space left on device")
+
+
+def test_a_scene_may_come_through_a_pipe(shell: Run) -> None:
+    given = shell("cat robots/2r.yaml | robodyn torque /dev/stdin --q 0.1,0.2").succeeds()
+    assert relative_error(given.has("tau1", "tau2"), gravity(0.1, 0.2)) < 1e-13
+
+
+@pytest.mark.parametrize("locale", ["C", "C.UTF-8", "POSIX"])
+def test_names_beyond_ascii_in_any_locale(shell: Run, tmp_path: Path, locale: str) -> None:
+    path = tmp_path / "Kölbchen модель.yaml"
+    path.write_text("name: Bär\nlinks: [{name: Ärmel ☃, m: 1, l: 1, r: 0.5, I: 0.1}]\n", "utf-8")
+    settings = {"LC_ALL": locale, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    table = shell(f"robodyn assemble '{path}' --q 1 --format table", env=settings)
+    assert table.code == 0
+    assert "1 Ärmel ☃" in table.out
+    shell(f"robodyn torque '{path}' --q 1,2", env=settings).fails(2, "--q", "2 values")
+
+
+# Streaming
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A robodyn that reads stdin, from which we keep writing."""
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robodyn", *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        bufsize=0,
+    )
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.wait()
+        for stream in (child.stdin, child.stdout, child.stderr):
+            assert stream is not None
+            stream.close()
+
+
+def send(child: subprocess.Popen[bytes], text: str) -> None:
+    assert child.stdin is not None
+    child.stdin.write(text.encode())
+
+
+def receive(child: subprocess.Popen[bytes], lines: int) -> list[str]:
+    """So many lines of stdout, which must come while stdin is still open."""
+    assert child.stdout is not None
+    data = b""
+    deadline = time.monotonic() + PATIENCE
+    while data.count(b"\n") < lines:
+        ready, _, _ = select.select([child.stdout], [], [], deadline - time.monotonic())
+        assert ready, f"only this came: {data!r}"
+        piece = os.read(child.stdout.fileno(), 65536)
+        assert piece, f"only this came: {data!r}"
+        data += piece
+    return data.decode().splitlines()
+
+
+@pytest.mark.parametrize("command", BATCHES)
+def test_a_slow_producers_rows_come_out_as_they_come_in(command: str) -> None:
+    with running(command, "robots/2r.yaml", "-") as child:
+        send(child, "q1,q2\n")
+        assert receive(child, 1)[0].startswith("q1,q2,")
+        for k in range(3):
+            send(child, f"{k},0.5\n")
+            (line,) = receive(child, 1)
+            assert line.startswith(f"{k},0.5,")
+        send(child, "9,0.5\n7,0.")  # a row of which the end has not come yet
+        (line,) = receive(child, 1)
+        assert line.startswith("9,0.5,")
+        send(child, "25\n")
+        (line,) = receive(child, 1)
+        assert line.startswith("7,0.25,")
+
+
+def test_json_rows_stream_too() -> None:
+    with running("torque", "robots/2r.yaml", "-", "--format", "json") as child:
+        send(child, "q1,q2\n1,2\n3,4\n5,6\n")
+        lines = receive(child, 3)
+        assert lines[0] == "["
+        assert '"q1": 1' in lines[1]
+
+
+def test_a_fault_is_told_before_the_input_ends() -> None:
+    with running("torque", "robots/2r.yaml", "-") as child:
+        send(child, "q1,q2\n1,2\nx,2\n")
+        assert child.wait(PATIENCE) == 2
+        assert child.stderr is not None
+        assert b"line 3: q1 = x" in child.stderr.read()
+
+
+# A child of a large process starts with that process's peak memory: a small one stands between.
+MEASURE = """
+import os, subprocess, sys
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(child.pid, 0)
+print(status, usage.ru_maxrss)
+"""
+
+
+def peak_memory(*arguments: object) -> int:
+    """Peak resident memory of a robodyn, KiB."""
+    robodyn = [sys.executable, "-m", "robodyn", *map(str, arguments)]
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE, *robodyn], capture_output=True, cwd=ROOT, timeout=120
+    )
+    status, peak = map(int, done.stdout.split())
+    assert status == 0, done.stderr
+    return peak
+
+
+@pytest.mark.parametrize("format", ["csv", "json"])
+def test_memory_does_not_grow_with_the_file(tmp_path: Path, format: str) -> None:
+    """200 000 rows are 9 MB of text; kept as Python strings and floats they would be 60 MB."""
+    peaks = []
+    for count in (20_000, 200_000):
+        states = tmp_path / f"{count}.csv"
+        rows = (f"{k},{k * 1.1e-3!r},{-k * 7.7e-4!r}\n" for k in range(count))
+        states.write_text("t,q1,q2\n" + "".join(rows))
+        peaks.append(peak_memory("torque", "robots/2r.yaml", states, "--format", format))
+    assert peaks[1] - peaks[0] < 6 * 1024
+
+
+# What a command imports
+
+IMPORTS = """
+import sys
+from robodyn import cli
+code = cli.run(sys.argv[1:])
+print(code, *sorted({name.split(".")[0] for name in sys.modules}), file=sys.stderr)
+"""
+
+
+def imported(*arguments: str) -> set[str]:
+    """The packages that a command in a pipe imports."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTS, *arguments],
+        input="q1,q2\n1,2\n",
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=60,
+    )
+    code, *names = done.stderr.split()
+    assert code == "0", done.stderr
+    assert "robodyn" in names
+    return set(names)
+
+
+def test_torque_of_one_state_of_an_open_chain_imports_neither_numpy_nor_scipy() -> None:
+    names = imported("torque", "robots/2r.yaml", "--q", "0.1,0.2", "--qd", "1,2", "--qdd", "0,0")
+    assert not names & {"numpy", "scipy", "rich", "matplotlib", "sympy"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("torque", "robots/2r.yaml", "-"),
+        ("torque", "robots/four-bar.yaml", "--q", "1"),
+        ("accel", "robots/2r.yaml", "-"),
+        ("energy", "robots/2r.yaml", "-"),
+        ("terms", "robots/2r.yaml", "--q", "1,2"),
+        ("assemble", "robots/four-bar.yaml", "--q", "1"),
+    ],
+)
+def test_scipy_is_for_simulations_and_rich_for_terminals(arguments: tuple[str, ...]) -> None:
+    names = imported(*arguments)
+    assert "numpy" in names
+    assert not names & {"scipy", "rich", "matplotlib", "sympy"}
+
+
+# --out
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("printf 'q1,q2\\n1,2\\n3,x\\n' | robodyn torque robots/2r.yaml -", 2),
+        ("printf 'q1\\n1\\n' | robodyn torque robots/2r.yaml -", 2),
+        (f"{{ {GENERATE % 20_000}; echo 1,x; }} | robodyn energy robots/2r.yaml -", 2),
+        ("robodyn torque robots/2r.yaml --q 1", 2),
+        ("robodyn torque robots/none.yaml --q 1", 2),
+        ("robodyn terms robots/2r.yaml --q 1", 2),
+        ("robodyn check robots/none.yaml", 2),
+        ("robodyn torque robots/parallelogram.yaml --q 0", 1),
+        ("robodyn assemble robots/parallelogram.yaml --q 0 --qd 1", 1),
+    ],
+)
+def test_upon_failure_out_leaves_an_older_file_as_it_was(
+    shell: Run, tmp_path: Path, line: str, code: int
+) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.write_text("precious\n")
+    old.chmod(0o640)
+    for file in (old, new):
+        assert shell(f"{line} --out '{file}'").fails(code).out == ""
+    assert old.read_text() == "precious\n"
+    assert old.stat().st_mode & 0o777 == 0o640
+    assert list(tmp_path.iterdir()) == [old]
+
+
+def test_out_replaces_an_older_file_and_keeps_its_mode(shell: Run, tmp_path: Path) -> None:
+    file = tmp_path / "old"
+    file.write_text("x" * 100_000)
+    file.chmod(0o640)
+    shell(f"robodyn torque robots/2r.yaml --q 1,2 -o '{file}'").succeeds()
+    assert file.read_text().startswith("tau1,tau2\n")
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_out_into_a_pipe(shell: Run, tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    given = shell(f"cat '{fifo}' & robodyn torque robots/2r.yaml --q 1,2 -o '{fifo}'; wait")
+    assert relative_error(given.succeeds().has("tau1", "tau2"), gravity(1, 2)) < 1e-13
+    assert fifo.is_fifo()
+
+
+# Signals
+
+
+@pytest.mark.parametrize("out", [[], ["--out", "states.csv"]])
+def test_ctrl_c_ends_quietly(tmp_path: Path, out: list[str]) -> None:
+    if out:
+        out = ["--out", str(tmp_path / out[1])]
+    with running("torque", "robots/2r.yaml", "-", *out) as child:
+        send(child, "q1,q2\n1,2\n")
+        if out:
+            deadline = time.monotonic() + PATIENCE
+            while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+                time.sleep(0.01)
+        else:
+            receive(child, 2)
+        child.send_signal(signal.SIGINT)
+        # 130, or what a shell tells as 130: CPython's own end if it comes inside of an exec(text)
+        assert child.wait(PATIENCE) in (130, -signal.SIGINT)
+        assert child.stderr is not None
+        assert child.stderr.read() in (b"", b"\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_a_command_is_imported_ends_quietly(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(name: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "import_module", interrupted)
+    code = None
+    try:
+        code = cli.run(["torque", "robots/2r.yaml", "--q", "1,2"])
+    except KeyboardInterrupt:
+        pytest.fail("it would end in a traceback")
+    assert code == 130
+    assert "Traceback" not in capfd.readouterr().err
+
+
+# Terminals
+
+
+def on_terminal(*arguments: str, columns: int = 80) -> str:
+    """What a terminal of this width is shown."""
+    leader, follower = pty.openpty()
+    environment = {**os.environ, "COLUMNS": str(columns), "TERM": "xterm"}
+    environment.pop("NO_COLOR", None)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robodyn", *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=follower,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        env=environment,
+    )
+    os.close(follower)
+    data = b""
+    try:
+        while piece := os.read(leader, 65536):
+            data += piece
+    except OSError:
+        pass  # how Linux tells that the other side of a terminal is closed
+    finally:
+        os.close(leader)
+    assert child.stderr is not None
+    with child.stderr as stream:
+        assert stream.read() == b""
+    assert child.wait(PATIENCE) == 0
+    return data.decode().replace("\r\n", "\n")
+
+
+def test_a_result_on_a_terminal_is_a_table() -> None:
+    shown = on_terminal("torque", "robots/2r.yaml", "--q", "1,2")
+    assert "tau1 [N m]" in shown
+    assert f"{gravity(1, 2)[0]:.6g}" in shown
+    assert "tau1,tau2" not in shown
+
+
+def test_format_forces_a_form_on_a_terminal() -> None:
+    shown = on_terminal("torque", "robots/2r.yaml", "--q", "1,2", "--format", "csv")
+    header, row = shown.splitlines()
+    assert header == "tau1,tau2"
+    assert relative_error([float(x) for x in row.split(",")], gravity(1, 2)) < 1e-13
+    assert json.loads(on_terminal("terms", "robots/2r.yaml", "--q", "1,2", "--format", "json"))
+
+
+@pytest.mark.parametrize("columns", [80, 40])
+def test_a_narrow_terminal_hides_no_digit(columns: int) -> None:
+    arguments = ("accel", "robots/five-bar.yaml", "--q", "120deg,60deg")
+    shown = on_terminal(*arguments, columns=columns)
+    csv = on_terminal(*arguments, "--format", "csv", columns=columns).splitlines()[1]
+    assert "…" not in shown
+    for value in csv.split(","):
+        assert f"{float(value):.6g}" in shown
+
+
+# Help
+
+
+@pytest.mark.parametrize("command", ["", *cli.COMMANDS])
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help_holds_an_example_also_in_a_pipe(shell: Run, command: str, flag: str) -> None:
+    given = shell(f"robodyn {command} {flag} | cat").succeeds()
+    example = given.out.split("Example", 1)[1].splitlines()[1].strip()
+    assert example.startswith(f"robodyn {command}".strip())
+    assert "\x1b" not in given.out
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_the_examples_of_the_help_work(shell: Run, tmp_path: Path, command: str) -> None:
+    """But those that begin with a file of states are given one."""
+    text = shell(f"robodyn {command} --help").succeeds().out
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
+    assert len(lines) >= 2
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    for name in ("states.csv", "motion.csv"):
+        (tmp_path / name).write_text("t,q1,q2,qd1,qd2\n0,0.1,0.2,0.3,0.4\n1,0.2,0.3,0.4,0.5\n")
+    for line in lines:
+        assert shell(line, cwd=tmp_path).succeeds().out != ""
+
+
+def test_no_command_shows_the_help_and_is_a_fault_of_usage(shell: Run) -> None:
+    given = shell("robodyn")
+    assert given.code == 2
+    assert "Example" in given.out + given.err
+
+
+def test_version(shell: Run) -> None:
+    from robodyn import __version__
+
+    assert shell("robodyn --version").succeeds().out == f"robodyn {__version__}\n"
+    assert shell("python -m robodyn --version").succeeds().out == f"robodyn {__version__}\n"
+
+
+# Exit codes, and never a traceback
+
+
+@pytest.mark.parametrize(
+    ("code", "line"),
+    [
+        *((0, line) for line in COMMANDS.values()),
+        (1, "robodyn torque robots/parallelogram.yaml --q 0 --qd 1"),
+        (1, "robodyn assemble robots/parallelogram.yaml --q 180deg --qd 1"),
+        (2, "robodyn nonsense"),
+        (2, "robodyn --nonsense"),
+        (2, "robodyn torque"),
+        (2, "robodyn torque robots/none.yaml --q 1"),
+        (2, "robodyn torque robots --q 1"),
+        (2, "robodyn torque /dev/null --q 1"),
+        (2, "robodyn torque .venv/bin/python --q 1"),
+        (2, "robodyn torque robots/2r.yaml --q 1,2 --qd"),
+        (2, "robodyn torque robots/2r.yaml robots/2r.yaml"),
+        (2, "robodyn torque robots/2r.yaml /dev/null"),
+        (2, "robodyn torque robots/2r.yaml - </dev/urandom"),
+        (2, "head -c 3000000 /dev/zero | robodyn torque robots/2r.yaml -"),
+        (2, "robodyn torque robots/2r.yaml $'\\xff.csv'"),
+        (2, "robodyn torque $'\\xff.yaml' --q 1"),
+        (2, "robodyn torque robots/2r.yaml --q $'\\xff'"),
+        (2, "robodyn torque robots/2r.yaml --q $(seq -s, 1 20000)"),
+    ],
+)
+def test_exit_codes(shell: Run, code: int, line: str) -> None:
+    given = shell(line)
+    assert given.code == code
+    for word in ("Traceback", "defect", "RuntimeWarning"):
+        assert word not in given.out + given.err
+    assert len(given.err) < 2000
+    if code:
+        assert "Error: " in given.err
+        assert given.out == ""
+
+
+def test_debug_shows_the_traceback(shell: Run) -> None:
+    given = shell("robodyn --debug torque robots/2r.yaml --q 1")
+    assert given.code != 0
+    assert "Traceback" in given.err
+    assert "InputError" in given.err
