@@ -111,7 +111,12 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
 
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
-        tau = np.array(torques(t, y.tolist()))
+        try:
+            tau = np.array(torques(t, y.tolist()))
+        except (ArithmeticError, ValueError):  # outside the torque's domain
+            return np.full(len(y), np.nan)
+        if not np.isfinite(y).all():
+            return np.full(len(y), np.nan)
         qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
@@ -152,7 +157,7 @@ def _straight_projection(mechanism: Mechanism) -> Projection:
                 out = newton_step(*state)
             except ZeroDivisionError:
                 return dense(y)
-            if not min(out[2 * n :]) > SINGULAR:
+            if not all(pivot > SINGULAR for pivot in out[2 * n :]):  # nan is no pivot
                 return dense(y)
             change = max(abs(new - old) for new, old in zip(out[:n], state, strict=False))
             state = out[: 2 * n]

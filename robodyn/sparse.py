@@ -123,7 +123,10 @@ def rates(
     torques = actuation.function(n)
 
     def derivative(t: float, y: Array) -> Array:
-        tau = np.array(torques(t, y.tolist()))
+        try:
+            tau = np.array(torques(t, y.tolist()))
+        except (ArithmeticError, ValueError):  # outside the torque's domain
+            return np.full(len(y), np.nan)
         try:
             closed = y if projection is None or baumgarte else projection(y)
             qdd, ratio = system.accelerations(closed, tau, baumgarte)

@@ -68,6 +68,7 @@ def compile_rates(
     ]
     # an integrator's trial step may overflow, or leave a torque's domain: it must try a shorter one
     source = "\n        ".join(["def rates(t, y):\n    try:", *statements])
+    source += "\n    except ZeroDivisionError: return otherwise(t, y)"
     source += f"\n    except (ArithmeticError, ValueError): return [nan] * {len(names)}\n"
     function: RateFunction = _define(
         source, "rates", scope={**actuation.scope, "otherwise": otherwise}
