@@ -358,9 +358,10 @@ def _reachable_from_start(
     ends = []
     for direction in (-1.0, 1.0):
         at, step = here.copy(), PATH_STEP
-        while step > 1e-7 and abs(at[actuated[joint]] - target[joint]) < np.pi:
+        while step > 1e-7 and abs(at[actuated[joint]] - target[joint]) < np.pi - 1e-9:
             there = at.copy()
-            there[actuated[joint]] += direction * step
+            left = np.pi - abs(at[actuated[joint]] - target[joint])  # the way round is no shorter
+            there[actuated[joint]] += direction * min(step, left * (1 - 1e-12))
             there = close_positions(mechanism, there, actuated)
             if np.abs(there - at).max() > LEAP * step / PATH_STEP or _open(mechanism, there):
                 step /= 4.0  # the limit is nearer than this

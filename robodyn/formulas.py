@@ -286,7 +286,7 @@ def _forward(
 
 
 def projection_formula(mechanism: Mechanism) -> Formula:
-    """q and qd (2n) brought nearer to closing by one Newton step of least norm.
+    """q and qd (2n) brought nearer to closing by one Newton step of least norm; gap (r).
 
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
     """
@@ -297,17 +297,16 @@ def projection_formula(mechanism: Mechanism) -> Formula:
     outputs: list[Value] = []
     pivots: list[Value] = []
     rates: list[Value] = list(state.relative["qd"])
-    for name, right in (
-        ("q", [_gap(state, r) for r in range(rows)]),
-        ("qd", [_dot(Psi[r], rates) for r in range(rows)]),
-    ):
+    gap = [_gap(state, r) for r in range(rows)]
+    speed = [_dot(Psi[r], rates) for r in range(rows)]
+    for name, right in (("q", gap), ("qd", speed)):
         multipliers, pivots = _solve_symmetric(normal, right, 0)
         for k in range(n):
             column = [row[k] for row in Psi]
             outputs.append(state.relative[name][k] - _dot(column, multipliers))
     sizes = [sum(abs(weight) for _, weight in row.P) ** 2 for row in mechanism.rows]
     relative = tuple(pivot / size for pivot, size in zip(pivots, sizes, strict=True))
-    return Formula(state.inputs, tuple(outputs), relative)
+    return Formula(state.inputs, (*outputs, *gap), relative)
 
 
 def _gap(state: _State, row: int) -> Value:

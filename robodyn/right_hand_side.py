@@ -11,13 +11,16 @@ Three evaluators serve three sizes (`make bench` shows where they cross):
 Near a singular configuration, at a distance d from it, a gap of delta in position or velocity
 makes an error of delta/d in the accelerations.  A stage of an integrator strays from the closures
 by more than the step's error, and such errors would stall it; so a state whose closures' pivots
-are small is projected before it is evaluated.  On closed states that changes nothing.
+are small is projected before it is evaluated.  On closed states that changes nothing.  A step of
+an explicit method that meets such a state is taken again with every stage projected: stages of
+one step must not belong to two different extensions of the vector field.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +28,7 @@ from numpy.typing import NDArray
 
 from robodyn import closed_form, dense_dynamics, straightline
 from robodyn.actuation import Actuation
+from robodyn.assembly import loop_size
 from robodyn.formulas import projection_formula
 from robodyn.mechanism import Mechanism
 
@@ -37,7 +41,7 @@ STRAIGHT_CLOSED = 800  # entries of A and P, where the sparse way also projects 
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
 SINGULAR = 1e-6  # relative pivot below which the written-out solve is not trusted
 PROJECTION_CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
-CONVERGED = 1e-14  # rad; a Newton step of less changes nothing
+CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 PASSES = 4
 
 
@@ -48,6 +52,19 @@ class RightHandSide:
     rates: Rates
     projection: Projection | None
     kind: str  # straight-line, sparse or dense
+    near: NearSingular | None = None
+
+
+@dataclass(slots=True)
+class NearSingular:
+    """Rates that project every state first, and whether a state near a singularity was met.
+
+    `quality` tells the least relative pivot of the closures at a state, about d^2 at a distance d.
+    """
+
+    rates: Rates
+    quality: Callable[[Array], float]
+    met: bool = False
 
 
 def right_hand_side(
@@ -90,10 +107,26 @@ def right_hand_side(
         return RightHandSide(compiled(0.0, dense), None, kind)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(compiled(SINGULAR, dense), projection, kind)
-    near = compiled(SINGULAR, dense)
-    project = projection
-    rates = compiled(NEAR, lambda t, y: near(t, project(y)))
-    return RightHandSide(rates, projection, kind)
+    quality = _straight_quality(mechanism)
+    trusted = compiled(SINGULAR, dense)
+    return _watched(trusted, projection, quality, lambda other: compiled(NEAR, other))
+
+
+def _watched(
+    trusted: Rates,
+    project: Projection,
+    quality: Callable[[Array], float],
+    compiled_near: Callable[[Rates], Rates],
+) -> RightHandSide:
+    """Rates that project states near a singularity, and tell the solver that they met one."""
+
+    def projected(t: float, y: Array) -> Any:
+        near.met = True
+        return trusted(t, project(y))
+
+    rates = compiled_near(projected)
+    near = NearSingular(lambda t, y: rates(t, project(y)), quality)
+    return RightHandSide(rates, project, "straight-line", near)
 
 
 def _best_kind(mechanism: Mechanism) -> str:
@@ -126,17 +159,17 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
 
 def _dense_projection(mechanism: Mechanism) -> Projection:
     """The nearest state that closes; directions that the closures hardly hold are left alone."""
-    n = mechanism.n
+    n, size = mechanism.n, loop_size(mechanism)
 
     def project(y: Array) -> Array:
         closed = y.copy()
         q, qd = closed[:n], closed[n : 2 * n]
         for _ in range(PASSES):
-            Psi = closed_form.closure_jacobian(mechanism, q)
-            step = np.linalg.pinv(Psi, rcond=PROJECTION_CUT) @ closed_form.closure_gap(mechanism, q)
-            q -= step
-            if np.abs(step).max() <= CONVERGED:
+            gap = closed_form.closure_gap(mechanism, q)
+            if np.abs(gap).max() <= CLOSED * size:
                 break
+            Psi = closed_form.closure_jacobian(mechanism, q)
+            q -= np.linalg.pinv(Psi, rcond=PROJECTION_CUT) @ gap
         Psi = closed_form.closure_jacobian(mechanism, q)
         qd -= np.linalg.pinv(Psi, rcond=PROJECTION_CUT) @ (Psi @ qd)
         return closed
@@ -144,26 +177,44 @@ def _dense_projection(mechanism: Mechanism) -> Projection:
     return project
 
 
+@lru_cache(maxsize=64)
+def _newton_step(mechanism: Mechanism) -> straightline.FloatFunction:
+    return straightline.compile_floats(projection_formula(mechanism), "newton_step")
+
+
+def _straight_quality(mechanism: Mechanism) -> Callable[[Array], float]:
+    n, r, newton_step = mechanism.n, len(mechanism.rows), _newton_step(mechanism)
+
+    def quality(y: Array) -> float:
+        try:
+            pivots = newton_step(*y[: 2 * n].tolist())[2 * n + r :]
+        except ZeroDivisionError:
+            return 0.0
+        return min(pivots) if all(pivot > 0.0 for pivot in pivots) else 0.0
+
+    return quality
+
+
 def _straight_projection(mechanism: Mechanism) -> Projection:
-    n = mechanism.n
-    newton_step = straightline.compile_floats(projection_formula(mechanism), "newton_step")
+    n, newton_step = mechanism.n, _newton_step(mechanism)
     dense = _dense_projection(mechanism)
+    r, rounding = len(mechanism.rows), CLOSED * loop_size(mechanism)
 
     def project(y: Array) -> Array:
         values: list[float] = y.tolist()
-        state = tuple(values[: 2 * n])
+        q, qd = values[:n], values[n : 2 * n]
         for _ in range(PASSES):
             try:
-                out = newton_step(*state)
+                out = newton_step(*q, *qd)
             except ZeroDivisionError:
                 return dense(y)
-            if not all(pivot > SINGULAR for pivot in out[2 * n :]):  # nan is no pivot
+            gap, pivots = out[2 * n : 2 * n + r], out[2 * n + r :]
+            if not all(pivot > SINGULAR for pivot in pivots):  # nan is no pivot
                 return dense(y)
-            change = max(abs(new - old) for new, old in zip(out[:n], state, strict=False))
-            state = out[: 2 * n]
-            if change <= CONVERGED:
-                break
-        values[: 2 * n] = state
-        return np.array(values)
+            if max(gap) <= rounding and min(gap) >= -rounding:
+                break  # what is closed to rounding stays: moving it would add noise
+            q = list(out[:n])
+        qd = list(out[n : 2 * n])
+        return np.array([*q, *qd, *values[2 * n :]])
 
     return project

@@ -201,6 +201,7 @@ def _integrate(
         "rtol": settings.rtol,
         "atol": atol,
         "projection": side.projection if projects else None,
+        "near": side.near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
     }

@@ -525,6 +525,18 @@ class TestLargerLoops:
         assert float(low) < np.degrees(scene.q[4]) < float(high)
         assert re.search(r": \S+ m are missing", text)
 
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_the_range_ends_where_the_way_ends(self, seed):
+        """Both ends can be reached; just beyond, short of half a turn, nothing closes."""
+        scene = seeded_scene(seed, FAR_LINK)
+        mech, start = scene.mechanism, scene.q[4]
+        ((low, high),) = assembly.reachable(mech, scene.q[4:], 0)
+        _, missing = assembly.attempt(mech, [[low], [high]])
+        assert missing.tolist() == [0.0, 0.0]
+        for beyond in (low - 0.005, high + 0.005):
+            if abs(beyond - start) < np.pi:
+                assert assembly.attempt(mech, [beyond])[1] > 0.0
+
     def test_start_may_be_rough_and_leave_out_the_driven_joint(self):
         scene = seeded_scene(2, FAR_LINK)
         angles = ", ".join(f"link{k}: {scene.q[k] + 0.02 * (-1) ** k}" for k in range(4))

@@ -3,6 +3,7 @@
 M qdd + C qd + D qd + G = S^T tau_act + Psi^T lambda        Psi qdd + Psidot qd = 0      (1)
 """
 
+import re
 import warnings
 
 import numpy as np
@@ -287,6 +288,48 @@ class TestMassRatios:
         qdd, lam = (x.astype(float) for x in Exact(mech, q, qd).forward(tau))
         assert_close(motion.qdd[0], qdd, np.abs(qdd).max(), 1e-10)
         assert_close(motion.multipliers[0], lam, np.abs(lam).max() + tau[0], 1e-10)
+
+    @pytest.mark.parametrize("power", [-100, -14, 14, 100])
+    @pytest.mark.parametrize("count", [1, 250])
+    def test_the_unit_of_mass_does_not_matter(self, power, count):
+        """Masses, inertias, torques and forces times a power of ten: the same motion."""
+        text = re.sub(r"\b([mI]): ([\d.]+)", rf"\1: \g<2>e{power:+d}", FOUR_BAR_YAML)
+        q = oracles.four_bar_position(FOUR_BAR, 1.0)
+        qd, tau = 3.0 * oracles.four_bar_coefficients(FOUR_BAR, q)[0], np.array([5.0, 0.0, 0.0])
+        qdd, lam = oracles.four_bar_acceleration(FOUR_BAR, q, qd, tau)
+        states = np.tile(q, (count, 1)), qd, tau * 10.0**power
+        motion = dyn.forward_dynamics_and_forces(mechanism(text), *states)
+        assert_close(motion.qdd[0], qdd, np.abs(qdd).max(), 1e-12)
+        assert_close(motion.multipliers[0] / 10.0**power, lam, np.abs(lam).max(), 1e-12)
+
+    @pytest.mark.parametrize(
+        ("name", "powers"),
+        [
+            ("five-bar", (6, 6, -6, -6)),  # one freedom heavy, one light
+            ("five-bar", (6, 0, 0, 0)),
+            ("five-bar", (0, 0, -6, 0)),
+            ("loop in a tree", (6, 6, -6, -6, 6)),
+            ("loop in a tree", (-6, -6, 6, -6, -6)),
+        ],
+    )
+    def test_several_freedoms(self, name, powers):
+        """Mass, inertia, payload and damping of each link times a power of ten."""
+        scene = seeded_scene(2, LOOPS[name])
+        lines = iter(scene.text.splitlines())
+        text = [next(lines), next(lines)]
+        for power in powers:
+            scaled = rf"\1: \g<2>e{power:+d}"
+            text.append(re.sub(r"\b(m|I|payload|damping): ([\d.]+)", scaled, next(lines)))
+        mech = mechanism("\n".join([*text, *lines]))
+        q, qd, qdd = scene.states
+        exact = Exact(mech, q, qd)
+        tau = exact.inverse(qdd)[0].astype(float)
+        expected, lam = (x.astype(float) for x in exact.forward(tau))
+        for count in (1, 200):
+            motion = dyn.forward_dynamics_and_forces(mech, np.tile(q, (count, 1)), qd, tau)
+            assert_close(motion.qdd[0], expected, np.abs(expected).max(), 1e-10)
+            size = np.abs(lam).max() + np.abs(tau).max()
+            assert_close(motion.multipliers[0], lam, size, 1e-10)
 
 
 class TestFourBar:

@@ -340,6 +340,11 @@ class TestSelfTestDetects:
         assert broken(dataclasses.replace(mech, gamma=mech.gamma * 1.1))
 
     @MODELS
+    def test_a_wrong_height(self, robot):
+        mech = load_robot(robot)
+        assert broken(dataclasses.replace(mech, energy_offset=mech.energy_offset + 1.0))
+
+    @MODELS
     def test_a_wrong_damping(self, robot):
         mech = load_robot(robot)
         assert broken(dataclasses.replace(mech, damping=(0.5,) * mech.n))
@@ -351,7 +356,7 @@ class TestSelfTestDetects:
     def test_an_inertia_that_is_not_positive(self):
         mech = load_robot("2r")
         A = tuple((j, k, -value if j == k == 1 else value) for j, k, value in mech.A)
-        assert broken(dataclasses.replace(mech, A=A))
+        assert any("M positive" in name for name in broken(dataclasses.replace(mech, A=A)))
 
     @MODELS
     @pytest.mark.parametrize(

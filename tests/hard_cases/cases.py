@@ -1,0 +1,370 @@
+"""The hard cases: each function runs one and returns rows of measure, bound and measurement."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import oracles
+import robodyn
+from robodyn.description import from_text
+from robodyn.mechanism import Mechanism, build
+from robodyn.recording import Outcome
+from robodyn.simulation import simulate
+
+HERE = Path(__file__).resolve().parent
+ROBOTS = HERE.parent.parent / "robots"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table; it passes where measured <= bound."""
+
+    case: str
+    hard: str
+    measure: str
+    bound: float
+    measured: float
+
+    @property
+    def passed(self) -> bool:
+        return bool(self.measured <= self.bound)
+
+
+def scene(name: str) -> Mechanism:
+    return robodyn.load(HERE / f"{name}.yaml")
+
+
+def truth(holds: bool) -> float:
+    """0 where what is claimed holds, 1 where it does not."""
+    return 0.0 if holds else 1.0
+
+
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """`robodyn` in a process of its own."""
+    line = [sys.executable, "-m", "robodyn", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+# -- 1: N-four-bar -------------------------------------------------------------------------------
+
+
+def n_four_bar(n: int) -> Mechanism:
+    """n + 1 verticals from ground pivots 1 m apart, tips joined by n horizontals, uniform bars."""
+    bar = "m: 1, l: 1, r: 0.5, I: 0.083333333333333333"
+    links = [f"{{name: v{k}, {bar}, from: [{k}, 0]}}" for k in range(n + 1)]
+    links += [f"{{name: h{k}, {bar}, from: v{k}}}" for k in range(n)]
+    closures = ", ".join(f"[h{k}, v{k + 1}]" for k in range(n))
+    text = f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [{closures}]\n"
+    return build(from_text(text, f"{n}-four-bar"))
+
+
+# Error per rtol that the integration over 10 s makes (it passes near the unstable upright), and
+# the floor: at a distance d from the horizontal, rounding errs by eps/d^2 in the accelerations.
+GROWTH, FLOOR = 4000.0, 3e-8
+
+
+def parallel_bars() -> Iterator[Row]:
+    hard = "freedoms jump from 1 to N + 1"
+    for n in (1, 2, 5, 10):
+        mechanism = n_four_bar(n)
+        q = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
+        qd = np.concatenate([np.full(n + 1, -1.0), np.full(n, 1.0)])
+        exact = float(oracles.n_four_bar_exact(n, 10.0)[0])
+        for rtol in (1e-6, 1e-9, 1e-12):
+            motion = simulate(mechanism, q, qd, 10.0, rtol=rtol, atol=rtol)
+            case = f"{n}-four-bar, rtol {rtol:g}"
+            verticals = motion.q[-1, : n + 1]
+            finished = motion.outcome is Outcome.FINISHED
+            error = float(np.abs(verticals - exact).max()) if finished else np.inf
+            bound = max(GROWTH * rtol, FLOOR)
+            yield Row(case, hard, "error of the verticals, rad", bound, error)
+            yield Row(case, hard, "verticals not parallel, rad", 1e-9, float(np.ptp(verticals)))
+            yield Row(case, hard, "largest gap, m", 1e-13, motion.report.largest_gap)
+
+
+# -- 2: double pendulum --------------------------------------------------------------------------
+
+
+def double_pendulum() -> Iterator[Row]:
+    mechanism = scene("double-pendulum")
+    # absolute angles from the downward vertical, and their rates; published digits
+    cases = (
+        (
+            45.0,
+            20.0,
+            [-0.44722038984908774, -0.59055315896693302],
+            [-1.6087337152480216, -1.1311306299017572],
+            30.0,
+        ),
+        (
+            90.0,
+            10.0,
+            [-0.568474664015950, -0.526393727932405],
+            [6.07838488576197, -9.68136068170888],
+            300.0,
+        ),
+    )
+    for degrees, time, angles, rates, growth in cases:
+        hard = "chaotic" if degrees == 90.0 else "long"
+        for rtol in (1e-6, 1e-9, 1e-12):
+            start = [np.radians(degrees) - np.pi / 2, 0.0]
+            motion = simulate(mechanism, start, [0, 0], time, rtol=rtol, atol=rtol)
+            absolute = np.cumsum(motion.q[-1]) + np.pi / 2
+            off = np.abs(np.remainder(absolute - angles + np.pi, 2 * np.pi) - np.pi).max()
+            error = max(float(off), float(np.abs(np.cumsum(motion.qd[-1]) - rates).max()))
+            case = f"double pendulum {degrees:g} deg, rtol {rtol:g}"
+            yield Row(case, hard, f"error at {time:g} s", growth * rtol, error)
+    motion = simulate(
+        mechanism, [-np.pi / 4, 0], [0, 0], 1000.0, rtol=1e-10, atol=1e-10, t_eval=[1e3]
+    )
+    drift = motion.report.energy_drift
+    yield Row("double pendulum 45 deg", "1000 s", "energy drift, rtol 1e-10", 1e-7, drift)
+
+
+# -- 3: mass ratios ------------------------------------------------------------------------------
+
+
+def mass_ratios() -> Iterator[Row]:
+    for ratio in (1e-6, 1e-3, 1e3, 1e6):
+        text = (
+            "gravity: 9.81\nlinks:\n"
+            "  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082}\n"
+            f"  - {{name: b, m: {0.9 * ratio!r}, l: 0.6, r: 0.25, I: {0.031 * ratio!r}}}\n"
+        )
+        mechanism = build(from_text(text, "ratio"))
+        tree = [
+            {"m": 1.5, "l": 0.8, "r": 0.36, "I": 0.082, "parent": None, "at": 0},
+            {"m": 0.9 * ratio, "l": 0.6, "r": 0.25, "I": 0.031 * ratio, "parent": 0, "at": 0.8},
+        ]
+        q, qd, qdd = [0.4, 1.1], [2.0, -3.0], [1.0, 0.5]
+        tau = oracles.newton_euler_mp(tree, -9.81j, q, qd, qdd)
+        found = robodyn.forward_dynamics(mechanism, q, qd, [float(x) for x in tau])
+        case = f"2R, mass ratio {ratio:g}"
+        error = float(np.abs(found - qdd).max())
+        yield Row(case, "M ill-conditioned", "error of qdd", 1e-12, error)
+        drift = simulate(mechanism, q, [0, 0], 10.0).report.energy_drift
+        yield Row(case, "M ill-conditioned", "energy drift, 10 s", 1e-7, drift)
+    mechanism = scene("massless-coupler")
+    motion = simulate(mechanism, robodyn.assemble(mechanism, [1.0]), [0, 0, 0], 10.0)
+    hard = "M alone is singular"
+    yield Row(
+        "massless coupler", hard, "not finished", 0, truth(motion.outcome is Outcome.FINISHED)
+    )
+    yield Row("massless coupler", hard, "energy drift, 10 s", 1e-7, motion.report.energy_drift)
+    done = command("simulate", HERE / "massless-tip.yaml", "--q", "0,0", "--time", "1")
+    explained = done.returncode == 1 and "wire" in done.stderr and "nan" not in done.stdout
+    yield Row("massless last link", "M is singular", "no explanation, exit 1", 0, truth(explained))
+
+
+# -- 4: toggle and dead centre -------------------------------------------------------------------
+
+
+def dead_centres() -> Iterator[Row]:
+    hard = "the actuated joint cannot move the others"
+    mechanism = robodyn.load(ROBOTS / "four-bar.yaml")
+    # crank and coupler in line: the rocker as input cannot move the crank
+    cosine = (1.1**2 + 1.3**2 - 0.8**2) / (2 * 1.1 * 1.3)
+    crank = float(np.arccos(cosine))
+    q = robodyn.assemble(mechanism, [crank])
+    motion = simulate(mechanism, q, [0, 0, 0], 10.0)
+    yield Row(
+        "four-bar, stretched",
+        hard,
+        "energy drift from there, 10 s",
+        1e-7,
+        motion.report.energy_drift,
+    )
+    rocker = build(
+        from_text(
+            (ROBOTS / "four-bar.yaml")
+            .read_text()
+            .replace("actuated: [crank]", "actuated: [rocker]"),
+            "rocker-driven",
+        )
+    )
+    try:
+        robodyn.inverse_dynamics(rocker, q, [0, 0, 0], [0, 0, 0])
+        named = False
+    except robodyn.SingularError as error:
+        named = "dead centre" in str(error)
+    yield Row("four-bar, stretched", hard, "torque there not named singular", 0, truth(named))
+    toggle = scene("toggle")
+    turn = np.linspace(0, 2 * np.pi, 721)[:, None]
+    closed = robodyn.assemble(toggle, turn)
+    qd = robodyn.loop_velocities(toggle, closed, np.full_like(turn, 5.0))
+    qdd = robodyn.loop_accelerations(toggle, closed, qd, np.zeros_like(turn))
+    tau = robodyn.inverse_dynamics(toggle, closed, qd, qdd)
+    power = np.einsum("ij,ij->i", tau, qd)
+    energy = robodyn.kinetic_energy(toggle, closed, qd) + robodyn.potential_energy(toggle, closed)
+    step = 2 * np.pi / 720 / 5.0
+    balance = float(np.abs(np.trapezoid(power, dx=step) - (energy[-1] - energy[0])))
+    yield Row(
+        "slider-crank through its dead centres",
+        hard,
+        "work of a turn against energy, J",
+        1e-10,
+        balance,
+    )
+    start = [0.0, 0.0]  # the outer dead centre
+    motion = simulate(toggle, start, [5.0, -5.0 * 0.1 / 0.32 - 5.0], 5.0)
+    yield Row(
+        "slider-crank from its dead centre",
+        hard,
+        "energy drift, 5 s",
+        1e-7,
+        motion.report.energy_drift,
+    )
+
+
+# -- 5, 6, 7 -------------------------------------------------------------------------------------
+
+
+def redundant_closures() -> Iterator[Row]:
+    mechanism, hard = scene("third-crank"), "closures depend on one another"
+    done = command("simulate", HERE / "third-crank.yaml", "--q", "60deg", "--time", "3")
+    said = done.returncode == 0 and "not unique" in done.stderr
+    yield Row("third crank", hard, "not said on stderr", 0, truth(said))
+    q = robodyn.assemble(mechanism, [1.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", category=UserWarning)
+        motion = simulate(mechanism, q, np.zeros(4), 3.0)
+    yield Row("third crank", hard, "energy drift, 3 s", 1e-7, motion.report.energy_drift)
+    spread = float(np.ptp(motion.q[:, [0, 2, 3]], axis=1).max())
+    yield Row("third crank", hard, "cranks not parallel, rad", 1e-9, spread)
+
+
+def inconsistent_start() -> Iterator[Row]:
+    hard = "the loops are open"
+    arguments = ("simulate", ROBOTS / "four-bar.yaml", "--q", "1,-0.44,1.7", "--time", "1")
+    done = command(*arguments)
+    refused = done.returncode == 2 and "gap" in done.stderr and not done.stdout
+    yield Row("start with a gap", hard, "not refused with the gap", 0, truth(refused))
+    done = command(*arguments, "--assemble")
+    said = done.returncode == 0 and "moved by up to" in done.stderr
+    yield Row("start with a gap, --assemble", hard, "not corrected", 0, truth(said))
+
+
+def stiff() -> Iterator[Row]:
+    mechanism, hard = scene("stiff"), "damper 1e6 times too strong"
+    motion = simulate(mechanism, [0.5, 0.8], [0, 0], 2.0)
+    named = motion.outcome is Outcome.STIFF and "Radau" in motion.outcome.advice
+    yield Row("stiff, DOP853", hard, "does not say so", 0, truth(named))
+    for method in ("Radau", "BDF", "LSODA"):
+        motion = simulate(mechanism, [0.5, 0.8], [0, 0], 2.0, method=method)
+        works = motion.outcome is Outcome.FINISHED
+        yield Row(f"stiff, {method}", hard, "not finished", 0, truth(works))
+        yield Row(f"stiff, {method}", hard, "energy balance", 1e-6, motion.report.energy_drift)
+
+
+# -- 8: long -------------------------------------------------------------------------------------
+
+PEAK = """
+import resource, sys
+from robodyn.cli import run
+code = run(sys.argv[1:])
+sys.stderr.write(str(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+sys.exit(code)
+"""
+
+
+def long_run() -> Iterator[Row]:
+    mechanism = robodyn.load(ROBOTS / "four-bar.yaml")
+    q = robodyn.assemble(mechanism, [1.0])
+    motion = simulate(mechanism, q, [0, 0, 0], 1000.0, rtol=1e-8, atol=1e-8, t_eval=[1000.0])
+    yield Row("four-bar, 1000 s", "long", "largest gap, m", 1e-10, motion.report.largest_gap)
+    yield Row(
+        "four-bar, 1000 s", "long", "energy drift, rtol 1e-8", 1e-5, motion.report.energy_drift
+    )
+    peaks = []
+    for seconds in (20, 200):
+        arguments = ["simulate", str(ROBOTS / "four-bar.yaml"), "--q", "1", "--time", str(seconds)]
+        arguments += [
+            "--every",
+            "0.005",
+            "--rtol",
+            "1e-6",
+            "--atol",
+            "1e-6",
+            "--quiet",
+            "-o",
+            os.devnull,
+        ]
+        line = [sys.executable, "-c", PEAK, *arguments]
+        done = subprocess.run(line, capture_output=True, text=True, check=True)
+        peaks.append(int(done.stderr.split()[-1]) / 1024)
+    yield Row("four-bar, 10 times longer", "long", "memory grows, MB", 10.0, peaks[1] - peaks[0])
+
+
+# -- 9: scales, edges ----------------------------------------------------------------------------
+
+
+def scaled(size: float) -> Mechanism:
+    """The four-bar `size` times as long, of the same masses."""
+    text = (ROBOTS / "four-bar.yaml").read_text()
+    lengths = {
+        "l: 0.35, r: 0.15, I: 0.008": (0.35, 0.15, 0.008),
+        "l: 0.95, r: 0.45, I: 0.102": (0.95, 0.45, 0.102),
+        "l: 0.80, r: 0.36, I: 0.061": (0.80, 0.36, 0.061),
+    }
+    for old, (l, r, inertia) in lengths.items():
+        text = text.replace(old, f"l: {l * size!r}, r: {r * size!r}, I: {inertia * size**2!r}")
+    text = text.replace("[1.1, 0.0]", f"[{1.1 * size!r}, 0.0]")
+    return build(from_text(text, f"four-bar times {size:g}"))
+
+
+def scales_and_edges() -> Iterator[Row]:
+    plain = robodyn.load(ROBOTS / "2r.yaml")
+    motion = simulate(plain, [0.3, 0.2], [1000.0, 0.0], 0.1)
+    yield Row("2R at 1000 rad/s", "fast", "energy drift, 0.1 s", 1e-7, motion.report.energy_drift)
+    unit = scaled(1.0)
+    q = robodyn.assemble(unit, [1.0])
+    times = np.linspace(0.0, 1.0, 5)
+    reference = simulate(unit, q, [0, 0, 0], 1.0, t_eval=times, rtol=1e-10, atol=1e-10)
+    for size in (2.0**-20, 2.0**20):  # 1e-6 m and 1e6 m, in powers of two: scaling is exact
+        # times go with the root of lengths; angles are the same, rates go with the inverse
+        slow = np.sqrt(size)
+        motion = simulate(
+            scaled(size),
+            q,
+            [0, 0, 0],
+            slow,
+            t_eval=times * slow,
+            rtol=1e-10,
+            atol=1e-10 / max(slow, 1.0),
+        )
+        error = float(np.abs(motion.q - reference.q).max())
+        yield Row(f"four-bar times {size:.3g}", "scale", "angles differ, rad", 1e-8, error)
+        again = robodyn.inverse_dynamics(scaled(size), q, [0, 0, 0], [0, 0, 0]) / size
+        once = robodyn.inverse_dynamics(unit, q, [0, 0, 0], [0, 0, 0])
+        error = float(np.abs(again - once).max())
+        yield Row(f"four-bar times {size:.3g}", "scale", "torque differs, relative", 1e-13, error)
+    motion = simulate(plain, [0.3, 0.2], [0, 0], 0.0)
+    right = motion.t.tolist() == [0.0] and motion.q.tolist() == [[0.3, 0.2]]
+    yield Row("time zero", "edge", "not the start alone", 0, truth(right))
+    motion = simulate(plain, [0.3, 0.2], [0, 0], 1.0, t_eval=[1.0])
+    yield Row("one output point", "edge", "not the end alone", 0, truth(motion.t.tolist() == [1.0]))
+    there = simulate(plain, [0.3, 0.2], [0.5, 0], 2.0, rtol=1e-12, atol=1e-12)
+    back = simulate(plain, there.q[-1], there.qd[-1], -2.0, rtol=1e-12, atol=1e-12)
+    error = float(np.abs(back.q[-1] - [0.3, 0.2]).max())
+    yield Row("backwards", "edge", "start not regained, rad", 1e-8, error)
+
+
+CASES: list[Callable[[], Iterator[Row]]] = [
+    parallel_bars,
+    double_pendulum,
+    mass_ratios,
+    dead_centres,
+    redundant_closures,
+    inconsistent_start,
+    stiff,
+    long_run,
+    scales_and_edges,
+]

@@ -1,0 +1,16 @@
+"""The hard cases of `make hard`, asserted row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hard_cases.cases import CASES, Row
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_hard_case(case: Callable[[], Iterator[Row]]) -> None:
+    rows = list(case())
+    assert rows
+    assert [row for row in rows if not row.passed] == []
