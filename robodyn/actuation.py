@@ -17,27 +17,28 @@ from itertools import pairwise
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
 
-_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot floor"
+_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
 
 def _sign(x: float) -> float:
     return math.copysign(1.0, x) if x else 0.0
 
 
+def _floor(x: float) -> float:
+    return float(math.floor(x))
+
+
 FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
-FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor}
+# math.pow: a root of a negative number is outside its domain, not complex
+_SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
+_SCOPE["_pow"] = math.pow
 CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
 
-_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.USub, ast.UAdd)
-_SIGNS: dict[type[ast.AST], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
-    ast.Mod: "%",
-}
+_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
+_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 
@@ -66,7 +67,7 @@ class Actuation:
         names = [f"q{k}" for k in range(n)] + [f"qd{k}" for k in range(n)]
         result = ", ".join(f"tau{k}" for k in range(n))
         body = [f"{', '.join(names)}, *_ = y", *self.lines, f"return [{result}]"]
-        scope = dict(self.scope)
+        scope: dict[str, object] = {"__builtins__": {}, **self.scope}
         source = "def torques(t, y):\n    " + "\n    ".join(body) + "\n"
         exec(compile(source, "<robodyn torque>", "exec"), scope)
         function: Callable[[float, Sequence[float]], list[float]] = scope["torques"]  # type: ignore[assignment]
@@ -101,20 +102,25 @@ def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
     if len(text) > MAX_LENGTH:
         raise InputError("expression", where=where, limit=f"is longer than {MAX_LENGTH} characters")
     try:
-        tree = ast.parse(f"({text}\n,)", mode="eval").body
+        line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
+        if line.endswith(","):
+            raise SyntaxError("an expression is missing at the end")
+        tree = ast.parse(line, mode="eval").body
+        nodes = tree.elts if isinstance(tree, ast.Tuple) else [tree]
+        writer = _Writer(mechanism.n, where)
+        written = [ast.unparse(writer.write(node)) for node in nodes]
+        for code in written:
+            compile(code, "<torque>", "eval")  # Python has limits of its own
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", None) or str(error)
         raise InputError(repr(text), where=where, limit=f"is no expression: {reason}") from None
-    assert isinstance(tree, ast.Tuple)
-    writer = _Writer(mechanism.n, where)
-    written = [writer.write(node) for node in tree.elts]
     if not writer.names:
         values = [_constant(code, text, where) for code in written]
         return constant(mechanism, values)
     driven = mechanism.actuated
     if len(written) == mechanism.n and len(driven) != mechanism.n:
         for k in mechanism.passive:
-            if written[k] not in ("0.0", "-0.0"):
+            if written[k] not in ("0.0", "-0.0", "0", "-0"):
                 limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
                 raise InputError(f"tau{k + 1}", where=where, limit=limit)
         targets: Sequence[int] = range(mechanism.n)
@@ -125,8 +131,7 @@ def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
         raise InputError("tau", where=where, value=f"{len(written)} expressions", limit=limit)
     lines = [f"tau{k} = {code}" for k, code in zip(targets, written, strict=True)]
     lines += [f"tau{k} = 0.0" for k in range(mechanism.n) if k not in set(targets)]
-    scope = {f"_{name}": function for name, function in FUNCTIONS.items()}
-    return Actuation(None, tuple(lines), scope)
+    return Actuation(None, tuple(lines), dict(_SCOPE))
 
 
 def table(
@@ -175,6 +180,10 @@ def callback(
     def torques(t: float, state: tuple[float, ...]) -> Sequence[float]:
         values = [float(x) for x in function(t, list(state[:n]), list(state[n:]))]
         if len(values) == n:
+            for k in mechanism.passive:
+                if values[k] != 0.0:
+                    limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
+                    raise InputError(f"tau{k + 1}", value=values[k], limit=limit)
             return values
         if len(values) != len(driven):
             limit = f"must be {len(driven)} values, one an actuated joint, or {n}"
@@ -197,45 +206,48 @@ class _Writer:
         self.where = where
         self.names: set[str] = set()
 
-    def write(self, node: ast.expr) -> str:
+    def write(self, node: ast.expr) -> ast.expr:
         match node:
             case ast.Constant(value=bool()):
                 pass
             case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
-                return repr(_float(value))
+                return ast.Constant(_float(value))
             case ast.Name(id=name):
                 return self.name(name)
-            case ast.UnaryOp(op=op, operand=operand) if isinstance(op, _OPERATORS):
-                sign = "-" if isinstance(op, ast.USub) else "+"
-                return f"({sign}{self.write(operand)})"
-            case ast.BinOp(left=left, op=ast.operator() as op, right=right) if isinstance(
-                op, _OPERATORS
-            ):
-                sign = _SIGNS.get(type(op), "**")
-                if sign == "**" and _exponent(right) > MAX_POWER:
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                return ast.UnaryOp(op, self.write(operand))
+            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
+                sides = [self.write(left), self.write(right)]
+                if not isinstance(op, ast.Pow):
+                    return ast.BinOp(sides[0], op, sides[1])
+                if _exponent(right) > MAX_POWER:
                     raise self.refuse(f"an exponent above {MAX_POWER:g}")
-                return f"({self.write(left)} {sign} {self.write(right)})"
+                if _exponent(right).is_integer():
+                    return ast.BinOp(sides[0], op, sides[1])
+                return ast.Call(ast.Name("_pow"), sides, [])
             case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(
                 op, _COMPARISONS
             ):
-                sign = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}[type(op)]
-                return f"({self.write(left)} {sign} {self.write(right)})"
+                return ast.Compare(self.write(left), [op], [self.write(right)])
             case ast.IfExp(test=test, body=body, orelse=orelse):
-                return f"({self.write(body)} if {self.write(test)} else {self.write(orelse)})"
+                return ast.IfExp(self.write(test), self.write(body), self.write(orelse))
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                return f"_{name}({', '.join(map(self.write, args))})"
+                least, most = _ARGUMENTS.get(name, (1, 1))
+                if not least <= len(args) <= most:
+                    raise self.refuse(f"{len(args)} arguments of {name}")
+                return ast.Call(ast.Name(f"_{name}"), [self.write(x) for x in args], [])
             case ast.Call(func=ast.Name(id=name)):
                 raise self.refuse(f"function {name}; known: {', '.join(FUNCTIONS)}")
-        raise self.refuse(f"`{ast.unparse(node)}`" if isinstance(node, ast.expr) else "this")
+        raise self.refuse(f"`{ast.unparse(node)[:80]}`")
 
-    def name(self, name: str) -> str:
+    def name(self, name: str) -> ast.expr:
         if name in CONSTANTS:
-            return repr(CONSTANTS[name])
+            return ast.Constant(CONSTANTS[name])
         kind = name.rstrip("0123456789")
         number = name[len(kind) :]
         if name == "t" or (kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= self.n):
             self.names.add(name)
-            return name if name == "t" else f"{kind}{int(number) - 1}"
+            return ast.Name(name if name == "t" else f"{kind}{int(number) - 1}")
         raise self.refuse(f"name {name}; known: t, q1..q{self.n}, qd1..qd{self.n}, pi, e")
 
     def refuse(self, what: str) -> InputError:
@@ -244,11 +256,12 @@ class _Writer:
 
 def _constant(code: str, text: str, where: str) -> float:
     scope: dict[str, object] = {"__builtins__": {}}
-    scope |= {f"_{name}": function for name, function in FUNCTIONS.items()}
+    scope |= _SCOPE
     try:
         value = float(eval(code, scope))
     except (ArithmeticError, ValueError, TypeError) as error:
-        raise InputError(repr(text), where=where, limit=str(error)) from None
+        limit = f"is no real number: {error}"
+        raise InputError(repr(text), where=where, limit=limit) from None
     if not math.isfinite(value):
         raise InputError(repr(text), where=where, value=value, limit="must be finite")
     return value
@@ -267,5 +280,5 @@ def _exponent(node: ast.expr) -> float:
     return (
         _float(node.value)
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-        else 0.0
+        else 0.5  # may be any: no whole number
     )

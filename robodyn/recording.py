@@ -144,7 +144,7 @@ class Recorder:
         self.steps.append((t, solver.y.copy()))
         if len(self.steps) >= STEPS_AT_ONCE:
             self.flush_steps()
-        if solver.nfev > self.max_evaluations:
+        if solver.nfev > self.max_evaluations and solver.status == "running":
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
         if self.watch is not None and self.watch(t):
             raise StopRun(Outcome.INTERRUPTED)

@@ -96,6 +96,9 @@ def simulate(
     """
     q = closed_form.as_states(mechanism, "q", q)
     qd = closed_form.as_states(mechanism, "qd", qd)
+    if q.ndim != 1 or qd.ndim != 1:
+        shapes = f"{q.shape} and {qd.shape}"
+        raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
     fault = loop_rates.check_closed(mechanism, q, qd)
     if fault is not None:
         raise fault[1]
@@ -148,6 +151,10 @@ def run(
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
     times = None if times is None else _checked_times(times, t_end)
+    stamps = actuation.kinks
+    if stamps and not (min(stamps) <= min(0.0, t_end) and max(stamps) >= max(0.0, t_end)):
+        span = f"{min(stamps):g} to {max(stamps):g} s"
+        raise InputError("table of torques", value=span, limit=f"must cover 0 to {t_end:g} s")
     work = actuation.active or any(mechanism.damping)
     report = Report(
         method=settings.method,

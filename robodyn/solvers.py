@@ -43,7 +43,7 @@ SHORTER = (0.75, 0.7, 0.6)  # parts of a step to try where it lands too near
 EXPLICIT = ("DOP853", "RK45", "RK23")
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
 STIFF_SAMPLE = 10  # every so many steps are looked at
-STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 2.0}  # |h lambda| near the stable limit
+STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 1.0}  # |h lambda| near the stable limit
 
 
 class StiffError(Exception):
@@ -83,6 +83,7 @@ def projected(method: str) -> type[OdeSolver]:
             self.kinks = sorted(kinks)
             self.steps = 0
             self._stiff_steps = 0
+            self._rates = fun  # not counted
             self.near = near if method in EXPLICIT else None
             if method in EXPLICIT:
                 self._plain = self.fun = self._counted(fun)
@@ -103,8 +104,13 @@ def projected(method: str) -> type[OdeSolver]:
         def _step_impl(self) -> tuple[bool, str | None]:
             end = self.t_bound
             self._bound(self._next_kink(end))
-            success, message = self._take_step()
+            try:
+                success, message = self._take_step()
+            except ValueError as error:  # an implicit method met a rate that is not finite
+                success, message = False, str(error)
             self._bound(end)
+            if success and method not in EXPLICIT:  # those go on where a rate is not finite
+                success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
             if not success:
                 return success, message
             self.steps += 1

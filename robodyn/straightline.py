@@ -89,7 +89,13 @@ def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
 def _define(
     source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
 ) -> Callable[..., Any]:
-    names: dict[str, object] = {**(scope or {}), "sin": math.sin, "cos": math.cos, "nan": math.nan}
+    names: dict[str, object] = {
+        **(scope or {}),
+        "sin": math.sin,
+        "cos": math.cos,
+        "nan": math.nan,
+        "inf": math.inf,
+    }
     if arrays:
         import numpy as np
 
