@@ -85,7 +85,11 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     driven = freedoms[..., :, actuated]
     wanted = _times(freedoms, load)
     tau = np.zeros_like(load)
-    drives = np.asarray(np.linalg.pinv(driven, rcond=RANK_CUT), dtype=float)
+    # cut against 1, the projector's size: at a dead centre nothing but rounding is driven
+    U, drive, Vt = np.linalg.svd(driven, full_matrices=False)
+    counts = drive > RANK_CUT
+    inverse = np.where(counts, 1.0 / np.where(counts, drive, 1.0), 0.0)
+    drives = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
     tau[..., actuated] = _times(drives, wanted)
     missing = np.abs(wanted - _times(driven, tau[..., actuated])).max(axis=-1)
     excess = missing - BALANCE * np.abs(load).max(axis=-1)

@@ -815,3 +815,16 @@ class TestBroadcasting:
     def test_arrays_that_do_not_fit_are_input_errors(self, function, q, qd, qdd, place):
         with pytest.raises(InputError, match=place):
             function(mechanism(TWO_LINK_YAML), q, qd, qdd)
+
+
+def test_torque_at_a_dead_centre_is_refused():
+    """The rod square to the slider's line: the crank moves, the piston cannot move the crank."""
+    q = [0.7297276562269663, -2.300523983021863]
+    mech = mechanism(
+        "gravity: 9.81\nlinks:\n"
+        "  - {name: crank, m: 0.8, l: 0.3, r: 0.13, I: 0.007}\n"
+        "  - {name: rod, m: 0.5, l: 0.2, r: 0.09, I: 0.002, payload: 0.7}\n"
+        "closures:\n  - {point: rod, on: {through: [0, 0], along: [1, 0]}}\n"
+    )
+    with pytest.raises(SingularError, match="dead centre"):
+        dyn.inverse_dynamics(mech, q, [0, 0], [0, 1])
