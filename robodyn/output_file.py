@@ -62,3 +62,11 @@ def open_output(
                 os.replace(temporary, kept)
                 partial(kept)
             raise
+
+
+def same_file(first: str, second: str | None) -> bool:
+    """Whether two outputs would take the same place; a device takes both."""
+    targets = {"-" if path in (None, "-") else os.path.realpath(path) for path in (first, second)}
+    return len(targets) == 1 and (
+        first == "-" or not os.path.exists(first) or os.path.isfile(first)
+    )

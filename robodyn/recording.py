@@ -6,6 +6,7 @@ many at once and memory does not grow with the length of a run.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -132,14 +133,18 @@ class Recorder:
         if self.times is None:
             self._row(np.array([t]), solver.y[None, :].copy())
         else:
-            ahead = self.times[self.next_row :]
-            count = int(np.searchsorted(ahead * solver.direction, t * solver.direction, "right"))
-            if count:
-                due = ahead[:count]
+            end = bisect_right(
+                self.times,
+                t * solver.direction,
+                self.next_row,
+                key=lambda time: time * solver.direction,
+            )
+            if end > self.next_row:
+                due = self.times[self.next_row : end]
                 y = solver.y[None, :].copy() if due[0] == t else solver.dense_output()(due).T
                 if due[-1] == t:
                     y[-1] = solver.y
-                self.next_row += count
+                self.next_row = end
                 self._row(due, y)
         self.steps.append((t, solver.y.copy()))
         if len(self.steps) >= STEPS_AT_ONCE:

@@ -69,7 +69,7 @@ class Settings:
         if not 0.0 < self.atol < np.inf:
             raise InputError("atol", value=self.atol, limit="must be > 0 and finite")
         if not 0.0 < self.baumgarte < np.inf:
-            raise InputError("baumgarte rate", value=self.baumgarte, limit="must be > 0 and finite")
+            raise InputError("baumgarte_rate", value=self.baumgarte, limit="must be > 0 and finite")
         if self.max_evaluations < 1:
             raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
 

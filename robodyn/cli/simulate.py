@@ -8,9 +8,10 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from enum import StrEnum
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Optional
 
 import numpy as np
@@ -24,7 +25,7 @@ from robodyn.cli.states import Quantity, assembled_state, open_input, remarks, s
 from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
-from robodyn.output_file import open_output
+from robodyn.output_file import open_output, same_file
 from robodyn.recording import Outcome, Report
 from robodyn.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
 from robodyn.table import Reader
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 DEFAULT_POINTS = 1001
+MOST_ROWS = 100_000_000
 SILENT = 0.5  # s before a progress bar appears
 
 
@@ -132,7 +134,11 @@ def simulate(
     settings = Settings(
         method.value, rtol, atol, stabilize.value, baumgarte_rate, max_evaluations=max_evals
     )
-    settings.check()
+    try:
+        settings.check()
+    except InputError as error:
+        error.what = "--" + error.what.replace("_", "-")
+        raise
     times = _output_times(duration, every, points)
     torques = _torques(mechanism, tau, tau_from, duration)
     start = [Quantity("q", q, True), Quantity("qd", qd)]
@@ -141,21 +147,26 @@ def simulate(
         note(f"assembled: joints moved by up to {moved[0]:.3g} rad and {moved[1]:.3g} rad/s")
     else:
         state = single_state(mechanism, start)
-    if report is not None and out is not None and report == out:
-        raise InputError("--report", value=report, limit="is the same file as --out")
+    if report is not None and same_file(report, out):
+        raise InputError("--report", value=report, limit="must not be where the rows go (--out)")
 
     with open_output(out, partial=lambda name: note(f"what was computed is in {name}")) as stream:
-        writer = Writer(stream, _columns(mechanism))
+
+        @cache
+        def writer() -> Writer:  # a run that cannot start writes no header
+            return Writer(stream, _columns(mechanism))
 
         def sink(t: np.ndarray, y: np.ndarray) -> None:
-            writer.write_columns(_rows(mechanism, torques, t, y))
+            writer().write_columns(_rows(mechanism, torques, t, y))
 
-        with remarks(), _watching(duration, quiet) as watch:
-            outcome, facts = run(
-                mechanism, np.concatenate(state), duration, torques, settings, sink, times, watch
-            )
-        if report is not None:
-            with open_output(report) as file:
+        with nullcontext() if report is None else open_output(report) as file:
+            with remarks(), _watching(duration, quiet) as watch:
+                begin = np.concatenate(state)
+                outcome, facts = run(
+                    mechanism, begin, duration, torques, settings, sink, times, watch
+                )
+            writer()
+            if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if not quiet:
             _summary(mechanism, facts)
@@ -199,20 +210,25 @@ def _output_times(duration: float, every: float | None, points: int | None) -> n
     if every is not None:
         if not (math.isfinite(every) and every > 0.0):
             raise InputError("--every", value=every, limit="must be > 0 and finite")
-        count = math.floor(abs(duration) / every * (1 + 1e-12))
-        if count > 100_000_000:
-            raise InputError("--every", value=every, limit=f"makes {count} rows, too many")
-        times = np.arange(count + 1) * math.copysign(every, duration)
-        if abs(times[-1] - duration) <= 1e-9 * every:
-            times[-1] = duration
-            return times
-        return np.append(times, duration)
+        count = abs(duration) / every
+        _check_number("--every", every, count)
+        times = np.arange(math.ceil(count)) * math.copysign(every, duration)
+        # a row so near the end would double it
+        nearly = max(1e-9 * min(every, abs(duration)), 4 * math.ulp(duration))
+        return np.append(times[np.abs(times - duration) > nearly], duration)
     wanted = DEFAULT_POINTS if points is None else points
     if wanted < 1:
         raise InputError("--points", value=wanted, limit="must be >= 1")
+    _check_number("--points", wanted, wanted)
     if duration == 0.0 or wanted == 1:
         return np.array([duration])
     return np.linspace(0.0, duration, wanted)
+
+
+def _check_number(option: str, value: float, rows: float) -> None:
+    if rows > MOST_ROWS:
+        limit = f"makes {rows:.6g} rows, too many: at most {MOST_ROWS}"
+        raise InputError(option, value=value, limit=limit)
 
 
 def _torques(
