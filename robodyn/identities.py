@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from robodyn import assembly, closed_form, dynamics, loop_rates
 from robodyn.description import Description, Point
-from robodyn.errors import RobodynError
+from robodyn.errors import SingularError
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -24,20 +24,28 @@ Complex = NDArray[np.complex128]
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 STEP = 2e-2  # rad
+ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
 # f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+
+BALANCE = "M qdd + C qd + D qd + G = tau + Psi^T lambda"
+POWER = "power in = dE/dt"
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One identity and the largest relative residual over the sampled states."""
+    """One identity and the largest relative residual over the sampled states.
+
+    Where it cannot be evaluated the residual is None, and `reason` says why.
+    """
 
     name: str
-    residual: float
+    residual: float | None
+    reason: str = ""
 
     @property
     def holds(self) -> bool:
-        return self.residual <= BOUND
+        return self.residual is not None and self.residual <= BOUND
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +75,7 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
             mechanism, rng.uniform(-np.pi, np.pi, (4 * count, mechanism.n))
         )
         missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
-        closes = np.flatnonzero(missing <= assembly.CLOSED * assembly.loop_size(mechanism))
+        closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     else:
         q, missing = assembly.attempt(mechanism, rng.uniform(-np.pi, np.pi, (4 * count, driven)))
         closes = np.flatnonzero(missing <= 0.0)
@@ -172,8 +180,8 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
     tau[:, driven] = rng.normal(size=(len(q), len(driven))) * (_top(G) + 1.0)
     try:
         motion = dynamics.forward_dynamics_and_forces(mechanism, q, qd, tau)
-    except RobodynError:
-        return [Identity("M qdd + C qd + D qd + G = tau + Psi^T lambda", np.inf)]
+    except SingularError as error:
+        return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
     damping = np.array([link.damping for link in description.links])
     terms = [
@@ -194,10 +202,7 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
     scale = max(map(_top, terms))
     found.insert(
         0,
-        Identity(
-            "M qdd + C qd + D qd + G = tau + Psi^T lambda",
-            _relative(np.sum(terms, axis=0), scale),
-        ),
+        Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)),
     )
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
@@ -208,7 +213,7 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
 
     growth = _along(energy, np.maximum(np.abs(qd), np.sqrt(np.abs(qdd))))
     power = np.einsum("...i,...i->...", tau, qd) - (damping * qd**2).sum(axis=-1)
-    return [*found, Identity("power in = dE/dt", _relative(growth - power, scale * _top(qd)))]
+    return [*found, Identity(POWER, _relative(growth - power, scale * _top(qd)))]
 
 
 # -- the bodies as the scene describes them ------------------------------------------------------

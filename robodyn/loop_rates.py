@@ -26,6 +26,7 @@ from robodyn.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
+REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding
 GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
 
 
@@ -55,7 +56,8 @@ def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Arr
     Psi = closure_jacobian(mechanism, q)
     rates = as_states(mechanism, "qd", qd)
     excess = np.einsum("...ij,...j->...i", Psi, rates)
-    closed: Array = rates - np.einsum("...ij,...j->...i", np.linalg.pinv(Psi), excess)
+    inverse = np.linalg.pinv(Psi, rcond=REDUNDANT)
+    closed: Array = rates - np.einsum("...ij,...j->...i", inverse, excess)
     return closed
 
 

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,7 @@ from random_mechanisms import (
 from robodyn import assembly, loop_rates
 from robodyn import closed_form as cf
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
+from robodyn.mechanism import load
 
 SEEDS = range(8)
 BRANCHES = ("open", "crossed")
@@ -305,6 +307,15 @@ class TestRates:
         assert_close(found @ Psi.T, np.zeros((6, len(mech.rows))), 10.0)
         moves = np.linalg.svd(Psi)[2][len(mech.rows) :]
         assert_close((found - rates) @ moves.T, np.zeros((6, len(moves))), 10.0)
+
+    def test_nearest_rates_of_closures_that_depend_on_one_another(self):
+        """A parallelogram with a third crank, closed to 1e-12: the motion (1, -1, 1, 1) stays."""
+        mech = load(ROOT / "tests/hard_cases/third-crank.yaml")
+        k = np.array([1.0, -1.0, 1.0, 1.0])
+        q = k * np.linspace(0.3, 2.8, 30)[:, None]
+        q += 1e-12 * np.random.default_rng(0).normal(size=q.shape)
+        found = loop_rates.nearest_velocities(mech, q, np.tile(k, (30, 1)))
+        assert_close(found, np.tile(k, (30, 1)), 1.0, 1e-9)
 
     def test_leading_axes_broadcast(self):
         scene = seeded_scene(2, LOOPS["five-bar"])

@@ -157,6 +157,39 @@ def test_a_singular_m_leaves_the_json_strict(
     assert given.json["cond_M"] is None or None in given.json["cond_M"]
 
 
+def test_closures_that_depend_on_one_another_pass(robodyn: Run) -> None:
+    """Every sampled state is closed to rounding: the redundant row must not count as a fourth."""
+    given = robodyn("check", "tests/hard_cases/third-crank.yaml")
+    assert given.code == 0, given.err
+    found = given.json
+    assert (found["mobility"], found["passed"]) == (1, True)
+    assert found["states"] >= 100
+    assert max(found["identities"].values()) <= 1e-12
+    assert given.err.splitlines() == [
+        "Warning: the closures depend on one another: the pin forces are not unique "
+        "(least norm given)",
+        "Note: 1 of the closures' equations are redundant",
+    ]
+
+
+def test_a_massless_last_link_is_explained(robodyn: Run) -> None:
+    """M is singular everywhere: no acceleration, and the rest of the report all the same."""
+    scene = "tests/hard_cases/massless-tip.yaml"
+    given = robodyn("check", scene).fails(1, "M is singular", scene, "wire", "give it")
+    assert "does not hold" not in given.err
+    found = given.json
+    assert found["passed"] is False
+    assert "link wire" in found["singular"]
+    unknown = [name for name, residual in found["identities"].items() if residual is None]
+    assert [name[:5] for name in unknown] == ["M qdd", "power"]
+    known = [x for x in found["identities"].values() if x is not None]
+    assert len(known) == 7
+    assert max(known) <= found["bound"]
+    table = robodyn("check", scene, "--format", "table").fails(1, "wire").out
+    assert table.count("M is singular") == 2
+    assert table.count("holds") == 7
+
+
 def test_the_identities_are_those_of_the_design(robodyn: Run) -> None:
     told = " ".join(robodyn("check", "robots/four-bar.yaml").json["identities"])
     for part in ("M = M^T", "KE", "2C skew", "G = dPE/dq", "Psi", "Psidot", "power", "lambda"):

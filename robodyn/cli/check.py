@@ -10,6 +10,7 @@ import typer
 from robodyn import assembly, closed_form
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import new_table, note, wants_tables, write_structure
+from robodyn.cli.states import remarks
 from robodyn.description import Point
 from robodyn.errors import InputError
 from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
@@ -29,7 +30,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
 
     The self-test evaluates the identities that every mechanism must keep (Mdot - 2C skew,
     G = dPE/dq, power in = dE/dt, ...) at random closed states and tells their residuals,
-    relative to the size of the terms.  Exit code 1 if one does not hold.
+    relative to the size of the terms.  Exit code 1 if one does not hold, or M is singular.
 
     \b
     Examples:
@@ -44,7 +45,9 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         unknown = True
         note(f"Note: no self-test over closed states: {error}")
         sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
-    results = identities(mechanism, sample) if len(sample.q) else []
+    with remarks():
+        results = identities(mechanism, sample) if len(sample.q) else []
+    singular = next((item.reason for item in results if item.reason), None)
     content = {
         "name": mechanism.name,
         "gravity": [mechanism.gamma.real, mechanism.gamma.imag],
@@ -55,6 +58,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "states": len(sample.q),
         "closing": sample.closing if mechanism.rows else None,
         "identities": {item.name: item.residual for item in results},
+        "singular": singular,
         "bound": BOUND,
         "passed": all(item.holds for item in results) if results else None,
     }
@@ -63,9 +67,12 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     if mechanism.rows and sample.closing == 0.0 and not len(sample.q) and not unknown:
         note("Error: the loops close at none of the random positions of the actuated joints")
         raise typer.Exit(1)
-    failed = [item.name for item in results if not item.holds]
+    failed = [item.name for item in results if not item.holds and not item.reason]
+    if singular is not None:
+        note(f"Error: M is singular: {singular}")
     if failed:
         note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
+    if failed or singular is not None:
         raise typer.Exit(1)
 
 
@@ -151,7 +158,11 @@ def _tables(
         facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
 
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
-    proof = [
-        [item.name, f"{item.residual:.1e}", "holds" if item.holds else "FAILS"] for item in results
-    ]
+    proof = [[item.name, *_verdict(item)] for item in results]
     return [read, new_table(["", ""], facts), new_table(["identity", "residual", ""], proof, title)]
+
+
+def _verdict(item: Identity) -> list[str]:
+    if item.residual is None:
+        return ["", "M is singular"]
+    return [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
