@@ -101,6 +101,9 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         least = int((n - s.rank).min())
         freedom = "1 freedom" if least == 1 else f"{least} freedoms"
         remarks.insert(0, f"{len(actuated)} actuators on {freedom}: torques of least norm")
+    if (counts.sum(axis=-1) < np.minimum(len(actuated), n - s.rank)).any():
+        at = "dead centre: the actuators cannot drive every freedom here"
+        remarks.insert(0, f"{at}: torques of least norm")
     multipliers = _times(np.swapaxes(s.pseudo_inverse, -1, -2), load - tau)
     return Torques(tau, multipliers, "; ".join(remarks))
 

@@ -660,6 +660,34 @@ class TestActuation:
             dyn.inverse_dynamics(mech, q, [0.0] * 3, 10.0 * k)
 
     @pytest.mark.parametrize("count", [1, 300])
+    @pytest.mark.parametrize("falling", [False, True])
+    def test_a_balanced_load_at_a_dead_centre_warns(self, count, falling):
+        """At rest without gravity, or falling freely: any torque of the rocker would do."""
+        text = FOUR_BAR_YAML.replace("0.07", "0").replace("9.81", "9.81" if falling else "0")
+        mech = mechanism(text + "actuated: [rocker]")
+        rocker = np.arccos((1.3**2 - 1.1**2 - 0.8**2) / (2 * 1.1 * 0.8))
+        angles = rocker + np.linspace(0.3, 0.0, count)[:, None]
+        angles[-1] = rocker
+        q = robodyn.assemble(mech, angles)
+        k = np.linalg.svd(cf.closure_jacobian(mech, q))[2][:, 2]  # the motion possible
+        M, G = cf.mass_matrix(mech, q), cf.gravity_vector(mech, q)
+        k_G, k_M_k = (k * G).sum(-1), np.einsum("ti,tij,tj->t", k, M, k)
+        qdd = -k * (k_G / k_M_k)[:, None]
+        with pytest.warns(dyn.RobodynWarning, match="dead centre.*torques of least norm"):
+            found = dyn.inverse_dynamics(mech, q, np.zeros(3), qdd)
+        assert_close(found, np.zeros_like(q), 1.0, 1e-9)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            dyn.inverse_dynamics(mech, q[:-1], np.zeros(3), qdd[:-1])
+
+    def test_the_torque_at_a_balanced_change_point_is_the_only_one(self):
+        """A parallelogram in line without gravity, at rest: two freedoms, and the crank drives."""
+        mech = mechanism(PARALLELOGRAM_YAML.replace("9.81", "0"))
+        with pytest.warns(dyn.RobodynWarning, match="^the closures depend on one another"):
+            tau = dyn.inverse_dynamics(mech, [0.0] * 3, [0.0] * 3, [0.0] * 3)
+        assert tau.tolist() == [0.0, 0.0, 0.0]
+
+    @pytest.mark.parametrize("count", [1, 300])
     def test_change_point(self, count):
         """All links in line: the crank alone cannot hold the second freedom."""
         mech = mechanism(PARALLELOGRAM_YAML)
