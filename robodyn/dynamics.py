@@ -21,7 +21,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn import blocks, dense_dynamics, formulas, straightline
 from robodyn.closed_form import as_states
-from robodyn.dense_dynamics import Accelerations, Torques, check_actuators, elimination_is_safe
+from robodyn.dense_dynamics import (
+    MASS_CUT,
+    Accelerations,
+    Torques,
+    check_actuators,
+    elimination_is_safe,
+)
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
 from robodyn.straightline import ArrayFunction
@@ -93,7 +99,7 @@ def forward_dynamics_and_forces(
         as_states(mechanism, "tau", tau),
     )
     generated = None
-    if _worth(mechanism, q) and elimination_is_safe(mechanism):
+    if _worth(mechanism, q) and _regular_everywhere(mechanism):
         generated = _generated("forward", mechanism)
     if generated is None:
         return _warned(dense_dynamics.forward(mechanism, q, qd, tau))
@@ -139,6 +145,20 @@ def _broadcast(*arrays: Array) -> list[Array]:
 
 def _worth(mechanism: Mechanism, q: Array) -> bool:
     return q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED
+
+
+@lru_cache(maxsize=64)
+def _regular_everywhere(mechanism: Mechanism) -> bool:
+    """Whether M can be eliminated at every configuration: no state of a batch need be asked.
+
+    x^T M x = Re((E x)^H A (E x)) in absolute angles: M has no eigenvalue below A's least, whatever
+    the angles.
+    """
+    if not elimination_is_safe(mechanism):
+        return False
+    A = mechanism.arrays.A
+    scale = np.sqrt(A.diagonal().real)
+    return bool(np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT)
 
 
 @lru_cache(maxsize=64)

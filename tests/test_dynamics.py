@@ -527,6 +527,24 @@ class TestMasslessLinks:
         with pytest.raises(SingularError, match="can move without any inertia"):
             dyn.forward_dynamics(mech, q, 0 * q, [1.0, 0.0])
 
+    @pytest.mark.parametrize("count", [1, 300])
+    @pytest.mark.parametrize("bend", [1e-7, -1e-8, np.pi - 1e-7])
+    @pytest.mark.parametrize("carrier", ["", "  - {name: arm, m: 2, l: 1, r: 0.4, I: 0.1}\n"])
+    def test_nearly_singular_at_one_configuration(self, count, bend, carrier):
+        """Two massless rods with a payload, alone or on an arm: refused in a batch as alone."""
+        mech = mechanism(
+            f"links:\n{carrier}"
+            "  - {name: first, m: 0, l: 1, r: 0, I: 0}\n"
+            "  - {name: second, m: 0, l: 1, r: 0, I: 0, payload: 1.3}\n"
+        )
+        q = np.full((count, mech.n), 0.4)
+        q[:, -1] = np.linspace(0.5, 2.0, count)
+        found = dyn.forward_dynamics(mech, q, 0 * q, 0 * q)
+        assert_close(found[0], dyn.forward_dynamics(mech, q[0], 0 * q[0], 0 * q[0]), 100.0)
+        q[count // 2, -1] = bend
+        with pytest.raises(SingularError, match="can move without any inertia"):
+            dyn.forward_dynamics(mech, q, 0 * q, 0 * q)
+
     def test_inverse_dynamics_needs_no_mass_at_all(self):
         mech = mechanism("links: [{name: wire, m: 0, l: 1, r: 0, I: 0, damping: 2}]")
         assert dyn.inverse_dynamics(mech, [1.0], [3.0], [5.0]).tolist() == [6.0]
