@@ -36,10 +36,6 @@ METHODS: dict[str, type[OdeSolver]] = {
     "BDF": BDF,
     "LSODA": LSODA,
 }
-LANDING = 1e-3  # relative pivot of the closures beyond which a step may land
-ROUNDING = 20 * np.finfo(float).eps  # error of an acceleration, times the quality of its state
-LEAST_QUALITY = 1e-9
-SHORTER = (0.75, 0.7, 0.6)  # parts of a step to try where it lands too near
 EXPLICIT = ("DOP853", "RK45", "RK23")
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
 STIFF_SAMPLE = 10  # every so many steps are looked at
@@ -76,7 +72,6 @@ def projected(method: str) -> type[OdeSolver]:
             self.t: float
             self.y: Array
             self.f: Any
-            self.atol: Any
             self.h_abs: float
             self.projection = projection
             self.observer = observer
@@ -89,7 +84,6 @@ def projected(method: str) -> type[OdeSolver]:
                 self._plain = self.fun = self._counted(fun)
             if self.near is not None:
                 self._careful = self._counted(self.near.rates)
-                self._asked_atol = self.atol
                 self.near.met = False
 
         def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
@@ -128,26 +122,12 @@ def projected(method: str) -> type[OdeSolver]:
             if near is None:
                 return super()._step_impl()  # type: ignore[no-any-return]
             self.fun = self._careful if near.met else self._plain
-            self.atol = self._asked_atol
-            if near.met:  # rounding alone errs by this much from here: no step can do better
-                rounding = ROUNDING / max(near.quality(self.y), LEAST_QUALITY) * self.h_abs
-                self.atol = np.maximum(self.atol, rounding)
             begun = self.t, self.y, self.f, self.h_abs
             near.met = False
             success, message = super()._step_impl()
             if near.met and self.fun is self._plain:
                 self.t, self.y, self.f, self.h_abs = begun
                 self.fun = self._careful
-                success, message = super()._step_impl()
-            # a step that starts at a distance d errs by eps/d^2: rather land a little before, from
-            # where the next step leaps across
-            before = near.met and near.quality(begun[1]) > 10 * LANDING
-            for part in SHORTER if before else ():
-                if not success or self.t == self.t_bound or near.quality(self.y) > LANDING:
-                    break
-                step = abs(self.t - begun[0])
-                self.t, self.y, self.f, self.h_abs = begun
-                self.h_abs = part * step
                 success, message = super()._step_impl()
             return success, message
 

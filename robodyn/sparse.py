@@ -15,6 +15,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.actuation import Actuation
+from robodyn.change_points import Closing
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -103,7 +104,9 @@ class SparseMechanism:
         PE = self.P * E[self.link]
         gap = np.bincount(self.row, PE.real, minlength=self.r) + self.offset
         Psi = csr_matrix((-PE.imag, (self.row, self.link)), shape=(self.r, self.n)) @ self.J
-        factors = splu(csc_matrix(Psi @ Psi.T))
+        # unscaled and with pivots from the diagonal, which are small where a loop hardly closes
+        symmetric = {"Equil": False, "SymmetricMode": True}
+        factors = splu(csc_matrix(Psi @ Psi.T), diag_pivot_thresh=0.0, options=symmetric)
         pivots = np.abs(factors.U.diagonal())
         right = np.stack([gap, Psi @ qd], axis=-1)
         change = Psi.T @ factors.solve(right)
@@ -115,10 +118,9 @@ def rates(
     actuation: Actuation,
     work: bool,
     baumgarte: float,
-    projection: Callable[[Array], Array] | None,
     fallback: Fallback,
 ) -> Callable[[float, Array], Array]:
-    """dy/dt, every state projected first (see `right_hand_side.py`); singular ones: `fallback`."""
+    """dy/dt; states too near a singular configuration are left to `fallback`."""
     n = system.n
     torques = actuation.function(n)
 
@@ -128,8 +130,7 @@ def rates(
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
         try:
-            closed = y if projection is None or baumgarte else projection(y)
-            qdd, ratio = system.accelerations(closed, tau, baumgarte)
+            qdd, ratio = system.accelerations(y, tau, baumgarte)
         except RuntimeError:  # splu: exactly singular
             ratio = 0.0
         if not ratio > SINGULAR:
@@ -142,30 +143,28 @@ def rates(
     return derivative
 
 
-def projection(
-    system: SparseMechanism, fallback: Callable[[Array], Array]
-) -> Callable[[Array], Array]:
-    """The projection onto states that close; near singular ones are left to `fallback`."""
+def closing(system: SparseMechanism, fallback: Closing) -> Closing:
+    """The nearest state that closes (`projection.py`); singular ones are left to `fallback`."""
     n = system.n
 
-    def project(y: Array) -> Array:
+    def nearest(y: Array) -> tuple[Array, float]:
         closed = y.copy()
-        q, qd = closed[:n], closed[n : 2 * n]
+        q, given = closed[:n], closed[n : 2 * n]
         for _ in range(PASSES):
             try:
-                new, rate, ratio = system.newton_step(q, qd)
+                new, qd, ratio = system.newton_step(q, given)
             except RuntimeError:
                 return fallback(y)
             if not ratio > SINGULAR:
                 return fallback(y)
             change = np.abs(new - q).max()
-            q, qd = new, rate
+            q = new
             if change <= CONVERGED:
                 break
         closed[:n], closed[n : 2 * n] = q, qd
-        return closed
+        return closed, ratio
 
-    return project
+    return nearest
 
 
 def _path(mechanism: Mechanism, link: int) -> list[int]:
