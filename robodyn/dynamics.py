@@ -19,22 +19,32 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn import blocks, dense_dynamics, formulas, straightline
+from robodyn import (
+    blocks,
+    change_points,
+    closed_form,
+    dense_dynamics,
+    formulas,
+    projection,
+    straightline,
+)
 from robodyn.closed_form import as_states
 from robodyn.dense_dynamics import (
     MASS_CUT,
+    RANK_CUT,
     Accelerations,
     Torques,
     check_actuators,
     elimination_is_safe,
+    required_load,
 )
-from robodyn.errors import InputError
+from robodyn.errors import InputError, SingularError
 from robodyn.mechanism import Mechanism
 from robodyn.straightline import ArrayFunction
 
 Array = NDArray[np.float64]
 
-PIVOT_CUT = 1e-8  # generated code is trusted while the closures' relative pivots exceed this
+PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
 BATCH = 200  # from so many states on generated array code wins, its generation included
 
 
@@ -69,11 +79,11 @@ def inverse_dynamics_and_forces(
     check_actuators(mechanism, q)
     generated = _generated("inverse", mechanism) if _worth(mechanism, q) else None
     if generated is None:
-        return _warned(dense_dynamics.inverse(mechanism, q, qd, qdd))
+        return _warned(_inverse(mechanism, q, qd, qdd))
     solution, forces, doubtful = _run(mechanism, generated, q, qd, qdd)
     if doubtful.size:
         pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, qdd)]
-        dense = dense_dynamics.inverse(mechanism, *pieces)
+        dense = _inverse(mechanism, *pieces)
         solution.reshape(-1, mechanism.n)[doubtful] = dense.tau
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
         _warned(dense)
@@ -102,15 +112,66 @@ def forward_dynamics_and_forces(
     if _worth(mechanism, q) and _regular_everywhere(mechanism):
         generated = _generated("forward", mechanism)
     if generated is None:
-        return _warned(dense_dynamics.forward(mechanism, q, qd, tau))
+        return _warned(_forward(mechanism, q, qd, tau))
     solution, forces, doubtful = _run(mechanism, generated, q, qd, tau)
     if doubtful.size:
         pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, tau)]
-        dense = dense_dynamics.forward(mechanism, pieces[0], pieces[1], pieces[2])
+        dense = _forward(mechanism, pieces[0], pieces[1], pieces[2])
         solution.reshape(-1, mechanism.n)[doubtful] = dense.qdd
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
         _warned(dense)
     return Accelerations(solution, forces)
+
+
+def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
+    """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
+    found = dense_dynamics.forward(mechanism, q, qd, tau)
+    if not mechanism.rows or not q.size:
+        return found
+    n, qdd, multipliers = mechanism.n, found.qdd, found.multipliers
+    Psi = closed_form.closure_jacobian(mechanism, q)
+    s = np.linalg.svd(Psi, compute_uv=False)
+    quality = (s[..., projection.regular_rank(mechanism) - 1] / s[..., 0]) ** 2
+    for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
+        around = _branch(mechanism, q[state], qd[state], float(quality[state]))
+        if around is not None:
+            beside = dense_dynamics.forward(mechanism, around[:, :n], around[:, n:], tau[state])
+            qdd[state] = change_points.across(beside.qdd)
+            load = required_load(mechanism, q[state], qd[state], qdd[state]) - tau[state]
+            multipliers[state] = np.linalg.pinv(Psi[state].T, rcond=RANK_CUT) @ load
+    return found
+
+
+def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
+    """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
+    try:
+        return dense_dynamics.inverse(mechanism, q, qd, qdd)
+    except SingularError:
+        if q.ndim > 1:
+            states = [x.reshape(-1, mechanism.n) for x in (q, qd, qdd)]
+            each = [_inverse(mechanism, *state) for state in zip(*states, strict=True)]
+            tau = np.reshape([x.tau for x in each], q.shape)
+            multipliers = np.reshape([x.multipliers for x in each], (*q.shape[:-1], -1))
+            return Torques(tau, multipliers, max((x.remark for x in each), key=len))
+        around = _branch(mechanism, q, qd, 0.0)
+        if around is None:
+            raise
+    n = mechanism.n
+    q_, qd_ = around[:, :n], around[:, n:]
+    Psi = closed_form.closure_jacobian(mechanism, q_)
+    opening = np.einsum("kij,j->ki", Psi, qdd) + closed_form.closure_bias(mechanism, q_, qd_)
+    closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+    tau = change_points.across(dense_dynamics.inverse(mechanism, q_, qd_, qdd - closing).tau)
+    load = required_load(mechanism, q, qd, qdd) - tau
+    Psi_T = closed_form.closure_jacobian(mechanism, q).T
+    multipliers = np.linalg.pinv(Psi_T, rcond=RANK_CUT) @ load
+    remark = "change point: torques of the motion straight across; pin forces are not unique there"
+    return Torques(tau, multipliers, remark)
+
+
+def _branch(mechanism: Mechanism, q: Array, qd: Array, quality: float) -> Array | None:
+    closing = projection.dense_closing(mechanism)
+    return change_points.beside(mechanism, closing, np.concatenate([q, qd]), quality)
 
 
 def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:

@@ -8,6 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from hypothesis import given, settings
 from mpmath import mp, mpf
 
@@ -874,3 +875,41 @@ def test_torque_at_a_dead_centre_is_refused():
     )
     with pytest.raises(SingularError, match="dead centre"):
         dyn.inverse_dynamics(mech, q, [0, 0], [0, 1])
+
+
+class TestChangePoint:
+    """The parallelogram in line moves on as one link of inertia I1 + I3 + m2 l^2."""
+
+    BRANCH = np.array([1.0, -1.0, 1.0])
+
+    def states(self, count):
+        mech = robodyn.load(ROOT / "robots/parallelogram.yaml")
+        theta = np.linspace(-0.2, 0.2, count)[:, None]
+        return mech, theta * self.BRANCH, np.full_like(theta, 3.0) * self.BRANCH
+
+    def exact(self, mech, theta, tau):
+        crank, coupler, rocker = mech.description.links
+        inertia = sum(x.I + x.m * abs(x.r) ** 2 for x in (crank, rocker)) + coupler.m * crank.l**2
+        weight = (crank.m * crank.r + rocker.m * rocker.r + coupler.m * crank.l).real
+        return (tau - 9.81 * weight * np.cos(theta)) / inertia
+
+    @pytest.mark.filterwarnings("ignore::UserWarning")
+    @pytest.mark.parametrize("count", [1, 21, 401])
+    def test_forward_and_inverse_dynamics(self, count):
+        mech, q, qd = self.states(count)
+        tau = np.array([0.7, 0.0, 0.0])
+        found = robodyn.forward_dynamics(mech, q, qd, tau)
+        expected = self.exact(mech, q[:, :1], 0.7) * self.BRANCH
+        assert found == pytest.approx(expected, rel=1e-10)
+        again = robodyn.inverse_dynamics(mech, q, qd, expected)
+        assert again == pytest.approx(np.broadcast_to(tau, again.shape), abs=1e-10)
+
+    @pytest.mark.filterwarnings("ignore::UserWarning")
+    @pytest.mark.parametrize("d", [0.0, 1e-13, 1e-10, 1e-7, 1e-4, 1e-2])
+    def test_at_any_distance(self, d):
+        mech, _, _ = self.states(1)
+        q, qd = d * self.BRANCH, 3.0 * self.BRANCH
+        expected = self.exact(mech, d, 0.7) * self.BRANCH
+        found = robodyn.forward_dynamics(mech, q, qd, [0.7, 0.0, 0.0])
+        assert found == pytest.approx(expected, rel=1e-10)
+        assert robodyn.inverse_dynamics(mech, q, qd, found) == pytest.approx([0.7, 0, 0], abs=1e-10)
