@@ -7,15 +7,19 @@ With E_k = c_k + i s_k = exp(i alpha_k), w = d(alpha)/dt and a = dw/dt, the coef
     F = A P - gamma conj(B) - P_closure^H lambda                  Re(conj(i E_j) F_j) = tau_j
 
 so that (a_k, -lambda_k) solves [M Psi^T; Psi 0] of the step's start with a right side of two
-convolutions a link; the factors serve all orders.  The mechanism enters as arrays only: nothing is
-ever compiled for another one.  Series run along rows, E's backwards: convolutions are then products
-of adjacent numbers.
+convolutions a link; the factors serve all orders.
+
+The mechanism enters as numbers only: nothing is ever compiled for another one.  They lie in two
+arrays, `whole` and `real`, what is computed lies in a third, `work`, and a Layout tells where:
+compiled code pays for every array that a function is handed.  Series run along rows, those of E
+backwards: convolutions are then products of adjacent numbers.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numba
@@ -37,57 +41,86 @@ PASSES = 3
 SUSPECT = 1e-2  # quality of the closures below which no step may start
 HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
-SMALL = 24  # links and rows up to which an ordering is not worth its search
+SMALL = 24  # links, or rows, up to which an ordering is not worth its search
 
 REACHED, FULL = int(Status.REACHED), int(Status.FULL)
 SINGULAR, STUCK, NOT_FINITE = int(Status.SINGULAR), int(Status.STUCK), int(Status.NOT_FINITE)
 
 
-class Skyline(NamedTuple):
-    """A symmetric matrix by rows of its lower triangle, each from its first entry to the diagonal.
+class Layout(NamedTuple):
+    """Sizes, and where things begin in `whole`, `real` and `work`.
 
-    Entry (i, j) is at start[i] + j for first[i] <= j <= i.
+    Sparse matrices are rows of entries as in CSR.  Symmetric ones are skylines: rows of the lower
+    triangle from their first entry to the diagonal, (i, j) at start[i] + j for first[i] <= j <= i.
     """
 
-    first: Integers
-    start: Integers
-    size: int  # number of entries
+    n: int  # links
+    rows: int  # r, of closures
+    entries: int  # of all rows of P
+    order: int  # the last coefficient of w
+    K: int  # coefficients that a series has room for
 
+    # whole
+    parent: int  # (n,), -1 for the ground
+    outward: int  # (n,) the links, parents first
+    A_start: int  # (n + 1,) A's entries beside the diagonal, both triangles
+    A_link: int
+    A_spot: int  # where M_jl goes in the system; -1 in the upper triangle
+    P_start: int  # (r + 1,)
+    P_link: int
+    P_spot: int  # where Psi's entry goes in the system
+    P_slot: int  # its place among the row's joints
+    joint_start: int  # (r + 1,) the joints that move what a row closes, leaves first
+    joint: int
+    joint_above: int  # place of the joint's parent among them, or -1
+    place: int  # (n + r,) of links and rows in the system [M Psi^T; Psi 0]
+    first: int  # (n + r,)
+    start: int
+    normal_place: int  # (r,) of rows in Psi Psi^T
+    normal_row: int  # (r,) the row at each place
+    normal_first: int  # (r,)
+    normal_start: int
 
-class Model(NamedTuple):
-    """A mechanism as arrays: n links, r closure rows; sparse rows as in CSR."""
+    # real
+    inertia: int  # (n,) A_jj, kg m^2
+    A_re: int  # kg m^2
+    A_im: int
+    weight_re: int  # (n,) gamma conj(B), N
+    weight_im: int
+    damping: int  # (n,) N m s/rad
+    torque: int  # (n,) N m
+    P_re: int
+    P_im: int
+    offset: int  # (r,) m
+    size: int  # (r,) square of the row's sum of |P|, m^2
+    closed: int  # gap that is rounding, m
 
-    parent: Integers  # (n,), -1 for the ground
-    order: Integers  # (n,), parents first
-    inertia: Array  # (n,) A_jj, kg m^2
-    A_start: Integers  # (n + 1,) A's entries beside the diagonal, both triangles
-    A_link: Integers
-    A_re: Array  # kg m^2
-    A_im: Array
-    A_spot: Integers  # where M_jl goes in the system; -1 for the upper triangle
-    weight_re: Array  # (n,) gamma conj(B), N
-    weight_im: Array
-    damping: Array  # (n,) N m s/rad
-    torque: Array  # (n,) N m
-    P_start: Integers  # (r + 1,)
-    P_link: Integers
-    P_re: Array
-    P_im: Array
-    P_spot: Integers  # where Psi's entry goes in the system
-    P_slot: Integers  # where it goes among the row's joints
-    offset: Array  # (r,) m
-    size: Array  # (r,) square of a row's sum of |P|, m^2
-    joint_start: Integers  # (r + 1,) the joints that move a row's points, leaves first
-    joint: Integers
-    joint_above: Integers  # slot of the joint's parent, or -1
-    place: Integers  # (n + r,) of links and rows in the system
-    first: Integers  # the system [M Psi^T; Psi 0] as a skyline
-    start: Integers
-    normal_place: Integers  # (r,) of rows in Psi Psi^T
-    normal_row: Integers  # (r,) the row at each place
-    normal_first: Integers
-    normal_start: Integers
-    numbers: Array  # entries of the system, of Psi Psi^T; gap that is rounding, m
+    # work
+    W: int  # (n, K) of w
+    C: int  # (n, K) of c, coefficient k at K - 1 - k
+    S: int  # (n, K) of s, likewise
+    FX: int  # (n, K)
+    FY: int
+    X: int  # (n,) of P's known part, one order
+    Y: int
+    Z_re: int  # i A_jl E_l at the step's start, as A
+    Z_im: int
+    power: int  # (K,) of torques less dampers
+    system: int  # factors of [M Psi^T; Psi 0], and their pivots' inverses (n + r,)
+    pivot: int
+    x: int  # (n + r,)
+    Psi: int  # in joint coordinates, as `joint`
+    normal: int  # factors of Psi Psi^T, and their pivots' inverses (r,)
+    normal_pivot: int
+    dense: int  # (n,), zero between uses
+    h: int  # (K,) powers of a time
+    h_angle: int  # (K,) and their integrals
+    alpha: int  # (n,)
+    c: int  # (n,) of the state that was closed last
+    s: int
+    c0: int  # (n,) of the step's start
+    s0: int
+    size_of_work: int
 
 
 def _compiled(associative: bool = False) -> Callable[[F], F]:
@@ -106,432 +139,414 @@ def _compiled(associative: bool = False) -> Callable[[F], F]:
 
 
 # -- linear algebra ------------------------------------------------------------------------------
+# (unsigned indices: signed ones are checked for counting from the end, which no loop is fast with)
 
 
 @_compiled(associative=True)
-def _dot(a, b):
+def _dot(work, a, b, count):
+    """Sum of products of `count` numbers from a and from b."""
+    a, b = np.uintp(a), np.uintp(b)
     total = 0.0
-    for m in range(len(a)):
-        total += a[m] * b[m]
+    for m in range(np.uintp(count)):
+        total += work[a + m] * work[b + m]
     return total
 
 
 @_compiled(associative=True)
-def _turned(w, c, s):
+def _turned(work, w, c, s, count):
     """Real and imaginary part of i sum w (c + i s)."""
+    w, c, s = np.uintp(w), np.uintp(c), np.uintp(s)
     x = y = 0.0
-    for m in range(len(w)):
-        x -= w[m] * s[m]
-        y += w[m] * c[m]
+    for m in range(np.uintp(count)):
+        x -= work[w + m] * work[s + m]
+        y += work[w + m] * work[c + m]
     return x, y
 
 
 @_compiled(associative=True)
-def _moment(c, s, fx, fy):
+def _moment(work, c, s, fx, fy, count):
     """Sum of c fy - s fx."""
+    c, s, fx, fy = np.uintp(c), np.uintp(s), np.uintp(fx), np.uintp(fy)
     total = 0.0
-    for m in range(len(c)):
-        total += c[m] * fy[m] - s[m] * fx[m]
+    for m in range(np.uintp(count)):
+        total += work[c + m] * work[fy + m] - work[s + m] * work[fx + m]
     return total
 
 
 @_compiled()
-def _factorise(L, pivot, first, start):
+def _factorise(whole, work, L, pivot, first, start, size):
     """L D L^T of a skyline, in place; `pivot` receives the inverse of D."""
-    for i in range(len(first)):
-        fi, si = first[i], start[i]
+    for i in range(size):
+        fi, si = whole[first + i], L + whole[start + i]
         for j in range(fi + 1, i):
-            low = max(fi, first[j])
+            low = max(fi, whole[first + j])
             if low < j:
-                sj = start[j]
-                L[si + j] -= _dot(L[si + low : si + j], L[sj + low : sj + j])
-        d = L[si + i]
+                work[si + j] -= _dot(work, si + low, L + whole[start + j] + low, j - low)
+        d = work[si + i]
         for j in range(fi, i):
-            value = L[si + j]
-            L[si + j] = value * pivot[j]
-            d -= value * L[si + j]
-        L[si + i] = d
-        pivot[i] = 1.0 / d
+            value = work[si + j]
+            work[si + j] = value * work[pivot + j]
+            d -= value * work[si + j]
+        work[si + i] = d
+        work[pivot + i] = 1.0 / d
 
 
 @_compiled()
-def _solve(L, pivot, first, start, x):
+def _solve(whole, work, L, pivot, first, start, size, x):
     """x := (L D L^T)^-1 x."""
-    for i in range(1, len(first)):
-        fi, si = first[i], start[i]
-        x[i] -= _dot(L[si + fi : si + i], x[fi:i])
-    for i in range(len(first)):
-        x[i] *= pivot[i]
-    for i in range(len(first) - 1, 0, -1):
-        si = start[i]
-        for j in range(first[i], i):
-            x[j] -= L[si + j] * x[i]
+    for i in range(1, size):
+        fi = whole[first + i]
+        if fi < i:
+            work[x + i] -= _dot(work, L + whole[start + i] + fi, x + fi, i - fi)
+    for i in range(size):
+        work[x + i] *= work[pivot + i]
+    for i in range(size - 1, 0, -1):
+        si, value = L + whole[start + i], work[x + i]
+        for j in range(whole[first + i], i):
+            work[x + j] -= work[si + j] * value
 
 
 # -- closures ------------------------------------------------------------------------------------
 
 
 @_compiled()
-def _directions(model, q, c, s):
-    """c and s (n,) of E."""
-    alpha = np.empty(len(q))
-    for k in model.order:
-        above = model.parent[k]
-        alpha[k] = q[k] if above < 0 else alpha[above] + q[k]
-        c[k] = math.cos(alpha[k])
-        s[k] = math.sin(alpha[k])
+def _directions(whole, work, at, y, q):
+    """c and s of the angles from y[q]."""
+    for i in range(at.n):
+        k = whole[at.outward + i]
+        above = whole[at.parent + k]
+        alpha = y[q + k] if above < 0 else work[at.alpha + above] + y[q + k]
+        work[at.alpha + k] = alpha
+        work[at.c + k] = math.cos(alpha)
+        work[at.s + k] = math.sin(alpha)
 
 
 @_compiled()
-def _normal(model, c, s, Psi, normal, pivot, dense):
-    """Psi in joint coordinates, one value a `joint`, and Psi Psi^T factorised.
+def _normal(whole, real, work, at):
+    """Psi in joint coordinates and Psi Psi^T factorised, at c, s.
 
     Returns its least pivot, relative to the rows' sizes: about d^2 at a distance d from a
     configuration where Psi loses rank.
     """
-    rows = len(model.offset)
-    for r in range(rows):
-        begin, end = model.joint_start[r], model.joint_start[r + 1]
-        Psi[begin:end] = 0.0
-        for e in range(model.P_start[r], model.P_start[r + 1]):
-            k = model.P_link[e]
-            Psi[model.P_slot[e]] = -(model.P_re[e] * s[k] + model.P_im[e] * c[k])
+    for r in range(at.rows):
+        begin, end = whole[at.joint_start + r], whole[at.joint_start + r + 1]
         for g in range(begin, end):
-            if model.joint_above[g] >= 0:
-                Psi[model.joint_above[g]] += Psi[g]
-    for i in range(rows):
-        r = model.normal_row[i]
-        for g in range(model.joint_start[r], model.joint_start[r + 1]):
-            dense[model.joint[g]] = Psi[g]
-        for j in range(model.normal_first[i], i + 1):
-            other = model.normal_row[j]
+            work[at.Psi + g] = 0.0
+        for e in range(whole[at.P_start + r], whole[at.P_start + r + 1]):
+            k = whole[at.P_link + e]
+            re, im = real[at.P_re + e], real[at.P_im + e]
+            work[at.Psi + whole[at.P_slot + e]] = -(re * work[at.s + k] + im * work[at.c + k])
+        for g in range(begin, end):
+            above = whole[at.joint_above + g]
+            if above >= 0:
+                work[at.Psi + above] += work[at.Psi + g]
+    for i in range(at.rows):
+        r = whole[at.normal_row + i]
+        begin, end = whole[at.joint_start + r], whole[at.joint_start + r + 1]
+        for g in range(begin, end):
+            work[at.dense + whole[at.joint + g]] = work[at.Psi + g]
+        for j in range(whole[at.normal_first + i], i + 1):
+            other = whole[at.normal_row + j]
             total = 0.0
-            for g in range(model.joint_start[other], model.joint_start[other + 1]):
-                total += Psi[g] * dense[model.joint[g]]
-            normal[model.normal_start[i] + j] = total
-        for g in range(model.joint_start[r], model.joint_start[r + 1]):
-            dense[model.joint[g]] = 0.0
-    _factorise(normal, pivot, model.normal_first, model.normal_start)
+            for g in range(whole[at.joint_start + other], whole[at.joint_start + other + 1]):
+                total += work[at.Psi + g] * work[at.dense + whole[at.joint + g]]
+            work[at.normal + whole[at.normal_start + i] + j] = total
+        for g in range(begin, end):
+            work[at.dense + whole[at.joint + g]] = 0.0
+    _factorise(whole, work, at.normal, at.normal_pivot, at.normal_first, at.normal_start, at.rows)
     quality = math.inf
-    for i in range(rows):
-        relative = normal[model.normal_start[i] + i] / model.size[model.normal_row[i]]
+    for i in range(at.rows):
+        pivot = work[at.normal + whole[at.normal_start + i] + i]
+        relative = pivot / real[at.size + whole[at.normal_row + i]]
         if not relative >= quality:  # nan is the worst
             quality = relative
     return quality
 
 
 @_compiled()
-def _subtract(model, Psi, normal, pivot, x, values):
-    """values -= Psi^T (Psi Psi^T)^-1 x."""
-    _solve(normal, pivot, model.normal_first, model.normal_start, x)
-    for i in range(len(model.offset)):
-        r = model.normal_row[i]
-        for g in range(model.joint_start[r], model.joint_start[r + 1]):
-            values[model.joint[g]] -= Psi[g] * x[i]
+def _subtract(whole, work, at, y, i):
+    """y[i:] -= Psi^T (Psi Psi^T)^-1 x."""
+    _solve(whole, work, at.normal, at.normal_pivot, at.normal_first, at.normal_start, at.rows, at.x)
+    for r in range(at.rows):
+        x = work[at.x + whole[at.normal_place + r]]
+        for g in range(whole[at.joint_start + r], whole[at.joint_start + r + 1]):
+            y[i + whole[at.joint + g]] -= work[at.Psi + g] * x
 
 
 @_compiled()
-def _close(model, q, qd, c, s, work):
-    """Move q and qd to the nearest state that closes; c, s: E there.  Returns its quality."""
-    _directions(model, q, c, s)
-    rows = len(model.offset)
-    if rows == 0:
+def _close(whole, real, work, at, y, q):
+    """Move the state at y[q] to the nearest that closes, and leave its directions in c and s.
+
+    Returns its quality; infinite without closures.
+    """
+    _directions(whole, work, at, y, q)
+    if at.rows == 0:
         return math.inf
-    Psi, normal, pivot, dense, x = work.Psi, work.normal, work.normal_pivot, work.dense, work.x
     before = math.inf
     for trial in range(PASSES + 1):
         largest = 0.0
-        for r in range(rows):
-            gap = model.offset[r]
-            for e in range(model.P_start[r], model.P_start[r + 1]):
-                k = model.P_link[e]
-                gap += model.P_re[e] * c[k] - model.P_im[e] * s[k]
-            x[model.normal_place[r]] = gap
+        for r in range(at.rows):
+            gap = real[at.offset + r]
+            for e in range(whole[at.P_start + r], whole[at.P_start + r + 1]):
+                k = whole[at.P_link + e]
+                gap += real[at.P_re + e] * work[at.c + k] - real[at.P_im + e] * work[at.s + k]
+            work[at.x + whole[at.normal_place + r]] = gap
             largest = max(largest, abs(gap))
-        quality = _normal(model, c, s, Psi, normal, pivot, dense)
+        quality = _normal(whole, real, work, at)
         if not quality > HOPELESS:
             return quality
         # what is closed to rounding stays: moving it would add noise
-        if largest <= model.numbers[2] or largest > 0.5 * before or trial == PASSES:
+        if largest <= real[at.closed] or largest > 0.5 * before or trial == PASSES:
             break
         before = largest
-        _subtract(model, Psi, normal, pivot, x, q)
-        _directions(model, q, c, s)
-    for i in range(rows):
-        r = model.normal_row[i]
+        _subtract(whole, work, at, y, q)
+        _directions(whole, work, at, y, q)
+    for r in range(at.rows):
         total = 0.0
-        for g in range(model.joint_start[r], model.joint_start[r + 1]):
-            total += Psi[g] * qd[model.joint[g]]
-        x[i] = total
-    _subtract(model, Psi, normal, pivot, x, qd)
+        for g in range(whole[at.joint_start + r], whole[at.joint_start + r + 1]):
+            total += work[at.Psi + g] * y[q + at.n + whole[at.joint + g]]
+        work[at.x + whole[at.normal_place + r]] = total
+    _subtract(whole, work, at, y, q + at.n)
     return quality
 
 
 # -- series --------------------------------------------------------------------------------------
 
 
-class Work(NamedTuple):
-    """What a call works in; K = order + 2 coefficients a series."""
-
-    W: Array  # (n, K) of w
-    C: Array  # (n, K) of c, backwards: coefficient k at K - 1 - k
-    S: Array  # (n, K) of s, backwards
-    FX: Array  # (n, K)
-    FY: Array
-    X: Array  # (n,) at one order
-    Y: Array
-    Z_re: Array  # i A_jl E_l at the start, as A
-    Z_im: Array
-    power: Array  # (K,) of torques less dampers
-    L: Array  # the system
-    pivot: Array  # (n + r,)
-    x: Array  # (n + r,)
-    Psi: Array  # as model.joint
-    normal: Array  # Psi Psi^T
-    normal_pivot: Array  # (r,)
-    dense: Array  # (n,), zero between uses
-    h: Array  # (K,) powers of a time
-    h_angle: Array
+@_compiled()
+def _system(whole, real, work, at):
+    """[M Psi^T; Psi 0] at c0, s0, factorised; Z = i A E beside the diagonal."""
+    for i in range(at.pivot - at.system):
+        work[at.system + i] = 0.0
+    for j in range(at.n):
+        i = whole[at.place + j]
+        work[at.system + whole[at.start + i] + i] = real[at.inertia + j]
+        for e in range(whole[at.A_start + j], whole[at.A_start + j + 1]):
+            l = whole[at.A_link + e]
+            A_re, A_im = real[at.A_re + e], real[at.A_im + e]
+            re = -(A_re * work[at.s0 + l] + A_im * work[at.c0 + l])
+            im = A_re * work[at.c0 + l] - A_im * work[at.s0 + l]
+            work[at.Z_re + e] = re
+            work[at.Z_im + e] = im
+            if whole[at.A_spot + e] >= 0:
+                M = work[at.c0 + j] * im - work[at.s0 + j] * re
+                work[at.system + whole[at.A_spot + e]] = M
+    for e in range(at.entries):
+        l = whole[at.P_link + e]
+        Psi = -(real[at.P_re + e] * work[at.s0 + l] + real[at.P_im + e] * work[at.c0 + l])
+        work[at.system + whole[at.P_spot + e]] = Psi
+    _factorise(whole, work, at.system, at.pivot, at.first, at.start, at.n + at.rows)
 
 
 @_compiled()
-def _work(model, order):
-    n, r, K = len(model.parent), len(model.offset), order + 2
-    return Work(
-        np.zeros((n, K)),
-        np.zeros((n, K)),
-        np.zeros((n, K)),
-        np.zeros((n, K)),
-        np.zeros((n, K)),
-        np.empty(n),
-        np.empty(n),
-        np.empty(len(model.A_link)),
-        np.empty(len(model.A_link)),
-        np.zeros(K),
-        np.empty(int(model.numbers[0])),
-        np.empty(n + r),
-        np.empty(n + r),
-        np.empty(len(model.joint)),
-        np.empty(int(model.numbers[1])),
-        np.empty(r),
-        np.zeros(n),
-        np.empty(K),
-        np.empty(K),
-    )
-
-
-@_compiled()
-def _system(model, c, s, work):
-    """[M Psi^T; Psi 0] at the directions c, s, factorised; Z = i A E beside the diagonal."""
-    n, L = len(model.parent), work.L
-    L[:] = 0.0
-    for j in range(n):
-        i = model.place[j]
-        L[model.start[i] + i] = model.inertia[j]
-        for e in range(model.A_start[j], model.A_start[j + 1]):
-            l = model.A_link[e]
-            re = -(model.A_re[e] * s[l] + model.A_im[e] * c[l])
-            im = model.A_re[e] * c[l] - model.A_im[e] * s[l]
-            work.Z_re[e], work.Z_im[e] = re, im
-            if model.A_spot[e] >= 0:
-                L[model.A_spot[e]] = c[j] * im - s[j] * re
-    for e in range(len(model.P_link)):
-        l = model.P_link[e]
-        L[model.P_spot[e]] = -(model.P_re[e] * s[l] + model.P_im[e] * c[l])
-    _factorise(L, work.pivot, model.first, model.start)
-
-
-@_compiled()
-def _series(model, order, q, qd, c, s, work):
-    """The coefficients of w up to `order`, from the state and its directions."""
-    n, rows, top = len(model.parent), len(model.offset), order + 1
-    W, C, S, FX, FY, X, Y, x = (work.W, work.C, work.S, work.FX, work.FY, work.X, work.Y, work.x)
-    _system(model, c, s, work)
-    for l in model.order:
-        above = model.parent[l]
-        W[l, 0] = qd[l] if above < 0 else W[above, 0] + qd[l]
-        C[l, top], S[l, top] = c[l], s[l]
-        C[l, top - 1], S[l, top - 1] = -W[l, 0] * s[l], W[l, 0] * c[l]
-        FX[l, 0], FY[l, 0] = -model.weight_re[l], -model.weight_im[l]
-        FX[l, 1:], FY[l, 1:] = 0.0, 0.0
-    for k in range(order):
-        for l in range(n):  # what is known of P_k
-            re, im = _turned(W[l, : k + 1], C[l, top - k - 1 : top], S[l, top - k - 1 : top])
-            X[l], Y[l] = (k + 1) * re, (k + 1) * im
-        for j in range(n):
-            fx, fy = FX[j, k], FY[j, k]
-            for e in range(model.A_start[j], model.A_start[j + 1]):
-                l = model.A_link[e]
-                fx += model.A_re[e] * X[l] - model.A_im[e] * Y[l]
-                fy += model.A_re[e] * Y[l] + model.A_im[e] * X[l]
-            FX[j, k], FY[j, k] = fx, fy
-            x[model.place[j]] = -_moment(
-                C[j, top - k : top + 1], S[j, top - k : top + 1], FX[j, : k + 1], FY[j, : k + 1]
-            )
-        for j in range(n):  # a joint takes from the parent what it puts on its link
-            above = model.parent[j]
-            rate = W[j, k] if above < 0 else W[j, k] - W[above, k]
-            torque = -model.damping[j] * rate
+def _series(whole, real, work, at, y):
+    """The coefficients of w, from the state y and its directions c0, s0."""
+    _system(whole, real, work, at)
+    K, top = at.K, at.K - 1
+    for i in range(at.n):
+        l = whole[at.outward + i]
+        above = whole[at.parent + l]
+        w = y[at.n + l] if above < 0 else work[at.W + above * K] + y[at.n + l]
+        c, s = work[at.c0 + l], work[at.s0 + l]
+        work[at.W + l * K] = w
+        work[at.C + l * K + top], work[at.S + l * K + top] = c, s
+        work[at.C + l * K + top - 1], work[at.S + l * K + top - 1] = -w * s, w * c
+    for k in range(at.order):
+        for l in range(at.n):  # what is known of P_k
+            i = l * K + top - k - 1
+            re, im = _turned(work, at.W + l * K, at.C + i, at.S + i, k + 1)
+            work[at.X + l], work[at.Y + l] = (k + 1) * re, (k + 1) * im
+        for j in range(at.n):
+            fx = fy = 0.0
             if k == 0:
-                torque += model.torque[j]
-            x[model.place[j]] += torque
+                fx, fy = -real[at.weight_re + j], -real[at.weight_im + j]
+            for e in range(whole[at.A_start + j], whole[at.A_start + j + 1]):
+                l = whole[at.A_link + e]
+                re, im = real[at.A_re + e], real[at.A_im + e]
+                fx += re * work[at.X + l] - im * work[at.Y + l]
+                fy += re * work[at.Y + l] + im * work[at.X + l]
+            work[at.FX + j * K + k], work[at.FY + j * K + k] = fx, fy
+            i = j * K + top - k
+            load = _moment(work, at.C + i, at.S + i, at.FX + j * K, at.FY + j * K, k + 1)
+            work[at.x + whole[at.place + j]] = -load
+        for j in range(at.n):  # a joint takes from the parent what it puts on its link
+            above = whole[at.parent + j]
+            rate = work[at.W + j * K + k]
             if above >= 0:
-                x[model.place[above]] -= torque
-        for r in range(rows):
+                rate -= work[at.W + above * K + k]
+            torque = -real[at.damping + j] * rate
+            if k == 0:
+                torque += real[at.torque + j]
+            work[at.x + whole[at.place + j]] += torque
+            if above >= 0:
+                work[at.x + whole[at.place + above]] -= torque
+        for r in range(at.rows):
             total = 0.0
-            for e in range(model.P_start[r], model.P_start[r + 1]):
-                l = model.P_link[e]
-                total += model.P_re[e] * X[l] - model.P_im[e] * Y[l]
-            x[model.place[n + r]] = -total
-        _solve(work.L, work.pivot, model.first, model.start, x)
-        for l in range(n):
-            w = x[model.place[l]] / (k + 1)
-            W[l, k + 1] = w
-            if k + 2 <= top:
-                C[l, top - k - 2] = (X[l] / (k + 1) - w * s[l]) / (k + 2)
-                S[l, top - k - 2] = (Y[l] / (k + 1) + w * c[l]) / (k + 2)
-        for j in range(n):
-            fx, fy = FX[j, k], FY[j, k]
-            for e in range(model.A_start[j], model.A_start[j + 1]):
-                a = x[model.place[model.A_link[e]]]
-                fx += work.Z_re[e] * a
-                fy += work.Z_im[e] * a
-            FX[j, k], FY[j, k] = fx, fy
-        for r in range(rows):
-            minus_lambda = x[model.place[n + r]]
-            for e in range(model.P_start[r], model.P_start[r + 1]):
-                l = model.P_link[e]
-                FX[l, k] += model.P_re[e] * minus_lambda
-                FY[l, k] -= model.P_im[e] * minus_lambda
+            for e in range(whole[at.P_start + r], whole[at.P_start + r + 1]):
+                l = whole[at.P_link + e]
+                total += real[at.P_re + e] * work[at.X + l] - real[at.P_im + e] * work[at.Y + l]
+            work[at.x + whole[at.place + at.n + r]] = -total
+        size = at.n + at.rows
+        _solve(whole, work, at.system, at.pivot, at.first, at.start, size, at.x)
+        for l in range(at.n):
+            w = work[at.x + whole[at.place + l]] / (k + 1)
+            work[at.W + l * K + k + 1] = w
+            i = l * K + top - k - 2
+            c, s = work[at.c0 + l], work[at.s0 + l]
+            work[at.C + i] = (work[at.X + l] / (k + 1) - w * s) / (k + 2)
+            work[at.S + i] = (work[at.Y + l] / (k + 1) + w * c) / (k + 2)
+        for j in range(at.n):  # F_k in full
+            fx = fy = 0.0
+            for e in range(whole[at.A_start + j], whole[at.A_start + j + 1]):
+                a = work[at.x + whole[at.place + whole[at.A_link + e]]]
+                fx += work[at.Z_re + e] * a
+                fy += work[at.Z_im + e] * a
+            work[at.FX + j * K + k] += fx
+            work[at.FY + j * K + k] += fy
+        for r in range(at.rows):
+            minus_lambda = work[at.x + whole[at.place + at.n + r]]
+            for e in range(whole[at.P_start + r], whole[at.P_start + r + 1]):
+                i = whole[at.P_link + e] * K + k
+                work[at.FX + i] += real[at.P_re + e] * minus_lambda
+                work[at.FY + i] -= real[at.P_im + e] * minus_lambda
 
 
 @_compiled()
-def _power(model, order, work):
+def _power(whole, real, work, at):
     """The coefficients of sum_j (tau_j - D_j qd_j) qd_j."""
-    power, rate = work.power, np.empty(order + 1)
-    power[:] = 0.0
-    for j in range(len(model.parent)):
-        above = model.parent[j]
-        for k in range(order + 1):
-            rate[k] = work.W[j, k] if above < 0 else work.W[j, k] - work.W[above, k]
-            power[k] += model.torque[j] * rate[k]
-        if model.damping[j] != 0.0:
-            for k in range(order + 1):
+    rate = np.empty(at.K)
+    for k in range(at.K):
+        work[at.power + k] = 0.0
+    for j in range(at.n):
+        above = whole[at.parent + j]
+        for k in range(at.order + 1):
+            rate[k] = work[at.W + j * at.K + k]
+            if above >= 0:
+                rate[k] -= work[at.W + above * at.K + k]
+            work[at.power + k] += real[at.torque + j] * rate[k]
+        if real[at.damping + j] != 0.0:
+            for k in range(at.order + 1):
                 square = 0.0
                 for m in range(k + 1):
                     square += rate[m] * rate[k - m]
-                power[k] -= model.damping[j] * square
+                work[at.power + k] -= real[at.damping + j] * square
 
 
 @_compiled()
-def _longest(model, order, atol, rtol, W):
-    """The step after which the last terms kept are within the tolerance, s; -1: not finite."""
-    n = len(model.parent)
+def _longest(work, at, atol, rtol):
+    """The step whose last terms are within the tolerance, s; -1 where they are not finite."""
     speed = before = last = 0.0
-    for l in range(n):
-        if not math.isfinite(W[l, order] + W[l, order - 1]):
+    for l in range(at.n):
+        i = at.W + l * at.K
+        if not math.isfinite(work[i + at.order] + work[i + at.order - 1]):
             return -1.0
-        speed = max(speed, abs(W[l, 0]))
-        before = max(before, abs(W[l, order - 1]))
-        last = max(last, abs(W[l, order]))
+        speed = max(speed, abs(work[i]))
+        before = max(before, abs(work[i + at.order - 1]))
+        last = max(last, abs(work[i + at.order]))
     h = math.inf
     if before > 0.0:
-        h = ((atol + rtol * speed) / before) ** (1.0 / (order - 1))
+        h = ((atol + rtol * speed) / before) ** (1.0 / (at.order - 1))
     if last > 0.0:
-        h = min(h, ((atol + rtol * speed) / last) ** (1.0 / order))
-        h = min(h, ((atol + rtol) * (order + 1) / last) ** (1.0 / (order + 1)))
+        h = min(h, ((atol + rtol * speed) / last) ** (1.0 / at.order))
+        h = min(h, ((atol + rtol) * (at.order + 1) / last) ** (1.0 / (at.order + 1)))
     return h
 
 
 @_compiled()
-def _evaluate(model, order, h, y, new, work):
-    """The series at h after the state y: `new` = (q, qd) and the work, where y has it."""
-    n, W = len(model.parent), work.W
+def _evaluate(whole, work, at, h, y, new, i):
+    """The state at h after y, into new[i:]: q, qd, and the work where y has it."""
     power = 1.0
-    for k in range(order + 1):
-        work.h[k] = power
+    for k in range(at.order + 1):
+        work[at.h + k] = power
         power *= h
-        work.h_angle[k] = power / (k + 1)
-    h_rate, h_angle = work.h[1 : order + 1], work.h_angle[: order + 1]
-    for l in model.order:  # the small terms first
-        turn = _dot(W[l, : order + 1], h_angle)
-        change = _dot(W[l, 1 : order + 1], h_rate)
-        new[l], new[n + l] = turn, change
-    for l in model.order[::-1]:
-        above = model.parent[l]
+        work[at.h_angle + k] = power / (k + 1)
+    for l in range(at.n):
+        W = at.W + l * at.K
+        work[at.X + l] = _dot(work, W, at.h_angle, at.order + 1)
+        work[at.Y + l] = _dot(work, W + 1, at.h + 1, at.order)
+    for l in range(at.n):  # changes are small, and exact to their own rounding
+        above = whole[at.parent + l]
+        turn, change = work[at.X + l], work[at.Y + l]
         if above >= 0:
-            new[l] -= new[above]
-            new[n + l] -= new[n + above]
-    for i in range(2 * n):
-        new[i] += y[i]
-    if len(y) > 2 * n:
-        new[2 * n] = y[2 * n] + _dot(work.power[: order + 1], h_angle)
+            turn -= work[at.X + above]
+            change -= work[at.Y + above]
+        new[i + l] = y[l] + turn
+        new[i + at.n + l] = y[at.n + l] + change
+    if len(y) > 2 * at.n:
+        done = _dot(work, at.power, at.h_angle, at.order + 1)
+        new[i + 2 * at.n] = y[2 * at.n] + done
 
 
 # -- steps ---------------------------------------------------------------------------------------
 
 
 @_compiled()
-def _advance(model, order, atol, rtol, fixed, t, y, bound, times, steps):
-    """Up to `steps` steps; ends, states, how many, rows, how many, and a status."""
-    n, N, work = len(model.parent), len(y), _work(model, order)
-    c, s, c_best, s_best = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    ends, states = np.empty(steps), np.empty((steps, N))
-    rows = np.empty((min(len(times), 64), N))
+def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
+    """Up to `steps` steps: ends, states, how many; rows, how many; and a status."""
+    n, N, work = at.n, len(y), np.zeros(at.size_of_work)
+    ends, states = np.empty(steps), np.empty(steps * N)
+    rows = np.empty(min(len(times), 64) * N)
     taken = given = 0
     direction = 1.0 if bound >= t else -1.0
-    now = y.copy()
-    trial = y.copy()
-    quality = _close(model, trial[:n], trial[n : 2 * n], c, s, work)
-    _directions(model, now[:n], c, s)
+    now, trial = y.copy(), y.copy()
+    quality = _close(whole, real, work, at, trial, 0)
+    _directions(whole, work, at, now, 0)  # the start itself, as it was given
+    work[at.c0 : at.c0 + 2 * n] = work[at.c : at.c + 2 * n]
+    status = FULL
     while True:
         if t == bound:
-            return ends, states, taken, rows, given, REACHED
+            status = REACHED
+            break
         if taken == steps:
-            return ends, states, taken, rows, given, FULL
+            break
         if not quality >= SUSPECT:
-            return ends, states, taken, rows, given, SINGULAR
-        _series(model, order, now[:n], now[n : 2 * n], c, s, work)
+            status = SINGULAR
+            break
+        _series(whole, real, work, at, now)
         if 2 * n < N:
-            _power(model, order, work)
-        longest = _longest(model, order, atol, rtol, work.W)
+            _power(whole, real, work, at)
+        longest = _longest(work, at, atol, rtol)
         if longest < 0.0:
-            return ends, states, taken, rows, given, NOT_FINITE
+            status = NOT_FINITE
+            break
         if fixed > 0.0:
             longest = fixed
-        best = -1.0
-        end = t
+        best, end = -1.0, t
         for part in PARTS:
-            h = part * longest
-            landing = bound if h >= abs(bound - t) else t + direction * h
+            landing = t + direction * part * longest
+            if part * longest >= abs(bound - t):
+                landing = bound
             if landing == t:
                 break
-            _evaluate(model, order, landing - t, now, trial, work)
-            found = _close(model, trial[:n], trial[n : 2 * n], c, s, work)
-            if found > best:
-                best, end = found, landing
-                states[taken] = trial
-                c_best[:], s_best[:] = c, s
-            if found >= SUSPECT:
+            _evaluate(whole, work, at, landing - t, now, trial, 0)
+            quality = _close(whole, real, work, at, trial, 0)
+            if quality > best or end == t:
+                best, end = quality, landing
+                states[taken * N : (taken + 1) * N] = trial
+                work[at.c0 : at.c0 + 2 * n] = work[at.c : at.c + 2 * n]
+            if quality >= SUSPECT:
                 break
         if end == t:
-            return ends, states, taken, rows, given, STUCK
+            status = STUCK
+            break
+        quality = best
         ends[taken] = end
         while given < len(times) and direction * (end - times[given]) >= 0.0:
-            if given == len(rows):
-                longer = np.empty((min(len(times), 2 * given), N))
-                longer[:given] = rows
+            i = given * N
+            if i == len(rows):
+                longer = np.empty(min(len(times), 2 * given) * N)
+                longer[:i] = rows
                 rows = longer
             if times[given] == end:
-                rows[given] = states[taken]
+                rows[i : i + N] = states[taken * N : (taken + 1) * N]
             else:
-                row = rows[given]
-                _evaluate(model, order, times[given] - t, now, row, work)
-                _close(model, row[:n], row[n : 2 * n], c, s, work)
+                _evaluate(whole, work, at, times[given] - t, now, rows, i)
+                _close(whole, real, work, at, rows, i)
             given += 1
-        now[:] = states[taken]
-        c[:], s[:], quality, t = c_best, s_best, best, end
+        now[:] = states[taken * N : (taken + 1) * N]
+        t = end
         taken += 1
+    return ends, states, taken, rows, given, status
 
 
 # -- the engine ----------------------------------------------------------------------------------
@@ -557,8 +572,7 @@ class CompiledEngine:
         if not self.serves(mechanism, actuation):
             raise ValueError("the compiled series are for constant torques and a regular M and Psi")
         self.order = best_order(rtol) if order is None else order
-        self._n = mechanism.n
-        self._model = _model(mechanism, actuation)
+        self._numbers = _numbers(mechanism, actuation, self.order)
         self._tolerances = (float(atol), float(rtol), 0.0 if step is None else float(step))
 
     @classmethod
@@ -577,27 +591,31 @@ class CompiledEngine:
         y, times = (np.require(array, float, ["C", "A", "W"]) for array in (y, times))
         atol, rtol, step = self._tolerances
         ends, states, taken, rows, given, status = _advance(
-            self._model, self.order, atol, rtol, step, float(t), y, float(bound), times, steps
+            *self._numbers, atol, rtol, step, float(t), y, float(bound), times, steps
         )
-        return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], Status(status))
+        N = len(y)
+        states, rows = states[: taken * N].reshape(taken, N), rows[: given * N].reshape(given, N)
+        return Chunk(ends[:taken], states, times[:given], rows, Status(status))
 
 
 def best_order(rtol: float) -> int:
     """The order at which a second of motion costs the least, whatever the mechanism."""
-    return max(8, math.ceil(-math.log(max(rtol, 1e-16)) / 2) + 2)
+    return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
 
 
 # -- the mechanism as arrays ---------------------------------------------------------------------
 
 
-def _model(mechanism: Mechanism, actuation: Actuation) -> Model:
+def _numbers(
+    mechanism: Mechanism, actuation: Actuation, order: int
+) -> tuple[Integers, Array, Layout]:
+    """`whole`, `real` and where things are in them and in `work`."""
     assert actuation.constants is not None
     n, r = mechanism.n, len(mechanism.rows)
     parent = [-1 if above is None else above for above in mechanism.parent]
     weight = mechanism.gamma * np.conj(np.array(mechanism.B, complex))
-
     beside: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
-    inertia = np.zeros(n)
+    inertia = [0.0] * n
     for j, k, value in mechanism.A:
         if j == k:
             inertia[j] = value.real
@@ -609,73 +627,86 @@ def _model(mechanism: Mechanism, actuation: Actuation) -> Model:
 
     place = _places(n, A, P)
     pairs = [(place[j], place[l]) for j, l, _ in A] + [(place[n + i], place[l]) for i, l, _ in P]
-    system = _skyline(n + r, pairs)
-    A_spot = [
-        system.start[place[j]] + place[l] if place[l] < place[j] else -1 for j, l, _ in A
-    ]  # M_jl of the lower triangle
-    P_spot = [system.start[place[n + i]] + place[l] for i, l, _ in P]
+    first, start, system = _skyline(n + r, pairs)
 
     joints = [_moving(mechanism, [l for l, _ in row.P]) for row in mechanism.rows]
-    joint_start = np.concatenate([[0], np.cumsum([len(x) for x in joints])]).astype(np.int64)
-    slots = [
-        {k: int(joint_start[i]) + g for g, k in enumerate(found)} for i, found in enumerate(joints)
-    ]
-    joint_above = [slots[i].get(parent[k], -1) for i, found in enumerate(joints) for k in found]
-    sharing: list[list[int]] = [[] for _ in range(n)]
+    joint_start = [0, *itertools.accumulate(len(found) for found in joints)]
+    slots = [{k: joint_start[i] + g for g, k in enumerate(found)} for i, found in enumerate(joints)]
+    moved: list[list[int]] = [[] for _ in range(n)]  # the rows that each joint moves
     for i, found in enumerate(joints):
         for k in found:
-            sharing[k].append(i)
-    common = {(i, j) for group in sharing for i in group for j in group if j < i}
+            moved[k].append(i)
+    common = {(i, j) for group in moved for i in group for j in group if j < i}
     normal_place = _narrow(r, common)
-    normal = _skyline(r, [(normal_place[i], normal_place[j]) for i, j in common])
+    normal_first, normal_start, normal = _skyline(
+        r, [(normal_place[i], normal_place[j]) for i, j in common]
+    )
 
-    return Model(
-        parent=_integers(parent),
-        order=_integers(mechanism.order),
-        inertia=inertia,
-        A_start=_row_starts(n, [j for j, _, _ in A]),
-        A_link=_integers([l for _, l, _ in A]),
-        A_re=_floats([value.real for _, _, value in A]),
-        A_im=_floats([value.imag for _, _, value in A]),
-        A_spot=_integers(A_spot),
-        weight_re=_floats(weight.real),
-        weight_im=_floats(weight.imag),
-        damping=_floats(mechanism.damping),
-        torque=_floats(actuation.constants),
-        P_start=_row_starts(r, [i for i, _, _ in P]),
-        P_link=_integers([l for _, l, _ in P]),
-        P_re=_floats([value.real for _, _, value in P]),
-        P_im=_floats([value.imag for _, _, value in P]),
-        P_spot=_integers(P_spot),
-        P_slot=_integers([slots[i][l] for i, l, _ in P]),
-        offset=_floats([row.offset for row in mechanism.rows]),
-        size=_floats([sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows]),
-        joint_start=joint_start,
-        joint=_integers([k for found in joints for k in found]),
-        joint_above=_integers(joint_above),
-        place=_integers(place),
-        first=system.first,
-        start=system.start,
-        normal_place=_integers(normal_place),
-        normal_row=_integers(np.argsort(np.array(normal_place, int))),
-        normal_first=normal.first,
-        normal_start=normal.start,
-        numbers=_floats([system.size, normal.size, CLOSED * loop_size(mechanism)]),
+    whole = {
+        "parent": parent,
+        "outward": mechanism.order,
+        "A_start": _row_starts(n, [j for j, _, _ in A]),
+        "A_link": [l for _, l, _ in A],
+        "A_spot": [start[place[j]] + place[l] if place[l] < place[j] else -1 for j, l, _ in A],
+        "P_start": _row_starts(r, [i for i, _, _ in P]),
+        "P_link": [l for _, l, _ in P],
+        "P_spot": [start[place[n + i]] + place[l] for i, l, _ in P],
+        "P_slot": [slots[i][l] for i, l, _ in P],
+        "joint_start": joint_start,
+        "joint": [k for found in joints for k in found],
+        "joint_above": [
+            slots[i].get(parent[k], -1) for i, found in enumerate(joints) for k in found
+        ],
+        "place": place,
+        "first": first,
+        "start": start,
+        "normal_place": normal_place,
+        "normal_row": sorted(range(r), key=normal_place.__getitem__),
+        "normal_first": normal_first,
+        "normal_start": normal_start,
+    }
+    real = {
+        "inertia": inertia,
+        "A_re": [value.real for _, _, value in A],
+        "A_im": [value.imag for _, _, value in A],
+        "weight_re": weight.real,
+        "weight_im": weight.imag,
+        "damping": mechanism.damping,
+        "torque": actuation.constants,
+        "P_re": [value.real for _, _, value in P],
+        "P_im": [value.imag for _, _, value in P],
+        "offset": [row.offset for row in mechanism.rows],
+        "size": [sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows],
+        "closed": [CLOSED * loop_size(mechanism)],
+    }
+    K = order + 2
+    work = dict.fromkeys(("W", "C", "S", "FX", "FY"), n * K)
+    work |= {"X": n, "Y": n, "Z_re": len(A), "Z_im": len(A), "power": K}
+    work |= {"system": system, "pivot": n + r, "x": n + r}
+    work |= {"Psi": joint_start[-1], "normal": normal, "normal_pivot": r, "dense": n}
+    work |= {"h": K, "h_angle": K, "alpha": n, "c": n, "s": n, "c0": n, "s0": n}
+    at: dict[str, int] = {}
+    for lengths in (
+        {name: len(values) for name, values in whole.items()},
+        {name: len(values) for name, values in real.items()},
+        work,
+    ):
+        begins = itertools.accumulate(lengths.values(), initial=0)
+        at |= dict(zip(lengths, begins, strict=False))
+    sizes = {"n": n, "rows": r, "entries": len(P), "order": order, "K": K}
+    return (
+        np.concatenate([np.array(values, np.int64) for values in whole.values()]),
+        np.concatenate([np.array(values, np.float64) for values in real.values()]),
+        Layout(**sizes, **at, size_of_work=sum(work.values())),
     )
 
 
-def _integers(values: Sequence[int] | NDArray[np.signedinteger]) -> Integers:
-    return np.array(values, np.int64)
-
-
-def _floats(values: Sequence[float] | Array) -> Array:
-    return np.array(values, np.float64)
-
-
-def _row_starts(rows: int, row: Sequence[int]) -> Integers:
-    """CSR's row pointers for entries sorted by row."""
-    counts = np.bincount(_integers(row), minlength=rows)
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+def _row_starts(rows: int, row: Sequence[int]) -> list[int]:
+    """Where the rows of entries sorted by row begin, and where the last ends."""
+    counts = [0] * rows
+    for i in row:
+        counts[i] += 1
+    return [0, *itertools.accumulate(counts)]
 
 
 def _moving(mechanism: Mechanism, links: Sequence[int]) -> list[int]:
@@ -721,17 +752,15 @@ def _narrow(n: int, pairs: set[tuple[int, int]]) -> list[int]:
     graph = csr_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n))
     order = reverse_cuthill_mckee(graph, symmetric_mode=True)
     place: list[int] = np.argsort(order).tolist()
-    plain = _skyline(n, list(pairs))
-    moved = _skyline(n, [(place[a], place[b]) for a, b in pairs])
-    return place if moved.size < plain.size else list(range(n))
+    size, plain = (_skyline(n, [(to[a], to[b]) for a, b in pairs])[2] for to in (place, range(n)))
+    return place if size < plain else list(range(n))
 
 
-def _skyline(n: int, pairs: Sequence[tuple[int, int]]) -> Skyline:
-    """The skyline of a symmetric n by n matrix with these entries and its diagonal."""
-    first = np.arange(n)
+def _skyline(n: int, pairs: Iterable[tuple[int, int]]) -> tuple[list[int], list[int], int]:
+    """`first` and `start` (n) of a matrix with these entries, and how many numbers it takes."""
+    first = list(range(n))
     for i, j in pairs:
-        low, high = (i, j) if i < j else (j, i)
-        first[high] = min(first[high], low)
-    lengths = np.arange(n) - first + 1
-    start = np.cumsum(lengths) - lengths - first
-    return Skyline(first.astype(np.int64), start.astype(np.int64), int(lengths.sum()))
+        first[max(i, j)] = min(first[max(i, j)], i, j)
+    ends = list(itertools.accumulate(i - first[i] + 1 for i in range(n)))
+    start = [ends[i] - 1 - i for i in range(n)]
+    return first, start, ends[-1] if ends else 0
