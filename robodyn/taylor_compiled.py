@@ -15,6 +15,9 @@ compiled code pays for every array that a function is handed.  Series run along 
 backwards: convolutions are then products of adjacent numbers.
 """
 
+# compiled functions are not annotated: types are numba's to infer
+# mypy: disable-error-code="no-untyped-def, no-untyped-call"
+
 from __future__ import annotations
 
 import itertools
@@ -339,14 +342,16 @@ def _system(whole, real, work, at):
 
 
 @_compiled()
-def _series(whole, real, work, at, y):
-    """The coefficients of w, from the state y and its directions c0, s0."""
+def _series(whole, real, work, at, y, q):
+    """The coefficients of w, from the state at y[q] and its directions c0, s0."""
     _system(whole, real, work, at)
     K, top = at.K, at.K - 1
     for i in range(at.n):
         l = whole[at.outward + i]
         above = whole[at.parent + l]
-        w = y[at.n + l] if above < 0 else work[at.W + above * K] + y[at.n + l]
+        w = y[q + at.n + l]
+        if above >= 0:
+            w += work[at.W + above * K]
         c, s = work[at.c0 + l], work[at.s0 + l]
         work[at.W + l * K] = w
         work[at.C + l * K + top], work[at.S + l * K + top] = c, s
@@ -453,8 +458,8 @@ def _longest(work, at, atol, rtol):
 
 
 @_compiled()
-def _evaluate(whole, work, at, h, y, new, i):
-    """The state at h after y, into new[i:]: q, qd, and the work where y has it."""
+def _evaluate(whole, work, at, h, y, i, new, j, N):
+    """The state at h after y[i:], into new[j:]; N numbers: q, qd, and the work if asked for."""
     power = 1.0
     for k in range(at.order + 1):
         work[at.h + k] = power
@@ -470,28 +475,46 @@ def _evaluate(whole, work, at, h, y, new, i):
         if above >= 0:
             turn -= work[at.X + above]
             change -= work[at.Y + above]
-        new[i + l] = y[l] + turn
-        new[i + at.n + l] = y[at.n + l] + change
-    if len(y) > 2 * at.n:
+        new[j + l] = y[i + l] + turn
+        new[j + at.n + l] = y[i + at.n + l] + change
+    if 2 * at.n < N:
         done = _dot(work, at.power, at.h_angle, at.order + 1)
-        new[i + 2 * at.n] = y[2 * at.n] + done
+        new[j + N - 1] = y[i + N - 1] + done
+
+
+@_compiled()
+def _copy(values, to, i):
+    """to[i:] = values."""
+    for m in range(len(values)):
+        to[i + m] = values[m]
 
 
 # -- steps ---------------------------------------------------------------------------------------
 
 
 @_compiled()
+def _land(whole, real, work, at, h, states, i, N):
+    """The closed state at h after states[i:], into states[i + N:]; its quality."""
+    _evaluate(whole, work, at, h, states, i, states, i + N, N)
+    return _close(whole, real, work, at, states, i + N)
+
+
+@_compiled()
 def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
-    """Up to `steps` steps: ends, states, how many; rows, how many; and a status."""
-    n, N, work = at.n, len(y), np.zeros(at.size_of_work)
-    ends, states = np.empty(steps), np.empty(steps * N)
+    """Up to `steps` steps: ends, states (the first is y), how many; rows, how many; a status."""
+    N, work = len(y), np.zeros(at.size_of_work)
+    ends, states = np.empty(steps), np.empty((steps + 1) * N)
     rows = np.empty(min(len(times), 64) * N)
     taken = given = 0
     direction = 1.0 if bound >= t else -1.0
-    now, trial = y.copy(), y.copy()
-    quality = _close(whole, real, work, at, trial, 0)
-    _directions(whole, work, at, now, 0)  # the start itself, as it was given
-    work[at.c0 : at.c0 + 2 * n] = work[at.c : at.c + 2 * n]
+    _copy(y, states, taken)
+    quality = math.inf
+    if at.rows > 0 and steps > 0:  # of the start, which itself stays as it is
+        _copy(y, states, taken + N)
+        quality = _close(whole, real, work, at, states, taken + N)
+    _directions(whole, work, at, states, taken)
+    for m in range(2 * at.n):
+        work[at.c0 + m] = work[at.c + m]
     status = FULL
     while True:
         if t == bound:
@@ -502,8 +525,9 @@ def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
         if not quality >= SUSPECT:
             status = SINGULAR
             break
-        _series(whole, real, work, at, now)
-        if 2 * n < N:
+        now = taken * N
+        _series(whole, real, work, at, states, now)
+        if 2 * at.n < N:
             _power(whole, real, work, at)
         longest = _longest(work, at, atol, rtol)
         if longest < 0.0:
@@ -511,40 +535,36 @@ def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
             break
         if fixed > 0.0:
             longest = fixed
-        best, end = -1.0, t
+        best, end, landing = -1.0, t, t
         for part in PARTS:
-            landing = t + direction * part * longest
-            if part * longest >= abs(bound - t):
-                landing = bound
+            h = part * longest
+            landing = bound if h >= abs(bound - t) else t + direction * h
             if landing == t:
                 break
-            _evaluate(whole, work, at, landing - t, now, trial, 0)
-            quality = _close(whole, real, work, at, trial, 0)
+            quality = _land(whole, real, work, at, landing - t, states, now, N)
             if quality > best or end == t:
                 best, end = quality, landing
-                states[taken * N : (taken + 1) * N] = trial
-                work[at.c0 : at.c0 + 2 * n] = work[at.c : at.c + 2 * n]
             if quality >= SUSPECT:
                 break
         if end == t:
             status = STUCK
             break
-        quality = best
-        ends[taken] = end
+        if landing != end:
+            quality = _land(whole, real, work, at, end - t, states, now, N)
+        for m in range(2 * at.n):  # c and s of the next start
+            work[at.c0 + m] = work[at.c + m]
         while given < len(times) and direction * (end - times[given]) >= 0.0:
             i = given * N
             if i == len(rows):
                 longer = np.empty(min(len(times), 2 * given) * N)
-                longer[:i] = rows
+                for m in range(i):
+                    longer[m] = rows[m]
                 rows = longer
-            if times[given] == end:
-                rows[i : i + N] = states[taken * N : (taken + 1) * N]
-            else:
-                _evaluate(whole, work, at, times[given] - t, now, rows, i)
+            _evaluate(whole, work, at, times[given] - t, states, now, rows, i, N)
+            if at.rows > 0:
                 _close(whole, real, work, at, rows, i)
             given += 1
-        now[:] = states[taken * N : (taken + 1) * N]
-        t = end
+        ends[taken] = t = end
         taken += 1
     return ends, states, taken, rows, given, status
 
@@ -594,7 +614,8 @@ class CompiledEngine:
             *self._numbers, atol, rtol, step, float(t), y, float(bound), times, steps
         )
         N = len(y)
-        states, rows = states[: taken * N].reshape(taken, N), rows[: given * N].reshape(given, N)
+        states = states[N : (taken + 1) * N].reshape(taken, N)
+        rows = rows[: given * N].reshape(given, N)
         return Chunk(ends[:taken], states, times[:given], rows, Status(status))
 
 
