@@ -23,7 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -128,14 +128,15 @@ class Layout(NamedTuple):
 
 def _compiled(associative: bool = False) -> Callable[[F], F]:
     """A decorator that compiles; with the sums of `associative` functions in any order."""
-    options = {"error_model": "numpy", "fastmath": {"reassoc", "contract"} if associative else {}}
+    fastmath = {"reassoc", "contract"} if associative else False
+    njit: Any = numba.njit  # annotated in some versions only
 
     def decorate(function: F) -> F:
         compiled: F
         try:
-            compiled = numba.njit(cache=True, **options)(function)
+            compiled = njit(cache=True, error_model="numpy", fastmath=fastmath)(function)
         except RuntimeError:  # no directory to write a cache to
-            compiled = numba.njit(**options)(function)
+            compiled = njit(error_model="numpy", fastmath=fastmath)(function)
         return compiled
 
     return decorate

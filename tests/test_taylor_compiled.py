@@ -1,0 +1,280 @@
+"""Compiled Taylor series against reference digits, DOP853, exact motions and its own restarts."""
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import oracles
+import random_mechanisms
+from hard_cases.cases import n_four_bar
+from random_mechanisms import LOOPS, seeded_scene, seeded_tree
+from robodyn import closure_gap, closure_jacobian, kinetic_energy, load, potential_energy, simulate
+from robodyn.actuation import constant, expressions
+from robodyn.mechanism import Mechanism
+from robodyn.taylor import Status
+
+pytest.importorskip("numba")
+
+from robodyn import taylor_compiled
+from robodyn.taylor_compiled import CompiledEngine
+
+REFERENCES = Path(__file__).parent / "references"
+ALL = 10**5  # steps, more than any motion here takes
+NONE = np.zeros(0)
+
+
+@cache
+def scene(name: str) -> Mechanism:
+    return load(ROOT / "robots" / f"{name}.yaml")
+
+
+@cache
+def reference(name: str):
+    """The mechanism, times (T,) and states (T, 2n) of a motion known to 18 digits."""
+    data = json.loads((REFERENCES / f"{name}.json").read_text())
+    states = [[float(x) for x in s["q"] + s["qd"]] for s in data["states"]]
+    return load(ROOT / data["scene"]), np.array([s["t"] for s in data["states"]]), np.array(states)
+
+
+def engine(mechanism: Mechanism, tau=None, **options) -> CompiledEngine:
+    torques = constant(mechanism, [0.0] * mechanism.n if tau is None else tau)
+    return CompiledEngine(mechanism, torques, **{"rtol": 1e-14, "atol": 1e-14, **options})
+
+
+def moved(mechanism, y, t, tau=None, **options):
+    """The state at t from y at 0."""
+    chunk = engine(mechanism, tau, **options).advance(0.0, np.array(y), t, NONE, ALL)
+    assert chunk.status is Status.REACHED
+    assert chunk.t[-1] == t
+    return chunk.y[-1]
+
+
+# The error over 1e-14, a few times what is measured: how much an error of a step grows.
+GROWTH = {
+    "2r-regular": 30,
+    "2r-chaotic": 2e4,
+    "3r": 30,
+    "pendulum": 1000,
+    "four-bar": 300,
+    "slider-crank": 1e4,
+    "five-bar": 1000,
+}
+
+
+class TestReferences:
+    @pytest.mark.parametrize("name", GROWTH)
+    def test_near_rounding(self, name):
+        mechanism, t, states = reference(name)
+        chunk = engine(mechanism).advance(0.0, states[0], t[-1], t[1:], ALL)
+        assert chunk.status is Status.REACHED
+        assert (chunk.row_t == t[1:]).all()
+        assert np.abs(chunk.row_y - states[1:]).max() < GROWTH[name] * 1e-14
+        assert (chunk.row_y[-1] == chunk.y[-1]).all() or not mechanism.rows
+
+    @pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
+    @pytest.mark.parametrize("name", ["2r-regular", "four-bar"])
+    def test_error_follows_the_tolerance(self, name, rtol):
+        mechanism, t, states = reference(name)
+        found = moved(mechanism, states[0], t[2], rtol=rtol, atol=rtol)
+        error = np.abs(found - states[2]).max()
+        assert rtol / 1e3 < error < 300 * rtol
+
+    def test_backwards(self):
+        mechanism, t, states = reference("four-bar")
+        chunk = engine(mechanism).advance(t[2], states[2], 0.0, t[[1, 0]], ALL)
+        assert chunk.status is Status.REACHED
+        assert (np.diff(chunk.t) < 0).all()
+        assert np.abs(chunk.row_y - states[[1, 0]]).max() < 1e-11
+
+
+class TestOrder:
+    @pytest.mark.parametrize("order", [6, 8, 10])
+    @pytest.mark.parametrize("name", ["2r-regular", "four-bar"])
+    def test_slope_of_the_error(self, name, order):
+        """w is kept up to `order`, so that a step errs by h^(order + 1)."""
+        mechanism, t, states = reference(name)
+        steps = 1.0 / np.array([40, 48, 60, 80])
+        errors = [
+            np.abs(moved(mechanism, states[0], t[1], order=order, step=h) - states[1]).max()
+            for h in steps * (1.0 if name == "2r-regular" else 0.5)
+        ]
+        slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+        assert slope == pytest.approx(order, abs=0.7)
+
+
+class TestAgainstDOP853:
+    """Damping, payloads, centres of gravity off the axis, gravity of any direction."""
+
+    def compare(self, mechanism, q, qd, tau, time=0.5, bound=1e-9):
+        motion = simulate(mechanism, q, qd, time, tau=tau, rtol=1e-12, atol=1e-12, t_eval=[time])
+        if motion.t.size == 0:
+            pytest.skip("the motion leaves what DOP853 can do")
+        found = moved(mechanism, np.concatenate([q, qd]), time, tau)
+        expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+        assert np.abs(found - expected).max() < bound * max(1.0, np.abs(expected).max())
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_trees(self, seed):
+        drawn = seeded_tree(seed, 1 + seed)
+        tau = np.random.default_rng(seed).uniform(-3, 3, drawn.n).tolist()
+        self.compare(drawn.mechanism, drawn.q, drawn.qd, tau)
+
+    @pytest.mark.parametrize("shape", LOOPS)
+    def test_loops(self, shape):
+        drawn = seeded_scene(3, LOOPS[shape])
+        tau = [1.5] * len(drawn.mechanism.actuated)
+        self.compare(drawn.mechanism, drawn.q, drawn.qd, tau, 0.05, 1e-8)
+
+    def test_long_chain(self):
+        chain = random_mechanisms.Shape((None, *range(29)))
+        drawn = seeded_scene(1, chain)
+        self.compare(drawn.mechanism, drawn.q, 0.1 * drawn.qd, [0.0] * 30, 0.1)
+
+
+class TestWork:
+    def test_balance(self):
+        drawn = seeded_tree(4, 4)
+        mechanism = drawn.mechanism
+        assert any(mechanism.damping)
+        y = np.concatenate([drawn.q, drawn.qd, [0.25]])
+        end = moved(mechanism, y, 1.0, [1.0, -2.0, 0.5, 0.3])
+
+        def energy(state):
+            q, qd = state[:4], state[4:8]
+            return kinetic_energy(mechanism, q, qd) + potential_energy(mechanism, q)
+
+        assert end[8] - 0.25 == pytest.approx(energy(end) - energy(y), rel=1e-12)
+        assert (end[:8] == moved(mechanism, y[:8], 1.0, [1.0, -2.0, 0.5, 0.3])).all()
+
+
+class TestAdvance:
+    def test_rows_are_those_of_a_restart(self):
+        mechanism, _, states = reference("five-bar")
+        times = np.sort(np.random.default_rng(2).uniform(0.0, 0.6, 200))  # more than first room
+        chunk = engine(mechanism).advance(0.0, states[0], 0.6, times, ALL)
+        assert (chunk.row_t == times).all()
+        for t, row in zip(times[::20], chunk.row_y[::20], strict=True):
+            assert np.abs(moved(mechanism, states[0], t) - row).max() < 1e-12
+
+    def test_some_steps_at_a_time(self):
+        mechanism, t, states = reference("four-bar")
+        whole = engine(mechanism).advance(0.0, states[0], t[2], t[1:3], ALL)
+        start, y, left, ends, rows = 0.0, states[0], t[1:3], [], []
+        while True:
+            chunk = engine(mechanism).advance(start, y, t[2], left, 7)
+            ends += chunk.t.tolist()
+            rows += chunk.row_t.tolist()
+            if chunk.status is Status.REACHED:
+                break
+            assert chunk.status is Status.FULL
+            assert len(chunk.t) == 7
+            start, y, left = chunk.t[-1], chunk.y[-1], left[len(chunk.row_t) :]
+        assert ends == pytest.approx(whole.t.tolist(), abs=1e-6)
+        assert rows == t[1:3].tolist()
+        assert np.abs(chunk.y[-1] - whole.y[-1]).max() < 1e-12
+
+    def test_the_state_given_is_not_touched(self):
+        mechanism, t, states = reference("2r-regular")
+        y, times = states[0].copy(), t[1:].copy()
+        y.flags.writeable = times.flags.writeable = False
+        engine(mechanism).advance(0.0, y, t[-1], times, ALL)
+        assert (y == states[0]).all()
+
+    def test_nothing_to_do(self):
+        mechanism, _, states = reference("four-bar")
+        chunk = engine(mechanism).advance(1.0, states[0], 1.0, NONE, 5)
+        assert (chunk.status, len(chunk.t), len(chunk.row_t)) == (Status.REACHED, 0, 0)
+        chunk = engine(mechanism).advance(0.0, states[0], 1.0, NONE, 0)
+        assert (chunk.status, len(chunk.t)) == (Status.FULL, 0)
+
+    def test_at_rest_it_goes_to_the_bound(self):
+        mechanism = scene("pendulum")
+        chunk = engine(mechanism).advance(0.0, np.array([-math.pi / 2, 0.0]), 100.0, NONE, ALL)
+        assert chunk.status is Status.REACHED
+        assert np.abs(chunk.y[-1] - [-math.pi / 2, 0.0]).max() < 1e-12
+
+    def test_not_finite(self):
+        mechanism = scene("2r")
+        chunk = engine(mechanism).advance(0.0, np.array([0, 0, 1e200, 0]), 1.0, NONE, ALL)
+        assert (chunk.status, len(chunk.t)) == (Status.NOT_FINITE, 0)
+        chunk = engine(mechanism).advance(1e9, np.array([0, 0, 1e9, 0]), 2e9, NONE, ALL)
+        assert chunk.status is Status.STUCK
+
+    def test_states_close(self):
+        mechanism, t, states = reference("four-bar")
+        chunk = engine(mechanism, rtol=1e-5, atol=1e-5).advance(
+            0.0, states[0], t[-1], np.linspace(0.01, 5, 500), ALL
+        )
+        for rows in (chunk.y, chunk.row_y):
+            assert np.abs(closure_gap(mechanism, rows[:, :3])).max() < 1e-15
+            Psi = closure_jacobian(mechanism, rows[:, :3])
+            assert np.abs(np.einsum("trk,tk->tr", Psi, rows[:, 3:])).max() < 2e-14
+
+
+def parallel_bars(n):
+    """The state of the N-four-bar benchmark at 0: verticals upright, turning at -1 rad/s."""
+    q = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
+    return np.concatenate([q, np.full(n + 1, -1.0), np.full(n, 1.0)])
+
+
+class TestParallelBars:
+    @pytest.mark.parametrize("n", [1, 2, 5])
+    def test_until_the_horizontal(self, n):
+        mechanism = n_four_bar(n)
+        chunk = engine(mechanism, rtol=1e-12, atol=1e-12).advance(
+            0.0, parallel_bars(n), 10.0, NONE, ALL
+        )
+        for t, y in zip(chunk.t, chunk.y, strict=True):
+            theta, rate = (float(x) for x in oracles.n_four_bar_exact(n, t))
+            assert np.abs(y[: n + 1] - theta).max() < 1e-8
+            assert np.abs(y[2 * n + 1 : 3 * n + 2] - rate).max() < 3e-8
+        if chunk.status is Status.SINGULAR:  # as it was left: the horizontal is near
+            assert abs(math.sin(chunk.y[-1][0])) < 0.3
+
+    def test_40(self):
+        times = np.linspace(0.05, 0.4, 8)
+        chunk = engine(n_four_bar(40)).advance(0.0, parallel_bars(40), 0.4, times, ALL)
+        assert chunk.status is Status.REACHED
+        for t, y in zip(times, chunk.row_y, strict=True):
+            theta, rate = (float(x) for x in oracles.n_four_bar_exact(40, t))
+            assert np.abs(y[:41] - theta).max() < 1e-12
+            assert np.abs(y[81:122] - rate).max() < 1e-11
+
+    def test_a_singular_start(self):
+        y = parallel_bars(1)
+        y[:3] = 0.0
+        chunk = engine(n_four_bar(1)).advance(0.0, y, 1.0, NONE, ALL)
+        assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
+
+    def test_large_systems_are_narrow(self):
+        _, _, at = taylor_compiled._numbers(n_four_bar(40), constant(n_four_bar(40), [0.0] * 81), 8)
+        assert at.pivot - at.system < 161 * 12
+        assert at.normal_pivot - at.normal < 80 * 5
+
+
+class TestServes:
+    def test_what_it_serves(self):
+        mechanism = scene("2r")
+        given = expressions(mechanism, "sin(t), 0", "test")
+        assert not CompiledEngine.serves(mechanism, given)
+        with pytest.raises(ValueError, match="constant torques"):
+            CompiledEngine(mechanism, given)
+        assert CompiledEngine.serves(mechanism, constant(mechanism, [1.0, 2.0]))
+
+    @pytest.mark.parametrize("name", ["massless-coupler", "third-crank"])
+    def test_irregular_ones_it_does_not(self, name):
+        mechanism = load(ROOT / "tests" / "hard_cases" / f"{name}.yaml")
+        assert not CompiledEngine.serves(mechanism, constant(mechanism, [0.0] * mechanism.n))
+
+
+def test_one_compilation_serves_all():
+    for name in ("pendulum", "four-bar", "3r"):
+        mechanism, t, states = reference(name)
+        moved(mechanism, states[0], t[1])
+        engine(mechanism).advance(0, states[0].tolist(), 1, [0.5], 3)
+    assert len(taylor_compiled._advance.signatures) == 1
