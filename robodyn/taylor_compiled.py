@@ -23,6 +23,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numba
@@ -30,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
+from robodyn.assembly import close_positions, loop_size
+from robodyn.closed_form import closure_gap, closure_jacobian
 from robodyn.dense_dynamics import elimination_is_safe
 from robodyn.mechanism import Mechanism
 from robodyn.projection import CLOSED, regular_rank
@@ -41,7 +43,8 @@ Integers = NDArray[np.int64]
 F = TypeVar("F", bound=Callable[..., object])
 
 PASSES = 3
-SUSPECT = 1e-2  # quality of the closures below which no step may start
+SUSPECT = 1e-2  # quality of the closures below which no step may start,
+USUAL = 0.13  # or this part of what is usual where that is less
 HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 SMALL = 24  # links, or rows, up to which an ordering is not worth its search
@@ -501,7 +504,7 @@ def _land(whole, real, work, at, h, states, i, N):
 
 
 @_compiled()
-def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
+def _advance(whole, real, at, atol, rtol, fixed, suspect, t, y, bound, times, steps):
     """Up to `steps` steps: ends, states (the first is y), how many; rows, how many; a status."""
     N, work = len(y), np.zeros(at.size_of_work)
     ends, states = np.empty(steps), np.empty((steps + 1) * N)
@@ -523,7 +526,7 @@ def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
             break
         if taken == steps:
             break
-        if not quality >= SUSPECT:
+        if not quality >= suspect:
             status = SINGULAR
             break
         now = taken * N
@@ -545,7 +548,7 @@ def _advance(whole, real, at, atol, rtol, fixed, t, y, bound, times, steps):
             quality = _land(whole, real, work, at, landing - t, states, now, N)
             if quality > best or end == t:
                 best, end = quality, landing
-            if quality >= SUSPECT:
+            if quality >= suspect:
                 break
         if end == t:
             status = STUCK
@@ -594,7 +597,7 @@ class CompiledEngine:
             raise ValueError("the compiled series are for constant torques and a regular M and Psi")
         self.order = best_order(rtol) if order is None else order
         self._numbers = _numbers(mechanism, actuation, self.order)
-        self._tolerances = (float(atol), float(rtol), 0.0 if step is None else float(step))
+        self._limits = (float(atol), float(rtol), float(step or 0.0), _suspect(mechanism))
 
     @classmethod
     def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
@@ -610,9 +613,8 @@ class CompiledEngine:
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
         """
         y, times = (np.require(array, float, ["C", "A", "W"]) for array in (y, times))
-        atol, rtol, step = self._tolerances
         ends, states, taken, rows, given, status = _advance(
-            *self._numbers, atol, rtol, step, float(t), y, float(bound), times, steps
+            *self._numbers, *self._limits, float(t), y, float(bound), times, steps
         )
         N = len(y)
         states = states[N : (taken + 1) * N].reshape(taken, N)
@@ -623,6 +625,31 @@ class CompiledEngine:
 def best_order(rtol: float) -> int:
     """The order at which a second of motion costs the least, whatever the mechanism."""
     return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
+
+
+@lru_cache(maxsize=64)
+def _suspect(mechanism: Mechanism) -> float:
+    """The quality below which a state is near a singular one, by that of closed states at random.
+
+    Loops of many links have small pivots everywhere, for their rows' sizes add up all links.
+    """
+    if not mechanism.rows:
+        return 0.0
+    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
+    q = close_positions(mechanism, drawn)
+    closes = np.abs(closure_gap(mechanism, q)).max(axis=-1) <= 1e-9 * loop_size(mechanism)
+    found = []
+    for Psi in closure_jacobian(mechanism, q[closes]):
+        # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
+        R: Array = np.linalg.qr(Psi.T, mode="r")  # type: ignore[assignment]
+        pivots = R.diagonal() ** 2
+        found.append((pivots / _sizes(mechanism)).min())
+    return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
+
+
+def _sizes(mechanism: Mechanism) -> list[float]:
+    """What the rows' pivots are measured against, m^2."""
+    return [sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows]
 
 
 # -- the mechanism as arrays ---------------------------------------------------------------------
@@ -698,7 +725,7 @@ def _numbers(
         "P_re": [value.real for _, _, value in P],
         "P_im": [value.imag for _, _, value in P],
         "offset": [row.offset for row in mechanism.rows],
-        "size": [sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows],
+        "size": _sizes(mechanism),
         "closed": [CLOSED * loop_size(mechanism)],
     }
     K = order + 2
