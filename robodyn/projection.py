@@ -17,15 +17,18 @@ from numpy.typing import NDArray
 
 from robodyn import closed_form, straightline
 from robodyn.assembly import close_positions, loop_size
-from robodyn.change_points import Closing, across, beside
+from robodyn.change_points import SUSPECT, Closing, across, beside
 from robodyn.formulas import projection_formula
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 
 SINGULAR = 1e-6  # relative pivot below which the written-out solve is not trusted
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
+CONVERGED = 1e-13  # a gap that a Newton step from here closes to rounding, and the rates too
+USUAL = 0.13  # part of what is usual below which a quality is suspect
 PASSES = 4
 
 
@@ -54,27 +57,42 @@ def dense_closing(mechanism: Mechanism) -> Closing:
 
 def straight_closing(mechanism: Mechanism) -> Closing:
     """By generated straight-line floats, handed to `dense_closing` where a pivot is too small."""
+    close = float_closing(mechanism)
+
+    def nearest(y: Array) -> tuple[Array, float]:
+        closed, quality = close(y.tolist())
+        return np.array(closed), quality
+
+    return nearest
+
+
+def float_closing(mechanism: Mechanism) -> FloatClosing:
+    """`straight_closing` on lists, for steps that never leave plain floats."""
     n, r = mechanism.n, len(mechanism.rows)
     newton_step = _newton_step(mechanism)
     dense = dense_closing(mechanism)
-    rounding = CLOSED * loop_size(mechanism)
+    size = loop_size(mechanism)
+    rounding, next_to_it = CLOSED * size, CONVERGED * size
 
-    def nearest(y: Array) -> tuple[Array, float]:
-        values: list[float] = y.tolist()
-        q, qd = values[:n], values[n : 2 * n]
+    def nearest(y: list[float]) -> tuple[list[float], float]:
+        q, qd = y[:n], y[n : 2 * n]
         for _ in range(PASSES):
             try:
                 out = newton_step(*q, *qd)
+                quality = min(out[2 * n + r :])
             except ZeroDivisionError:
-                return dense(y)
-            gap, pivots = out[2 * n : 2 * n + r], out[2 * n + r :]
-            if not all(pivot > SINGULAR for pivot in pivots):  # nan is no pivot
-                return dense(y)
-            if max(gap) <= rounding and min(gap) >= -rounding:
+                quality = 0.0
+            if not quality > SINGULAR:
+                closed, quality = dense(np.array(y))
+                return closed.tolist(), quality
+            gap = out[2 * n : 2 * n + r]
+            largest = max(max(gap), -min(gap))
+            if largest <= rounding:
                 break  # what is closed to rounding stays: moving it would add noise
             q = list(out[:n])
-        qd = list(out[n : 2 * n])
-        return np.array([*q, *qd, *values[2 * n :]]), min(pivots)
+            if largest <= next_to_it:
+                break
+        return [*q, *out[n : 2 * n], *y[2 * n :]], quality
 
     return nearest
 
@@ -93,14 +111,39 @@ def projection(mechanism: Mechanism, closing: Closing) -> Callable[[Array], Arra
 @lru_cache(maxsize=64)
 def regular_rank(mechanism: Mechanism) -> int:
     """The rank of Psi at closed configurations, but for singular ones."""
-    rows, size = len(mechanism.rows), loop_size(mechanism)
+    drawn = _closed_jacobians(mechanism)
+    if not len(drawn):
+        return min(len(mechanism.rows), mechanism.n)
+    s = np.linalg.svd(drawn, compute_uv=False)
+    return max(1, int((s > 1e-7 * loop_size(mechanism)).sum(axis=-1).max()))
+
+
+@lru_cache(maxsize=64)
+def suspect_quality(mechanism: Mechanism) -> float:
+    """The quality of a closing below which a state is near a singular one.
+
+    Loops of many links have small pivots everywhere, for their rows' sizes add up all links: what
+    is usual at closed states at random counts.
+    """
+    sizes = [sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows]
+    # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
+    found = [
+        (np.asarray(np.linalg.qr(Psi.T, mode="r")).diagonal() ** 2 / sizes).min()
+        for Psi in _closed_jacobians(mechanism)
+        if len(sizes) <= mechanism.n
+    ]
+    return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
+
+
+@lru_cache(maxsize=64)
+def _closed_jacobians(mechanism: Mechanism) -> Array:
+    """Psi (k, r, n) at up to 16 closed configurations."""
     drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
     q = close_positions(mechanism, drawn)
-    closes = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1) <= 1e-9 * size
-    if not closes.any():
-        return min(rows, mechanism.n)
-    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q[closes]), compute_uv=False)
-    return max(1, int((s > 1e-7 * size).sum(axis=-1).max()))
+    gap = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
+    closed = q[gap <= 1e-9 * loop_size(mechanism)]
+    Psi: Array = closed_form.closure_jacobian(mechanism, closed)
+    return Psi
 
 
 @lru_cache(maxsize=64)

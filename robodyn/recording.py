@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from robodyn import closed_form
 from robodyn.assembly import loop_size
 from robodyn.mechanism import Mechanism
+from robodyn.taylor import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
@@ -111,6 +112,7 @@ class Recorder:
     steps: list[tuple[float, Array]] = field(default_factory=list)
     last_singular: float | None = None
     rank: int = 0
+    ended: int = 0  # evaluations of solvers that have ended, and expansions of series
 
     def begin(self, y: Array) -> None:
         zero = np.zeros(1)
@@ -128,7 +130,7 @@ class Recorder:
     def step(self, solver: OdeSolver) -> None:
         t = float(solver.t)
         self.report.steps += 1
-        self.report.evaluations = solver.nfev
+        self.report.evaluations = self.ended + solver.nfev
         self.report.t_reached = t
         if self.times is None:
             self._row(np.array([t]), solver.y[None, :].copy())
@@ -147,9 +149,43 @@ class Recorder:
                 self.next_row = end
                 self._row(due, y)
         self.steps.append((t, solver.y.copy()))
+        self._stepped(t, solver.status == "running")
+
+    def end_solver(self, solver: OdeSolver) -> None:
+        """Count what a solver did that another one follows."""
+        self.ended += solver.nfev
+
+    def times_until(self, bound: float) -> Array:
+        """The output times still to come, up to `bound`."""
+        if self.times is None:
+            return np.zeros(0)
+        forward = -1.0 if len(self.times) and self.times[-1] < 0.0 else 1.0
+        end = bisect_right(
+            self.times, bound * forward, self.next_row, key=lambda time: time * forward
+        )
+        return self.times[self.next_row : end]
+
+    def chunk(self, chunk: Chunk, t_end: float) -> None:
+        """Take steps of the Taylor integrator."""
+        count = len(chunk.t)
+        self.report.steps += count
+        self.ended += count
+        self.report.evaluations = self.ended
+        if not count:
+            return
+        t = self.report.t_reached = float(chunk.t[-1])
+        if self.times is None:
+            self._row(chunk.t, chunk.y)
+        elif len(chunk.row_t):
+            self.next_row += len(chunk.row_t)
+            self._row(chunk.row_t, chunk.row_y)
+        self.steps += zip(chunk.t.tolist(), chunk.y, strict=True)
+        self._stepped(t, t != t_end)
+
+    def _stepped(self, t: float, running: bool) -> None:
         if len(self.steps) >= STEPS_AT_ONCE:
             self.flush_steps()
-        if solver.nfev > self.max_evaluations and solver.status == "running":
+        if self.report.evaluations > self.max_evaluations and running:
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
         if self.watch is not None and self.watch(t):
             raise StopRun(Outcome.INTERRUPTED)

@@ -1,7 +1,8 @@
-"""Forward simulation: solve_ivp with constraint projection.
+"""Forward simulation: solve_ivp with constraint projection, or the Taylor series.
 
-A run goes through one of scipy's solvers, made to project after every step (`solvers.py`).  Rows
-of output and the statistics leave the run in batches, so its memory does not grow with its length.
+A run goes through one of scipy's solvers, made to project after every step (`solvers.py`), or
+through the Taylor integrator (`taylor_run.py`), which needs no scipy.  Rows of output and the
+statistics leave the run in batches, so its memory does not grow with its length.
 """
 
 from __future__ import annotations
@@ -10,25 +11,31 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn import actuation as torque_sources
-from robodyn import closed_form, dynamics, loop_rates
+from robodyn import closed_form, dense_dynamics, dynamics, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.mechanism import Mechanism
+from robodyn.projection import projection, straight_closing
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
-from robodyn.right_hand_side import right_hand_side
+from robodyn.right_hand_side import RightHandSide, right_hand_side
 
 Array = NDArray[np.float64]
 
 MAX_EVALUATIONS = 2_000_000
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor")
+ENGINES = ("auto", "python", "compiled")
+ORDERS = (4, 60)  # of the Taylor series
 STABILIZERS = ("projection", "baumgarte", "none")
-SMALLEST_RTOL = 3e-14  # scipy takes nothing smaller
+SMALLEST_RTOL = {"taylor": 1e-16}  # by method; of scipy's
+SCIPY_RTOL = 3e-14
 
 
 @dataclass(slots=True)
@@ -54,22 +61,35 @@ class Settings:
     stabilize: str = "projection"
     baumgarte: float = 20.0  # 1/s
     max_evaluations: int = MAX_EVALUATIONS
+    order: int | None = None  # of the Taylor series; None: by the tolerance
+    engine: str = "auto"  # of the Taylor series; see `taylor_run.py`
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
-        from robodyn.solvers import METHODS
-
         if self.method not in METHODS:
             raise InputError("method", value=self.method, limit=f"must be of {', '.join(METHODS)}")
         if self.stabilize not in STABILIZERS:
             limit = f"must be of {', '.join(STABILIZERS)}"
             raise InputError("stabilize", value=self.stabilize, limit=limit)
-        if not SMALLEST_RTOL <= self.rtol < 1.0:
-            raise InputError("rtol", value=self.rtol, limit=f"must be in [{SMALLEST_RTOL:g}, 1)")
+        least = SMALLEST_RTOL.get(self.method, SCIPY_RTOL)
+        if not least <= self.rtol < 1.0:
+            raise InputError("rtol", value=self.rtol, limit=f"must be in [{least:g}, 1)")
         if not 0.0 < self.atol < np.inf:
             raise InputError("atol", value=self.atol, limit="must be > 0 and finite")
         if not 0.0 < self.baumgarte < np.inf:
             raise InputError("baumgarte_rate", value=self.baumgarte, limit="must be > 0 and finite")
+        if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
+            limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
+            raise InputError("order", value=self.order, limit=limit)
+        if self.engine not in ENGINES:
+            raise InputError("engine", value=self.engine, limit=f"must be of {', '.join(ENGINES)}")
+        taylor = self.method == "taylor"
+        if not taylor and (self.order is not None or self.engine != "auto"):
+            what = "order" if self.order is not None else "engine"
+            raise InputError(what, limit="is for the method taylor alone")
+        if taylor and self.stabilize == "baumgarte":
+            limit = "the Taylor series goes with projection or none"
+            raise InputError("stabilize", value=self.stabilize, limit=limit)
         if self.max_evaluations < 1:
             raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
 
@@ -86,12 +106,17 @@ def simulate(
     t_eval: ArrayLike | None = None,
     stabilize: str = "projection",
     max_evals: int = MAX_EVALUATIONS,
+    order: int | None = None,
+    engine: str = "auto",
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
     tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None.  The
     motion is given at `t_eval`, or at the accepted steps where that is None.  A run that does not
     finish is no exception: `motion.outcome` tells, and the motion holds what was computed.
+    `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
+    and whose `engine` is "python", "compiled" (with the extra `fast`), or "auto": compiled once
+    it is loaded, which it is after a second of a run that would last longer.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
     q = closed_form.as_states(mechanism, "q", q)
@@ -110,7 +135,15 @@ def simulate(
         np.concatenate([q, qd]),
         float(t_end),
         actuation,
-        Settings(method, rtol, atol, stabilize, max_evaluations=max_evals),
+        Settings(
+            method,
+            rtol,
+            atol,
+            stabilize,
+            max_evaluations=max_evals,
+            order=order,
+            engine=engine,
+        ),
         lambda t, y: rows.append((t, y)),
         times,
     )
@@ -165,30 +198,70 @@ def run(
     )
     projects = settings.stabilize == "projection" and bool(mechanism.rows)
     baumgarte = settings.baumgarte if settings.stabilize == "baumgarte" and mechanism.rows else 0.0
-    side = right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
-    report.evaluator = side.kind
     y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
-    if projects and side.projection is not None:
-        y0 = side.projection(y0)
-    if not np.isfinite(np.asarray(side.rates(0.0, y0), float)).all():
-        limit = "the torque or the acceleration is not finite there"
-        raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+    taylor = settings.method == "taylor"
 
+    @cache
+    def side() -> RightHandSide:
+        return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
+
+    if projects:
+        y0 = projection(mechanism, straight_closing(mechanism))(y0)
+    if taylor:  # tell now where no motion is defined
+        if not dense_dynamics.elimination_is_safe(mechanism):
+            n = mechanism.n
+            dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
+    else:
+        report.evaluator = side().kind
+        if not np.isfinite(np.asarray(side().rates(0.0, y0), float)).all():
+            limit = "the torque or the acceleration is not finite there"
+            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
     recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch)
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
     if t_end != 0.0:
-        outcome = _integrate(mechanism, side, y0, t_end, actuation, settings, recorder, projects)
+        integrate = _integrate_series if taylor else _integrate
+        try:
+            outcome = integrate(side, y0, t_end, actuation, settings, recorder, projects)
+        except SingularError:
+            outcome = Outcome.SINGULAR
+        except StopRun as stop:
+            outcome = stop.outcome
     recorder.finish()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
     return outcome, report
 
 
+def _integrate_series(
+    side: Callable[[], RightHandSide],
+    y0: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    recorder: Recorder,
+    projects: bool,
+) -> Outcome:
+    from robodyn.taylor_run import taylor_run
+
+    return taylor_run(
+        recorder.mechanism,
+        actuation,
+        y0,
+        t_end,
+        recorder,
+        rtol=float(settings.rtol),
+        atol=float(settings.atol),
+        order=settings.order,
+        engine=settings.engine,
+        project=projects,
+        side=side,
+    )
+
+
 def _integrate(
-    mechanism: Mechanism,
-    side: Any,
+    side: Callable[[], RightHandSide],
     y0: Array,
     t_end: float,
     actuation: Actuation,
@@ -201,27 +274,23 @@ def _integrate(
     from robodyn.solvers import StiffError, projected
 
     atol = np.full(len(y0), settings.atol)
-    atol[2 * mechanism.n :] = 1e100  # the work is a by-product: it does not choose the step
+    atol[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
     options: dict[str, Any] = {
         "method": projected(settings.method),
         "t_eval": [t_end],  # the observer takes the rows; solve_ivp need not keep them
         "rtol": settings.rtol,
         "atol": atol,
-        "projection": side.projection if projects else None,
-        "near": side.near,
+        "projection": side().projection if projects else None,
+        "near": side().near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # LSODA's; the outcome says it
         try:
-            solution = solve_ivp(side.rates, (0.0, t_end), y0, **options)
+            solution = solve_ivp(side().rates, (0.0, t_end), y0, **options)
         except StiffError:
             return Outcome.STIFF
-        except SingularError:
-            return Outcome.SINGULAR
-        except StopRun as stop:
-            return stop.outcome
     if solution.success:
         return Outcome.FINISHED
     recorder.flush_steps()

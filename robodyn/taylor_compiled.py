@@ -23,7 +23,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numba
@@ -31,11 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
-from robodyn.assembly import close_positions, loop_size
-from robodyn.closed_form import closure_gap, closure_jacobian
+from robodyn.assembly import loop_size
 from robodyn.dense_dynamics import elimination_is_safe
 from robodyn.mechanism import Mechanism
-from robodyn.projection import CLOSED, regular_rank
+from robodyn.projection import CLOSED, regular_rank, suspect_quality
 from robodyn.taylor import Chunk, Status
 
 Array = NDArray[np.float64]
@@ -43,8 +41,6 @@ Integers = NDArray[np.int64]
 F = TypeVar("F", bound=Callable[..., object])
 
 PASSES = 3
-SUSPECT = 1e-2  # quality of the closures below which no step may start,
-USUAL = 0.13  # or this part of what is usual where that is less
 HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 SMALL = 24  # links, or rows, up to which an ordering is not worth its search
@@ -597,7 +593,8 @@ class CompiledEngine:
             raise ValueError("the compiled series are for constant torques and a regular M and Psi")
         self.order = best_order(rtol) if order is None else order
         self._numbers = _numbers(mechanism, actuation, self.order)
-        self._limits = (float(atol), float(rtol), float(step or 0.0), _suspect(mechanism))
+        suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+        self._limits = (float(atol), float(rtol), float(step or 0.0), suspect)
 
     @classmethod
     def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
@@ -625,26 +622,6 @@ class CompiledEngine:
 def best_order(rtol: float) -> int:
     """The order at which a second of motion costs the least, whatever the mechanism."""
     return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
-
-
-@lru_cache(maxsize=64)
-def _suspect(mechanism: Mechanism) -> float:
-    """The quality below which a state is near a singular one, by that of closed states at random.
-
-    Loops of many links have small pivots everywhere, for their rows' sizes add up all links.
-    """
-    if not mechanism.rows:
-        return 0.0
-    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
-    q = close_positions(mechanism, drawn)
-    closes = np.abs(closure_gap(mechanism, q)).max(axis=-1) <= 1e-9 * loop_size(mechanism)
-    found = []
-    for Psi in closure_jacobian(mechanism, q[closes]):
-        # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
-        R: Array = np.linalg.qr(Psi.T, mode="r")  # type: ignore[assignment]
-        pivots = R.diagonal() ** 2
-        found.append((pivots / _sizes(mechanism)).min())
-    return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
 
 
 def _sizes(mechanism: Mechanism) -> list[float]:

@@ -40,7 +40,7 @@ SILENT = 0.5  # s before a progress bar appears
 
 
 class Method(StrEnum):
-    """scipy's integrators."""
+    """scipy's integrators, and the Taylor series."""
 
     DOP853 = "DOP853"
     RK45 = "RK45"
@@ -48,6 +48,15 @@ class Method(StrEnum):
     Radau = "Radau"
     BDF = "BDF"
     LSODA = "LSODA"
+    taylor = "taylor"
+
+
+class Engine(StrEnum):
+    """What makes the Taylor series."""
+
+    auto = "auto"
+    python = "python"
+    compiled = "compiled"
 
 
 class Stabilize(StrEnum):
@@ -98,6 +107,16 @@ def simulate(
     method: Annotated[Method, typer.Option("--method", help="Integrator.")] = Method.DOP853,
     rtol: Annotated[float, typer.Option("--rtol", help="Relative tolerance of a step.")] = 1e-9,
     atol: Annotated[float, typer.Option("--atol", help="Absolute tolerance, rad, rad/s.")] = 1e-9,
+    order: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            "--order", metavar="N", help="Order of the Taylor series. Default: by the tolerance."
+        ),
+    ] = None,
+    engine: Annotated[
+        Engine,
+        typer.Option("--engine", help="Of the Taylor series; auto compiles runs of over a second."),
+    ] = Engine.auto,
     stabilize: Annotated[
         Stabilize, typer.Option("--stabilize", help="What keeps loops closed.")
     ] = Stabilize.projection,
@@ -132,7 +151,14 @@ def simulate(
     """
     mechanism = load(model)
     settings = Settings(
-        method.value, rtol, atol, stabilize.value, baumgarte_rate, max_evaluations=max_evals
+        method.value,
+        rtol,
+        atol,
+        stabilize.value,
+        baumgarte_rate,
+        max_evaluations=max_evals,
+        order=order,
+        engine=engine.value,
     )
     try:
         settings.check()

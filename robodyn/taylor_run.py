@@ -1,0 +1,187 @@
+"""Runs the Taylor integrator: chooses the engine, steps onto kinks, crosses what is singular.
+
+A series that starts close to a singular configuration drowns in rounding.  Engines land elsewhere
+where they can; where they cannot, or a run starts there, a few steps of DOP853, whose stages
+`change_points.py` serves, lead across.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn import dense_dynamics
+from robodyn.actuation import Actuation
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism
+from robodyn.projection import float_closing, suspect_quality
+from robodyn.recording import Outcome, Recorder
+from robodyn.taylor import Engine, Status, default_order
+from robodyn.taylor_steps import ArrayEngine, SteppingEngine, StraightEngine
+from robodyn.torque_series import TorqueSeries
+
+if TYPE_CHECKING:
+    from robodyn.right_hand_side import RightHandSide
+
+Array = NDArray[np.float64]
+
+STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
+STEPS = 64  # at a time: between them the run can be watched and interrupted
+COMPILED_STEPS = 4096
+PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
+COMPILED = "robodyn.taylor_compiled"
+SMALLEST_RTOL = 3e-14  # of scipy's methods
+
+
+def stepping_engine(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    rtol: float,
+    atol: float,
+    *,
+    order: int | None = None,
+    project: bool = True,
+    work: bool = False,
+) -> SteppingEngine:
+    """The engine in Python for a mechanism and its torques.
+
+    Raises InputError where a torque has no series, SingularError where a freedom has no inertia.
+    """
+    if order is None:
+        order = default_order(max(rtol, atol))
+    torques: tuple[float, ...] | TorqueSeries
+    if actuation.constants is not None:
+        torques = actuation.constants
+    else:
+        torques = TorqueSeries(actuation, mechanism.n)
+    closing = float_closing(mechanism) if mechanism.rows and project else None
+    terms = len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
+    small = terms * order <= STRAIGHT and dense_dynamics.elimination_is_safe(mechanism)
+    kind = StraightEngine if small else ArrayEngine
+    return kind(mechanism, closing, order, rtol, atol, torques, work)
+
+
+def compiled_engine(
+    mechanism: Mechanism, actuation: Actuation, rtol: float, atol: float, order: int | None
+) -> Engine | None:
+    """The compiled engine, or None where numba is not installed or the engine does not serve."""
+    if find_spec("numba") is None:
+        return None
+    from robodyn.taylor_compiled import CompiledEngine
+
+    if not CompiledEngine.serves(mechanism, actuation):
+        return None
+    return CompiledEngine(mechanism, actuation, rtol=rtol, atol=atol, order=order)
+
+
+def taylor_run(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    y: Array,
+    t_end: float,
+    recorder: Recorder,
+    *,
+    rtol: float,
+    atol: float,
+    order: int | None,
+    engine: str,
+    project: bool,
+    side: Callable[[], RightHandSide],
+) -> Outcome:
+    """Integrate from (0, y) to t_end; `side` makes what DOP853 needs, where it is needed.
+
+    `engine` is python, compiled, or auto: compiled once it is loaded in this process, which it is
+    for a run that takes longer than PATIENCE.
+    """
+    work = len(y) > 2 * mechanism.n
+    projects = project and bool(mechanism.rows)
+    closing = float_closing(mechanism) if projects else None
+    suspect = suspect_quality(mechanism) if projects else 0.0
+
+    def fast() -> Engine | None:
+        if project or not mechanism.rows:
+            return compiled_engine(mechanism, actuation, rtol, atol, order)
+        return None
+
+    stepping: Engine | None = None
+    if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
+        stepping = fast()
+        if stepping is None and engine == "compiled":
+            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, and "
+            limit += "closures that do not depend on one another: take auto or python"
+            raise InputError("engine", value=engine, limit=limit)
+    waits = engine == "auto" and stepping is None
+    if stepping is None:
+        stepping = stepping_engine(
+            mechanism, actuation, rtol, atol, order=order, project=project, work=work
+        )
+    t, begun = 0.0, time.perf_counter()
+    crosses = closing is not None and closing(y.tolist())[1] < suspect
+    while True:
+        bound = _next_kink(actuation.kinks, t, t_end)
+        if crosses:
+            t, y = _cross(side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol)
+            status = Status.FULL
+        else:
+            steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+            recorder.chunk(chunk, t_end)
+            if len(chunk.t):
+                t, y = float(chunk.t[-1]), chunk.y[-1]
+            status = chunk.status
+        recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
+        if t == t_end:
+            return Outcome.FINISHED
+        stuck = status is Status.STUCK and closing is not None and not crosses
+        if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
+            return Outcome.STEP_TOO_SMALL
+        crosses = stuck or status is Status.SINGULAR
+        if waits and time.perf_counter() - begun > PATIENCE:
+            stepping, waits = fast() or stepping, False
+
+
+def _next_kink(kinks: tuple[float, ...], t: float, end: float) -> float:
+    """The next time at which the torque bends, or the end."""
+    if end < t:
+        return max((kink for kink in kinks if end < kink < t), default=end)
+    return min((kink for kink in kinks if t < kink < end), default=end)
+
+
+def _cross(
+    side: RightHandSide,
+    t: float,
+    y: Array,
+    bound: float,
+    recorder: Recorder,
+    closing: Callable[[list[float]], tuple[list[float], float]] | None,
+    regular: float,
+    rtol: float,
+    atol: float,
+) -> tuple[float, Array]:
+    """DOP853 from (t, y) until the closures are regular again, or the bound."""
+    from robodyn.solvers import projected
+
+    assert closing is not None
+    tolerances = np.full(len(y), atol)
+    tolerances[2 * recorder.mechanism.n :] = 1e100  # the work chooses no step
+    options: dict[str, Any] = {
+        "rtol": max(rtol, SMALLEST_RTOL),
+        "atol": tolerances,
+        "projection": side.projection,
+        "near": side.near,
+        "observer": recorder.step,
+    }
+    solver = projected("DOP853")(side.rates, t, y, bound, **options)
+    while solver.status == "running":
+        if solver.step() is not None:
+            break
+        if closing(solver.y.tolist())[1] >= regular:
+            break
+    recorder.end_solver(solver)
+    return float(solver.t), np.array(solver.y)
