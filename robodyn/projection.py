@@ -27,7 +27,7 @@ FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 SINGULAR = 1e-6  # relative pivot below which the written-out solve is not trusted
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
-CONVERGED = 1e-13  # a gap that a Newton step from here closes to rounding, and the rates too
+CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 USUAL = 0.13  # part of what is usual below which a quality is suspect
 PASSES = 4
 

@@ -124,7 +124,7 @@ def taylor_run(
     t, begun = 0.0, time.perf_counter()
     crosses = closing is not None and closing(y.tolist())[1] < suspect
     while True:
-        bound = _next_kink(actuation.kinks, t, t_end)
+        bound = next_kink(actuation.kinks, t, t_end)
         if crosses:
             t, y = _cross(side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol)
             status = Status.FULL
@@ -146,7 +146,7 @@ def taylor_run(
             stepping, waits = fast() or stepping, False
 
 
-def _next_kink(kinks: tuple[float, ...], t: float, end: float) -> float:
+def next_kink(kinks: tuple[float, ...], t: float, end: float) -> float:
     """The next time at which the torque bends, or the end."""
     if end < t:
         return max((kink for kink in kinks if end < kink < t), default=end)
