@@ -112,6 +112,16 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
     return PE
 
 
+def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """KE and PE, (...), J, of the same states: the links' directions are found once."""
+    E = phases(mechanism, q)
+    v = E * absolute_rates(mechanism, qd)
+    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
+    weight = np.conj(mechanism.gamma) * mechanism.arrays.B
+    PE: Array = mechanism.energy_offset - (E @ weight).real
+    return KE, PE
+
+
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
     """How far the closures are from closing, first side minus second, (..., r), m.
 

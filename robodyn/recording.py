@@ -109,9 +109,11 @@ class Recorder:
     next_row: int = 0
     rows: list[tuple[Array, Array]] = field(default_factory=list)
     waiting: int = 0
-    steps: list[tuple[float, Array]] = field(default_factory=list)
+    steps: list[tuple[Array, Array]] = field(default_factory=list)
+    held: int = 0  # steps not yet in the statistics
     last_singular: float | None = None
     rank: int = 0
+    begun: bool = False  # whether the energy at the start is known
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
 
     def begin(self, y: Array) -> None:
@@ -119,13 +121,7 @@ class Recorder:
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
             self._row(zero, y[None, :])
             self.next_row = 1
-        self.steps.append((0.0, y))
-        n = self.mechanism.n
-        state = y[None, :n], y[None, n : 2 * n]
-        self.report.energy_start = float(
-            closed_form.kinetic_energy(self.mechanism, *state)[0]
-            + closed_form.potential_energy(self.mechanism, state[0])[0]
-        )
+        self.steps.append((zero, y[None, :]))
 
     def step(self, solver: OdeSolver) -> None:
         t = float(solver.t)
@@ -148,7 +144,8 @@ class Recorder:
                     y[-1] = solver.y
                 self.next_row = end
                 self._row(due, y)
-        self.steps.append((t, solver.y.copy()))
+        self.steps.append((np.array([t]), solver.y[None, :].copy()))
+        self.held += 1
         self._stepped(t, solver.status == "running")
 
     def end_solver(self, solver: OdeSolver) -> None:
@@ -179,11 +176,12 @@ class Recorder:
         elif len(chunk.row_t):
             self.next_row += len(chunk.row_t)
             self._row(chunk.row_t, chunk.row_y)
-        self.steps += zip(chunk.t.tolist(), chunk.y, strict=True)
+        self.steps.append((chunk.t, chunk.y))
+        self.held += count
         self._stepped(t, t != t_end)
 
     def _stepped(self, t: float, running: bool) -> None:
-        if len(self.steps) >= STEPS_AT_ONCE:
+        if self.held >= STEPS_AT_ONCE:
             self.flush_steps()
         if self.report.evaluations > self.max_evaluations and running:
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
@@ -212,17 +210,18 @@ class Recorder:
         if not self.steps:
             return
         report, mechanism, n = self.report, self.mechanism, self.mechanism.n
-        t = np.array([t for t, _ in self.steps])
-        y = np.array([y for _, y in self.steps])
-        self.steps = []
+        t = np.concatenate([t for t, _ in self.steps])
+        y = np.concatenate([y for _, y in self.steps])
+        self.steps, self.held = [], 0
         finite = np.isfinite(y).all(axis=1)
         t, y = t[finite], y[finite]
         if not len(t):
             return
         q, qd = y[:, :n], y[:, n : 2 * n]
-        KE = closed_form.kinetic_energy(mechanism, q, qd)
-        PE = closed_form.potential_energy(mechanism, q)
+        KE, PE = closed_form.energies(mechanism, q, qd)
         work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
+        if not self.begun:
+            report.energy_start, self.begun = float(KE[0] + PE[0]), True
         error = float(np.abs(KE + PE - work - report.energy_start).max())
         before = report.energy_drift * report.energy_in_motion
         moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
@@ -240,12 +239,26 @@ class Recorder:
         Psi = closed_form.closure_jacobian(mechanism, q[::stride])
         rate = np.einsum("...ij,...j->...i", Psi, qd[::stride])
         report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
-        s = np.linalg.svd(Psi, compute_uv=False)
-        if not self.rank:  # of closures that depend on one another not all count
-            self.rank = max(1, int((s > 1e-9 * loop_size(mechanism)).sum(axis=-1).max()))
-        ratio = s[:, self.rank - 1] / loop_size(mechanism)
-        worst = int(np.argmin(ratio))
-        self.last_singular = float(ratio[-1])
-        if report.nearest_singular is None or ratio[worst] < report.nearest_singular:
-            report.nearest_singular = float(ratio[worst])
+        least = self._least_singular(Psi)
+        worst = int(np.argmin(least))
+        self.last_singular = float(least[-1])
+        if report.nearest_singular is None or least[worst] < report.nearest_singular:
+            report.nearest_singular = float(least[worst])
             report.nearest_singular_time = float(t[::stride][worst])
+
+    def _least_singular(self, Psi: Array) -> Array:
+        """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
+        size = loop_size(self.mechanism)
+        if not self.rank:  # of closures that depend on one another not all count
+            s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
+            self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
+        if self.rank == Psi.shape[1] == 2:  # one loop: where it may be the least, it is exact
+            product = Psi @ np.swapaxes(Psi, -1, -2)
+            half = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
+            apart = np.hypot(0.5 * (product[:, 0, 0] - product[:, 1, 1]), product[:, 0, 1])
+            least = np.sqrt(np.maximum(half - apart, 0.0))
+            at = [int(np.argmin(least)), -1]
+            least[at] = np.linalg.svd(Psi[at], compute_uv=False)[:, 1]
+            return np.asarray(least / size)
+        s = np.linalg.svd(Psi, compute_uv=False)
+        return np.asarray(s[:, self.rank - 1] / size)

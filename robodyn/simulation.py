@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -38,17 +38,22 @@ SMALLEST_RTOL = {"taylor": 1e-16}  # by method; of scipy's
 SCIPY_RTOL = 3e-14
 
 
-@dataclass(slots=True)
+@dataclass
 class Motion:
-    """A simulated motion: t (T,) s, q, qd, qdd (T, n), tau (T, n); how it ended, and the report."""
+    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, and the report."""
 
     t: Array
     q: Array
     qd: Array
-    qdd: Array
     tau: Array
     outcome: Outcome
     report: Report
+    mechanism: Mechanism
+
+    @cached_property
+    def qdd(self) -> Array:
+        """The accelerations (T, n), rad/s^2, computed when they are asked for."""
+        return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
 
 
 @dataclass(slots=True)
@@ -151,9 +156,7 @@ def simulate(
     t = np.concatenate([t for t, _ in rows]) if rows else np.zeros(0)
     y = np.concatenate([y for _, y in rows]) if rows else np.zeros((0, 2 * n))
     torques = applied_torques(mechanism, actuation, t, y)
-    q_, qd_ = y[:, :n], y[:, n : 2 * n]
-    qdd = dynamics.forward_dynamics(mechanism, q_, qd_, torques)
-    return Motion(t, q_, qd_, qdd, torques, outcome, report)
+    return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, report, mechanism)
 
 
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:

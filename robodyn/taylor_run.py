@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
-STEPS = 64  # at a time: between them the run can be watched and interrupted
+STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
 PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
 COMPILED = "robodyn.taylor_compiled"
