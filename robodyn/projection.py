@@ -9,6 +9,7 @@ how regular Psi is there, about d^2 at a distance d from a configuration where i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -68,31 +69,20 @@ def straight_closing(mechanism: Mechanism) -> Closing:
 
 def float_closing(mechanism: Mechanism) -> FloatClosing:
     """`straight_closing` on lists, for steps that never leave plain floats."""
-    n, r = mechanism.n, len(mechanism.rows)
-    newton_step = _newton_step(mechanism)
+    close = _generated_closing(mechanism)
     dense = dense_closing(mechanism)
-    size = loop_size(mechanism)
-    rounding, next_to_it = CLOSED * size, CONVERGED * size
 
     def nearest(y: list[float]) -> tuple[list[float], float]:
-        q, qd = y[:n], y[n : 2 * n]
-        for _ in range(PASSES):
-            try:
-                out = newton_step(*q, *qd)
-                quality = min(out[2 * n + r :])
-            except ZeroDivisionError:
-                quality = 0.0
-            if not quality > SINGULAR:
-                closed, quality = dense(np.array(y))
-                return closed.tolist(), quality
-            gap = out[2 * n : 2 * n + r]
-            largest = max(max(gap), -min(gap))
-            if largest <= rounding:
-                break  # what is closed to rounding stays: moving it would add noise
-            q = list(out[:n])
-            if largest <= next_to_it:
-                break
-        return [*q, *out[n : 2 * n], *y[2 * n :]], quality
+        try:
+            found = close(y)
+        except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
+            found = None
+        if found is None:
+            if not math.isfinite(sum(y)):
+                return y, 0.0
+            closed, quality = dense(np.array(y))
+            return closed.tolist(), quality
+        return found
 
     return nearest
 
@@ -147,5 +137,10 @@ def _closed_jacobians(mechanism: Mechanism) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _newton_step(mechanism: Mechanism) -> straightline.FloatFunction:
-    return straightline.compile_floats(projection_formula(mechanism), "newton_step")
+def _generated_closing(
+    mechanism: Mechanism,
+) -> Callable[[list[float]], tuple[list[float], float] | None]:
+    size = loop_size(mechanism)
+    formula = projection_formula(mechanism)
+    limits = SINGULAR, CLOSED * size, CONVERGED * size
+    return straightline.compile_closing(formula, PASSES, *limits)

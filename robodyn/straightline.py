@@ -76,6 +76,39 @@ def compile_rates(
     return function
 
 
+def compile_closing(
+    formula: Formula, passes: int, least_pivot: float, rounding: float, next_to_it: float
+) -> Callable[[list[float]], tuple[list[float], float] | None]:
+    """Newton steps by `formulas.projection_formula` on y = (q, qd, ...): y closed, least pivot.
+
+    What is open by `rounding` (m) at most stays where it is; from `next_to_it` one step closes it.
+    None where a pivot does not exceed `least_pivot`.
+    """
+    lines, outputs = expression.float_source(formula.outputs + formula.pivots)
+    n = len(formula.inputs) // 2
+    gaps = len(formula.pivots)
+    q, qd = formula.inputs[:n], outputs[n : 2 * n]
+    gap, pivots = outputs[2 * n : 2 * n + gaps], outputs[2 * n + gaps :]
+
+    def within(limit: float) -> str:
+        return " and ".join(f"{-limit!r} <= {name} <= {limit!r}" for name in gap)
+
+    least = f"min({', '.join(pivots)})" if gaps > 1 else pivots[0]
+    body = [
+        *lines,
+        f"quality = {least}",
+        f"if not quality > {least_pivot!r}: return None",
+        f"if {within(rounding)}: break",
+        f"last = {within(next_to_it)}",
+        f"{', '.join(q)}, = {', '.join(outputs[:n])},",
+        "if last: break",
+    ]
+    head = f"def close(y):\n  {', '.join(formula.inputs)}, *rest = y\n"
+    loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
+    source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *rest], quality\n"
+    return _define(source, "close")
+
+
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
     """A function of input blocks, then output blocks, then work buffers; and how many buffers."""
     outputs = [f"y{i}" for i in range(len(formula.outputs) + len(formula.pivots))]

@@ -2,15 +2,15 @@
 
 In absolute angles, and each link in the frame in which it starts the step, the unknown is
 r_l + i t_l = exp(i (alpha_l - alpha_l,0)).  Its coefficient k + 2 has a radial part, known from
-r^2 + t^2 = 1, and a tangential part a:
+r^2 + t^2 = 1, and a tangential part:
 
-    P_k = (k+1)(k+2) (r + i t)_{k+2} = N_k + i a_k,
-    N_k = -(k+1)(k+2)/2 sum_{0<m<k+2} (r_m r_{k+2-m} + t_m t_{k+2-m})
+    P_k = (k+1)(k+2) (r + i t)_{k+2},
+    r_{k+2} = -1/2 sum_{0<m<k+2} (r_m r_{k+2-m} + t_m t_{k+2-m})
     F_j = sum_l W_jl P_l - conj(E_j) (gamma conj(B_j) + sum_rows conj(P_row,j) lambda_row)
     r_j Im F_j - t_j Re F_j = tau_j,        Re(sum_l P_row,l E_l P_l) = 0
 
-with W = conj(E) A E, E and A of the step's start, whose real part is M.  So what is unknown at
-order k, a_k and lambda_k, enters through the same symmetric matrix [M Psi^T; Psi 0] at every
+with W = conj(E) A E at the step's start, whose real part is M.  So what is unknown at order k,
+t_{k+2} and lambda_k, enters through the same symmetric matrix [M Psi^T; Psi 0] at every
 order: it is factored once a step.  The equation of joint j at order k gives Im F_j,k besides.  An
 order costs three convolutions of real series a link (N is two halves); rates cost two more where
 dampers or torques ask for their series.
@@ -134,18 +134,17 @@ class _Writer:
                     self.add(f"m{j}_{k} = {'' if before is None else before} - {product}")
                     matrix[j][k] = f"m{j}_{k}"
 
-    def solve(self, right: list[str]) -> list[str]:
-        """Names of the solution; those of closures come with the sign of -lambda."""
-        size = len(right)
-        for i, value in enumerate(right):
-            self.add(f"b{i} = {value}")
-        for i in range(size):
+    def solve(self, right: list[str], names: list[str]) -> None:
+        """Solve for `names`; what belongs to closures is called l and has the sign of -lambda."""
+        names = names + [f"l{r}" for r in range(len(self.rows))]
+        for name, value in zip(names, right, strict=True):
+            self.add(f"{name} = {value}")
+        for i, name in enumerate(names):
             for j in self.columns[i]:
-                self.add(f"b{j} -= f{i}_{j}*b{i}")
-        for i in reversed(range(size)):
-            terms = "".join(f" - f{i}_{j}*b{j}" for j in self.columns[i])
-            self.add(f"b{i} = b{i}*i{i}{terms}")
-        return [f"b{i}" for i in range(size)]
+                self.add(f"{names[j]} -= f{i}_{j}*{name}")
+        for i, name in reversed(list(enumerate(names))):
+            terms = "".join(f" - f{i}_{j}*{names[j]}" for j in self.columns[i])
+            self.add(f"{name} = {name}*i{i}{terms}")
 
     # -- one order -------------------------------------------------------------------------------
 
@@ -156,7 +155,7 @@ class _Writer:
         scale = float((k + 1) * (k + 2))
         for j in range(n):
             radial = " + ".join(_half_square(f"{x}{j}_", k + 2) for x in ("t", "r"))
-            self.add(f"N{j} = {-scale!r}*({radial})")
+            self.add(f"r{j}_{k + 2} = -({radial})")
         right = []
         for j in range(n):
             # Im F of order k, by the equation of the joint
@@ -166,20 +165,18 @@ class _Writer:
             if k > 1:
                 terms.append("-" + _convolution(f"r{j}_", f"Fy{j}_", 2, k, k).replace("+", "-"))
             self.add(f"Fy{j}_{k} = {_sum(terms)}")
-            terms = [f"Fy{j}_{k}"]
-            terms += [f"-k{j}_{other}*N{other}" for other, _, _ in self.coupling[j][1:]]
+            terms = [f"Fy{j}_{k}*{1 / scale!r}"]
+            terms += [f"-k{j}_{other}*r{other}_{k + 2}" for other, _, _ in self.coupling[j][1:]]
             if k == 0:
                 x, y = self.weight[j]
-                terms += [*_term(-y, f"C{j}"), *_term(x, f"S{j}")]
+                terms += [*_term(-0.5 * y, f"C{j}"), *_term(0.5 * x, f"S{j}")]
             right.append(_sum(terms))
         for r, row in enumerate(self.rows):
-            right.append(_sum([f"k{n + r}_{j}*N{j}" for j, _ in row.P]))
-        a = self.solve(right)
-        for j in range(n):
-            self.add(f"r{j}_{k + 2} = N{j}*{1 / scale!r}; t{j}_{k + 2} = {a[j]}*{1 / scale!r}")
+            right.append(_sum([f"k{n + r}_{j}*r{j}_{k + 2}" for j, _ in row.P]))
+        self.solve(right, [f"t{j}_{k + 2}" for j in range(n)])
         if k + 1 < self.order:
             for j in range(n):
-                self.force(j, k)
+                self.force(j, k, scale)
         if self.moving:
             self.rates(k + 1)
 
@@ -217,19 +214,20 @@ class _Writer:
             result.append(_sum(terms) if terms else "")
         return result
 
-    def force(self, j: int, k: int) -> None:
+    def force(self, j: int, k: int, scale: float) -> None:
         """Re F_j of order k."""
-        terms = [f"{self.own[j]!r}*N{j}"]
+        terms = [f"{self.own[j]!r}*r{j}_{k + 2}"]
         for other, _, _ in self.coupling[j][1:]:
             a, b = min(j, other), max(j, other)
-            terms.append(f"M{a}_{b}*N{other} - k{j}_{other}*b{other}")
+            terms.append(f"M{a}_{b}*r{other}_{k + 2} - k{j}_{other}*t{other}_{k + 2}")
+        for r, row in enumerate(self.rows):
+            if any(link == j for link, _ in row.P):
+                terms.append(f"-k{self.n + r}_{j}*l{r}")
+        total = [f"{scale!r}*({_sum(terms)})"]
         if k == 0:
             x, y = self.weight[j]
-            terms += [*_term(x, f"C{j}"), *_term(y, f"S{j}")]
-        for r, row in enumerate(self.rows):
-            if any(link == j for link, _ in row.P):  # the solution holds -lambda
-                terms.append(f"-k{self.n + r}_{j}*b{self.n + r}")
-        self.add(f"Fx{j}_{k} = {_sum(terms)}")
+            total += [*_term(x, f"C{j}"), *_term(y, f"S{j}")]
+        self.add(f"Fx{j}_{k} = {_sum(total)}")
 
     # -- the step --------------------------------------------------------------------------------
 

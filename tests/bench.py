@@ -23,6 +23,7 @@ from timeit import timeit
 from typing import Any
 
 import numpy as np
+from bench_frontier import frontier, taylor_process
 from numpy.typing import NDArray
 
 import robodyn
@@ -297,6 +298,8 @@ MEASURES = [
     simulation_process,
     right_hand_sides,
     evaluators,
+    taylor_process,
+    frontier,
 ]
 
 
@@ -313,11 +316,14 @@ def as_text(rows: list[Row]) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Measure speed against yardsticks.")
+    parser.add_argument("--only", default="", help="measure what has this in its name")
     parser.add_argument("--quick", action="store_true", help="small sizes, bounds do not count")
-    quick = parser.parse_args().quick
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    chosen = [measure for measure in MEASURES if arguments.only in measure.__name__]
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(quick, Path(folder))
-        rows = [row for measure in MEASURES for row in measure(bench)]
+        rows = [row for measure in chosen for row in measure(bench)]
     print(as_text(rows))
     target = ROOT / "bench" / "speed.json"
     target.parent.mkdir(exist_ok=True)
