@@ -29,6 +29,7 @@ SINGULAR = 1e-6  # relative pivot below which the written-out solve is not trust
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
+STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
 USUAL = 0.13  # part of what is usual below which a quality is suspect
 PASSES = 4
 
@@ -67,8 +68,30 @@ def straight_closing(mechanism: Mechanism) -> Closing:
     return nearest
 
 
+def best_closing(mechanism: Mechanism) -> Closing:
+    """What is fastest for its size: straight-line floats, or a sparse factorisation."""
+    if loop_terms(mechanism) <= STRAIGHT:
+        return straight_closing(mechanism)
+    from robodyn import sparse
+
+    return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))
+
+
+def loop_terms(mechanism: Mechanism) -> int:
+    """Entries of A and P, which the cost of straight-line code grows with."""
+    return len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
+
+
 def float_closing(mechanism: Mechanism) -> FloatClosing:
-    """`straight_closing` on lists, for steps that never leave plain floats."""
+    """`best_closing` on lists, for steps that never leave plain floats."""
+    if loop_terms(mechanism) > STRAIGHT:
+        closing = best_closing(mechanism)
+
+        def by_arrays(y: list[float]) -> tuple[list[float], float]:
+            closed, quality = closing(np.array(y))
+            return closed.tolist(), quality
+
+        return by_arrays
     close = _generated_closing(mechanism)
     dense = dense_closing(mechanism)
 

@@ -32,7 +32,9 @@ from robodyn.change_points import across, beside
 from robodyn.mechanism import Mechanism
 from robodyn.projection import (
     SINGULAR,
+    STRAIGHT,
     dense_closing,
+    loop_terms,
     projection,
     regular_rank,
     straight_closing,
@@ -43,7 +45,6 @@ Rates = Callable[[float, Array], Any]
 Projection = Callable[[Array], Array]
 
 STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest
-STRAIGHT_CLOSED = 800  # entries of A and P, where the sparse way also projects every stage
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
 
 
@@ -129,9 +130,8 @@ def _best_kind(mechanism: Mechanism) -> str:
         return "dense"
     if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
         return "dense"  # closures that depend on one another leave no pivot
-    terms = len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
-    most = STRAIGHT_CLOSED if mechanism.rows else STRAIGHT_OPEN
-    return "straight-line" if terms <= most else "sparse"
+    most = STRAIGHT if mechanism.rows else STRAIGHT_OPEN  # the sparse way projects every stage
+    return "straight-line" if loop_terms(mechanism) <= most else "sparse"
 
 
 def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:

@@ -22,7 +22,7 @@ from robodyn import closed_form, dense_dynamics, dynamics, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.mechanism import Mechanism
-from robodyn.projection import projection, straight_closing
+from robodyn.projection import best_closing, projection
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.right_hand_side import RightHandSide, right_hand_side
 
@@ -209,7 +209,7 @@ def run(
         return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
 
     if projects:
-        y0 = projection(mechanism, straight_closing(mechanism))(y0)
+        y0 = projection(mechanism, best_closing(mechanism))(y0)
     if taylor:  # tell now where no motion is defined
         if not dense_dynamics.elimination_is_safe(mechanism):
             n = mechanism.n

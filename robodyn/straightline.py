@@ -103,9 +103,9 @@ def compile_closing(
         f"{', '.join(q)}, = {', '.join(outputs[:n])},",
         "if last: break",
     ]
-    head = f"def close(y):\n  {', '.join(formula.inputs)}, *rest = y\n"
+    head = f"def close(y):\n  {', '.join(formula.inputs)}, = y[:{2 * n}]\n"
     loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
-    source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *rest], quality\n"
+    source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
     return _define(source, "close")
 
 

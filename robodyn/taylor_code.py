@@ -40,7 +40,7 @@ def compile_expansion(
     writer = _Writer(mechanism, order, torques, work)
     source = writer.function()
     names: dict[str, Any] = {}
-    exec("from math import atan2, cos, sin, isfinite", names)
+    exec("from math import atan2, cos, inf, isfinite, nan, sin", names)
     exec(compile(source, "<robodyn taylor series>", "exec"), names)
     function: Expansion = names["expand"]
     return function
@@ -242,7 +242,9 @@ class _Writer:
         rates = [f"abs(w{j}_0)" for j in range(n)]
         self.add(f"fast = max({', '.join(rates)})" if n > 1 else f"fast = {rates[0]}")
         self.add(f"last = {largest(p + 1)}; before = {largest(p)}")
-        self.add("if not isfinite(last + before): return 0.0, y, ()")
+        # max may pass over a nan; links on trees of their own need not share it
+        tails = " + ".join(f"t{j}_{p + 1}" for j in range(n))
+        self.add(f"if not isfinite(last + before + {tails}): return 0.0, y, ()")
         # what a rate may miss; of two orders, as every other coefficient may vanish
         self.add("tol = atol + rtol*fast")
         self.add(f"h = (tol*tol/({(p + 1.0) ** 2!r}*last or {TINY}))**{0.5 / p!r}")

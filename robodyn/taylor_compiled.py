@@ -440,20 +440,22 @@ def _power(whole, real, work, at):
 @_compiled()
 def _longest(work, at, atol, rtol):
     """The step whose last terms are within the tolerance, s; -1 where they are not finite."""
-    speed = before = last = 0.0
+    speed = 0.0
     for l in range(at.n):
-        i = at.W + l * at.K
-        if not math.isfinite(work[i + at.order] + work[i + at.order - 1]):
-            return -1.0
-        speed = max(speed, abs(work[i]))
-        before = max(before, abs(work[i + at.order - 1]))
-        last = max(last, abs(work[i + at.order]))
+        speed = max(speed, abs(work[at.W + l * at.K]))
     h = math.inf
-    if before > 0.0:
-        h = ((atol + rtol * speed) / before) ** (1.0 / (at.order - 1))
-    if last > 0.0:
-        h = min(h, ((atol + rtol * speed) / last) ** (1.0 / at.order))
-        h = min(h, ((atol + rtol) * (at.order + 1) / last) ** (1.0 / (at.order + 1)))
+    # from rest every second coefficient vanishes, and from rest at right angles to gravity only
+    # every fourth is left
+    for order in range(at.order - 3, at.order + 1):
+        largest = 0.0
+        for l in range(at.n):
+            value = work[at.W + l * at.K + order]
+            if not math.isfinite(value):
+                return -1.0
+            largest = max(largest, abs(value))
+        if largest > 0.0:
+            h = min(h, ((atol + rtol * speed) / largest) ** (1.0 / order))
+            h = min(h, ((atol + rtol) * (order + 1) / largest) ** (1.0 / (order + 1)))
     return h
 
 

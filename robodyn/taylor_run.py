@@ -7,6 +7,7 @@ where they can; where they cannot, or a run starts there, a few steps of DOP853,
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
-from robodyn.projection import float_closing, suspect_quality
+from robodyn.projection import float_closing, loop_terms, suspect_quality
 from robodyn.recording import Outcome, Recorder
-from robodyn.taylor import Engine, Status, default_order
+from robodyn.taylor import Chunk, Engine, Status, default_order
 from robodyn.taylor_steps import ArrayEngine, SteppingEngine, StraightEngine
 from robodyn.torque_series import TorqueSeries
 
@@ -61,8 +62,9 @@ def stepping_engine(
     else:
         torques = TorqueSeries(actuation, mechanism.n)
     closing = float_closing(mechanism) if mechanism.rows and project else None
-    terms = len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
-    small = terms * order <= STRAIGHT and dense_dynamics.elimination_is_safe(mechanism)
+    small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
+        mechanism
+    )
     kind = StraightEngine if small else ArrayEngine
     return kind(mechanism, closing, order, rtol, atol, torques, work)
 
@@ -121,6 +123,7 @@ def taylor_run(
         stepping = stepping_engine(
             mechanism, actuation, rtol, atol, order=order, project=project, work=work
         )
+    _check_start(mechanism, actuation, y)
     t, begun = 0.0, time.perf_counter()
     crosses = closing is not None and closing(y.tolist())[1] < suspect
     while True:
@@ -132,6 +135,8 @@ def taylor_run(
             steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
             chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
             recorder.chunk(chunk, t_end)
+            if _held_by_stability(chunk, t_end, recorder, rtol, atol):
+                return Outcome.STIFF
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
             status = chunk.status
@@ -144,6 +149,39 @@ def taylor_run(
         crosses = stuck or status is Status.SINGULAR
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
+
+
+def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
+    try:
+        torques = actuation.function(mechanism.n)(0.0, y.tolist())
+    except (ArithmeticError, ValueError):
+        torques = [math.nan]
+    if not all(map(math.isfinite, torques)):
+        limit = "the torque is not finite there"
+        raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+
+def _held_by_stability(
+    chunk: Chunk, t_end: float, recorder: Recorder, rtol: float, atol: float
+) -> bool:
+    """Whether a run that would take too many steps takes them along what one cubic describes."""
+    count, n = len(chunk.t), recorder.mechanism.n
+    if count < STEPS or chunk.status is not Status.FULL:
+        return False
+    x = (chunk.t - chunk.t[0])[:, None]
+    span = float(x[-1, 0])
+    left = recorder.max_evaluations - recorder.report.evaluations
+    if (t_end - chunk.t[-1]) / span * count <= left:
+        return False
+    q, qd = chunk.y[:, :n], chunk.y[:, n : 2 * n]
+    fast = float(np.abs(qd).max())
+    if abs(span) * fast > 0.1 * count:  # turns of links hold it as well
+        return False
+    slope = (q[-1] - q[0]) / span
+    a, b = qd[0] - slope, qd[-1] - slope
+    u = x / span
+    cubic = q[0] + x * slope + span * u * (1.0 - u) * (a * (1.0 - u) - b * u)
+    return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
 def next_kink(kinks: tuple[float, ...], t: float, end: float) -> float:

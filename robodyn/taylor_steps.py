@@ -19,6 +19,7 @@ from robodyn.torque_series import TorqueSeries
 Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], Any]  # h, the state at its end, the series
 
+KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
 
 
@@ -26,6 +27,7 @@ class SteppingEngine:
     """Advances by the steps that `expand` makes, and lands them where the next series is good."""
 
     order: int
+    tolerances: tuple[float, float]  # rtol, atol
 
     def __init__(
         self,
@@ -35,6 +37,9 @@ class SteppingEngine:
     ) -> None:
         self.mechanism, self.closing, self.torques = mechanism, closing, torques
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
+        # what no accuracy of the series excludes: torques that end, or bend, within a step
+        self.bends = torques if isinstance(torques, TorqueSeries) and not torques.kinks else None
+        self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
@@ -56,7 +61,9 @@ class SteppingEngine:
             if not len(series):
                 status = Status.NOT_FINITE
                 break
-            if h < 4.0 * math.ulp(t):
+            if self.bends is not None:
+                h, new = self._shorten(self.bends, t, state, h, new, series, direction)
+            if h < 4.0 * math.ulp(t) and h != most:
                 status = Status.STUCK
                 break
             quality = 1.0
@@ -84,6 +91,28 @@ class SteppingEngine:
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
         return Chunk(np.array(ends), made, times[:due], row_y, status)
+
+    def _shorten(
+        self,
+        torques: TorqueSeries,
+        t: float,
+        state: list[float],
+        h: float,
+        new: list[float],
+        series: Any,
+        direction: float,
+    ) -> tuple[float, list[float]]:
+        """The step halved until the torque at its end is that of the series."""
+        n, (rtol, atol) = self.mechanism.n, self.tolerances
+        relative = max(math.sqrt(rtol), KINK)
+        miss = atol + rtol * max(map(abs, state[n : 2 * n]))  # of a rate
+        miss *= (self.order + 1) * self.lightest
+        while h >= 4.0 * math.ulp(t):
+            if torques.agrees(h * direction, t + h * direction, new, relative, miss / h):
+                break
+            h *= 0.5
+            new = self.states(state, series, np.array([h * direction]))[0].tolist()
+        return h, new
 
     def _land(
         self,
@@ -147,7 +176,7 @@ class StraightEngine(SteppingEngine):
     ) -> None:
         super().__init__(mechanism, closing, torques)
         self.order = order
-        self._tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
+        self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
         constants = None if isinstance(torques, TorqueSeries) else torques
         self._expand = _expansion(mechanism, order, constants, work)
 
@@ -155,7 +184,7 @@ class StraightEngine(SteppingEngine):
         torques = self.torques
         push = torques.begin(t, y, direction) if isinstance(torques, TorqueSeries) else None
         try:
-            return self._expand(y, most, direction, *self._tolerances, push)
+            return self._expand(y, most, direction, *self.tolerances, push)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
 
@@ -175,7 +204,7 @@ class ArrayEngine(SteppingEngine):
     ) -> None:
         super().__init__(mechanism, closing, torques)
         self.order, self.work = order, work
-        self._tolerances = rtol, atol
+        self.tolerances = float(rtol), float(atol)
         constants = None if isinstance(torques, TorqueSeries) else np.array(torques)
         self._series = ArraySeries(mechanism, order, constants)
 
@@ -190,7 +219,7 @@ class ArrayEngine(SteppingEngine):
             return 0.0, y, ()
         if not np.isfinite(z).all():
             return 0.0, y, ()
-        h = min(most, step_size(z, *self._tolerances))
+        h = min(most, step_size(z, *self.tolerances))
         series = [z.real, z.imag]
         if self.work and net is not None:
             rates = np.stack([link_rates(z, k) for k in range(p + 1)], axis=-1)

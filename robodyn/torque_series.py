@@ -37,6 +37,31 @@ class TorqueSeries:
             return self._pieces(t, y, direction)
         return self._reader.begin(t, y)
 
+    def agrees(self, x: float, t: float, y: Sequence[float], relative: float, small: float) -> bool:
+        """Whether the series, x after where it began, gives the torques at the state y at t.
+
+        It does not where the torque ends or bends on the way (sqrt(1 - t), sqrt(t**2)), or is
+        flat where it began (tanh(1e5*t)).  What it misses by may be `small`, N m, or that part of
+        its terms.
+        """
+        if self._reader is None:  # a table, on which steps end where it bends
+            return True
+        try:
+            torques = self._function(t, y)
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        for node, torque in zip(self._reader.taus, torques, strict=True):
+            total = most = 0.0
+            power = 1.0
+            for value in node.values:
+                term = value * power
+                total += term
+                most = max(most, abs(term))
+                power *= x
+            if not abs(total - torque) <= max(small, relative * most):
+                return False
+        return True
+
     def _pieces(self, t: float, y: Sequence[float], direction: float) -> Push:
         """Of a table: a value and a slope up to its next row."""
         if direction > 0.0:
@@ -154,9 +179,11 @@ class _Reader:
         match name:
             case "sin" | "cos" | "tan" | "sinh" | "cosh" | "tanh":
                 kind = name[:3] + "h" * name.endswith("h")
+                if name == "tanh":
+                    return keep(_HyperbolicTangent(x[0]))
                 sine = keep(_Sine(x[0], name.endswith("h")))
                 cosine = keep(_Cosine(sine))
-                if kind.startswith("tan"):
+                if kind == "tan":
                     return keep(_Quotient(sine, cosine))
                 return sine if kind.startswith("sin") else cosine
             case "exp":
@@ -299,6 +326,23 @@ class _Cosine(_Node):
 
     def coefficient(self, k: int) -> float:
         return self.sine.cosines[k]
+
+
+class _HyperbolicTangent(_Node):
+    """y' = x' (1 - y^2): where sinh and cosh would overflow it is flat."""
+
+    def __init__(self, x: _Node) -> None:
+        super().__init__()
+        self.x = x
+        self.rest: list[float] = []  # 1 - y^2
+
+    def coefficient(self, k: int) -> float:
+        if k == 0:
+            self.rest = []
+            return math.tanh(self.x.values[0])
+        y = self.values
+        self.rest.append((1.0 if k == 1 else 0.0) - _convolve(y, y))
+        return _slope(self.x.values, self.rest, k)
 
 
 class _Primitive(_Node):

@@ -22,7 +22,7 @@ from robodyn import (
     potential_energy,
     simulate,
 )
-from robodyn.actuation import constant, expressions
+from robodyn.actuation import Actuation, constant, expressions
 from robodyn.mechanism import Mechanism
 from robodyn.taylor import Status
 
@@ -294,3 +294,13 @@ def test_one_compilation_serves_all():
         moved(mechanism, states[0], t[1])
         engine(mechanism).advance(0, states[0].tolist(), 1, [0.5], 3)
     assert len(taylor_compiled._advance.signatures) == 1
+
+
+def test_from_rest_at_right_angles_to_gravity_only_every_fourth_coefficient_is_left():
+    mechanism = load(ROOT / "robots/2r.yaml")
+    still = Actuation((0.0, 0.0))
+    for order in range(8, 20):
+        engine = CompiledEngine(mechanism, still, rtol=1e-8, atol=1e-8, order=order)
+        chunk = engine.advance(0.0, np.zeros(4), 2.0, np.zeros(0), 1000)
+        motion = simulate(mechanism, [0, 0], [0, 0], 2.0, rtol=1e-11, atol=1e-11, t_eval=[2.0])
+        assert chunk.y[-1][:2] == pytest.approx(motion.q[-1], abs=1e-5)
