@@ -87,6 +87,8 @@ class Report:
     largest_gap_rate: float = 0.0  # m/s
     nearest_singular: float | None = None  # least singular value of Psi against the loop's size
     nearest_singular_time: float | None = None
+    error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
+    hint: str = ""  # what would make it faster
 
 
 class StopRun(Exception):

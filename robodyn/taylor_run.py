@@ -36,6 +36,7 @@ STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-lin
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
 PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
+HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
 COMPILED = "robodyn.taylor_compiled"
 SMALLEST_RTOL = 3e-14  # of scipy's methods
 
@@ -149,6 +150,8 @@ def taylor_run(
         crosses = stuck or status is Status.SINGULAR
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
+            if find_spec("numba") is None and actuation.constants is not None:
+                recorder.report.hint = HINT
 
 
 def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:

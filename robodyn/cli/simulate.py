@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from enum import StrEnum
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Optional
@@ -34,6 +34,7 @@ from robodyn.table_writer import Writer
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+DEFAULT_TOLERANCE = 1e-9
 DEFAULT_POINTS = 1001
 MOST_ROWS = 100_000_000
 SILENT = 0.5  # s before a progress bar appears
@@ -104,9 +105,30 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    method: Annotated[Method, typer.Option("--method", help="Integrator.")] = Method.DOP853,
-    rtol: Annotated[float, typer.Option("--rtol", help="Relative tolerance of a step.")] = 1e-9,
-    atol: Annotated[float, typer.Option("--atol", help="Absolute tolerance, rad, rad/s.")] = 1e-9,
+    method: Annotated[
+        Optional[Method],  # noqa: UP045
+        typer.Option("--method", help="Integrator. Default: DOP853; with --accuracy the best."),
+    ] = None,
+    rtol: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option("--rtol", help="Relative tolerance of a step. Default: 1e-9."),
+    ] = None,
+    atol: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option("--atol", help="Absolute tolerance, rad, rad/s. Default: 1e-9."),
+    ] = None,
+    accuracy: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            "--accuracy",
+            metavar="RAD",
+            help="Largest error of q and qd over the whole run; chooses method and tolerance.",
+        ),
+    ] = None,
+    estimate_error: Annotated[
+        bool,
+        typer.Option("--estimate-error", help="Run again, 100 times as tight: the error's size."),
+    ] = False,
     order: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(
@@ -150,21 +172,20 @@ def simulate(
       robodyn simulate robots/2r.yaml --q 0,0 --quiet | robodyn torque robots/2r.yaml - | tail -1
     """
     mechanism = load(model)
+    if accuracy is not None and (rtol is not None or atol is not None):
+        raise InputError("--accuracy and --rtol, --atol", limit="exclude each other")
     settings = Settings(
-        method.value,
-        rtol,
-        atol,
+        Method.DOP853.value if method is None else method.value,
+        DEFAULT_TOLERANCE if rtol is None else rtol,
+        DEFAULT_TOLERANCE if atol is None else atol,
         stabilize.value,
         baumgarte_rate,
         max_evaluations=max_evals,
         order=order,
         engine=engine.value,
     )
-    try:
+    with _named_options():
         settings.check()
-    except InputError as error:
-        error.what = "--" + error.what.replace("_", "-")
-        raise
     times = _output_times(duration, every, points)
     torques = _torques(mechanism, tau, tau_from, duration)
     start = [Quantity("q", q, True), Quantity("qd", qd)]
@@ -173,6 +194,19 @@ def simulate(
         note(f"assembled: joints moved by up to {moved[0]:.3g} rad and {moved[1]:.3g} rad/s")
     else:
         state = single_state(mechanism, start)
+    begin = np.concatenate(state)
+    estimate: float | None = None
+    if accuracy is not None:
+        from robodyn.accuracy import AUTO, settings_for
+
+        wanted = replace(settings, method=AUTO) if method is None else settings
+        with _named_options(), remarks():
+            settings, estimate = settings_for(mechanism, begin, duration, torques, wanted, accuracy)
+    elif estimate_error:
+        from robodyn.accuracy import error_estimate
+
+        with remarks():
+            estimate = error_estimate(mechanism, begin, duration, torques, settings)
     if report is not None and same_file(report, out):
         raise InputError("--report", value=report, limit="must not be where the rows go (--out)")
 
@@ -187,10 +221,11 @@ def simulate(
 
         with nullcontext() if report is None else open_output(report) as file:
             with remarks(), _watching(duration, quiet) as watch:
-                begin = np.concatenate(state)
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )
+            if estimate is not None and math.isfinite(estimate):
+                facts.error_estimate = estimate
             writer()
             if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
@@ -200,6 +235,16 @@ def simulate(
             stream.flush()
             where = f"{facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
             raise UnfinishedError(where, limit=outcome.advice)
+
+
+@contextmanager
+def _named_options() -> Iterator[None]:
+    """A setting that is refused is named as its option."""
+    try:
+        yield
+    except InputError as error:
+        error.what = "--" + error.what.replace("_", "-")
+        raise
 
 
 def _columns(mechanism: Mechanism) -> list[str]:
@@ -330,6 +375,10 @@ def _summary(mechanism: Mechanism, facts: Report) -> None:
             f"largest gap: {facts.largest_gap:.2g} m, {facts.largest_gap_rate:.2g} m/s "
             f"({facts.stabilize})"
         )
+    if facts.error_estimate is not None:
+        lines.append(f"error of q and qd: {facts.error_estimate:.2g} at most, by a tighter run")
+    if facts.hint:
+        lines.append(facts.hint)
     if facts.nearest_singular is not None and facts.nearest_singular_time is not None:
         lines.append(
             f"nearest to singular: {facts.nearest_singular:.3g} at "
