@@ -2,13 +2,14 @@
 # make test   lint, type-check and run the whole test suite
 # make hard   the hard cases of simulation, one table
 # make bench  speed, each figure a ratio to a yardstick measured in the same run
+# make peers  agreement and speed beside engines that others wrote, in an environment of their own
 
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test hard bench clean
+.PHONY: demo test hard bench peers clean
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("robodyn needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
@@ -31,6 +32,20 @@ hard: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py
+
+PEERS := .venv-peers
+
+$(PEERS)/.ready: pyproject.toml tests/peers/requirements.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat --editable '.[fast]'
+	while read -r peer; do \
+		$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: "$$peer" \
+		|| echo "$$peer cannot be installed, goes on without" >&2; \
+	done < tests/peers/requirements.txt
+	touch $@
+
+peers: $(PEERS)/.ready
+	PYTHONPATH=tests $(PEERS)/bin/python -m peers
 
 clean:
 	rm -rf $(VENV) bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

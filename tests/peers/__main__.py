@@ -1,0 +1,265 @@
+"""Compares robodyn with other engines: `make peers`.
+
+Three parts, one table, the same in bench/peers.json:
+
+agreement  the largest difference over random states, relative to the size of the terms that are
+           added up in what is compared (at most ROUNDING)
+batch      inverse dynamics of the same states, closures opened; seconds are medians, taken in turn
+motion     seconds for an error at the end, read off curves over tolerances as in `make bench`;
+           the compiled Taylor engine must take at most BOUND times what heyoka's takes
+
+An engine that cannot be imported is named, with the reason, and left out.  Exits 1 where a bound
+is missed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import import_module
+from importlib.metadata import version
+from statistics import median
+from time import perf_counter
+from timeit import timeit
+from types import ModuleType
+
+import numpy as np
+from bench_frontier import ROOT, Array, Case, Curve, case, taylor
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import robodyn
+from robodyn.description import from_text
+from robodyn.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanism import Mechanism, build
+
+PEERS = {
+    "mujoco": "mujoco",
+    "pinocchio": "pin",
+    "heyoka": "heyoka",
+    "sympy": "sympy",
+    "scipy": "scipy",
+}  # and their names on PyPI
+ROUNDING = 1e-13
+BOUND = 3.0
+STATES, BATCH, TURNS, REPEATS = 200, 100_000, 5, 9
+TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
+MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
+TARGETS = (1e-6, 1e-9, 1e-12)
+
+States = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line: what an engine needs or reaches, and robodyn; ratio is of seconds, ours / theirs."""
+
+    part: str
+    what: str
+    engine: str
+    theirs: float
+    unit: str
+    ours: float | None = None
+    ratio: float | None = None
+    bound: float | None = None
+
+    @property
+    def ok(self) -> bool | None:
+        if self.bound is None:
+            return None
+        value = self.theirs if self.ratio is None else self.ratio
+        return bool(value <= self.bound)
+
+
+def motion_states(mechanism: Mechanism, count: int) -> States:
+    """Random q, qd, qdd that keep the closures, of any size there."""
+    free = np.random.default_rng(mechanism.n).normal(size=(3, count, len(mechanism.actuated)))
+    if not mechanism.rows:
+        return free[0] * 2.0, free[1], free[2]
+    q = robodyn.assemble(mechanism, free[0] * 2.0)
+    qd = loop_velocities(mechanism, q, free[1])
+    return q, qd, loop_accelerations(mechanism, q, qd, free[2])
+
+
+def opened(mechanism: Mechanism) -> Mechanism:
+    """The tree of a mechanism, every joint actuated."""
+    parts = replace(mechanism.description, closures=(), branches=(), actuated=None)
+    return build(parts)
+
+
+def agreement(engines: dict[str, ModuleType]) -> Iterator[Row]:
+    for scene in ("2r", "3r", "four-bar"):
+        mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
+        q, qd, qdd = motion_states(mechanism, STATES)
+        M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
+        G = robodyn.gravity_vector(mechanism, q)
+        rates, accelerations = qd[..., None], qdd[..., None]
+        arrays = mechanism.arrays
+        weight = arrays.J.T @ np.abs(mechanism.gamma * arrays.B)  # the largest that G can be
+        passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight
+        # what is compared, the arguments of it, and the size of its terms at each state
+        compared = {
+            "M": (M, (q,), M),
+            "G": (G, (q,), weight + 0 * q),
+            "bias": ((C @ rates)[..., 0] + G, (q, qd), passing),
+            "tau": (
+                robodyn.inverse_dynamics(mechanism, q, qd, qdd),
+                (q, qd, qdd),
+                passing + (np.abs(M) @ np.abs(accelerations))[..., 0],
+            ),
+            "qdd": (
+                robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
+                (q, qd),
+                (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
+            ),
+        }
+        for name, engine in engines.items():
+            try:
+                terms = engine.terms(mechanism)
+            except NotImplementedError:
+                continue
+            for term, function in terms.items():
+                kind, _, remark = term.partition(", ")
+                ours, arguments, terms_of = compared[kind]
+                theirs = np.array([np.array(function(*x)) for x in zip(*arguments, strict=True)])
+                apart = np.abs(theirs - ours).reshape(STATES, -1).max(axis=1)
+                size = np.abs(terms_of).reshape(STATES, -1).max(axis=1)
+                bound = None if remark else ROUNDING
+                what = f"{scene}, {term}"
+                yield Row("agreement", what, name, float((apart / size).max()), "", bound=bound)
+
+
+def batch(engines: dict[str, ModuleType]) -> Iterator[Row]:
+    from bench import chain_text
+
+    scenes = {
+        "2R": robodyn.load(ROOT / "robots/2r.yaml"),
+        "four-bar, opened": opened(robodyn.load(ROOT / "robots/four-bar.yaml")),
+        "6R chain": build(from_text(chain_text(6), "6R")),
+    }
+    for what, tree in scenes.items():
+        states = motion_states(tree, BATCH)
+        ways: dict[str, Callable[[], Array]] = {
+            "robodyn": partial(robodyn.inverse_dynamics, tree, *states)
+        }
+        for name, engine in engines.items():
+            if hasattr(engine, "batches"):
+                found = engine.batches(tree, *states)
+                ways |= {f"{name} {how}": run for how, run in found.items()}
+        tau = ways["robodyn"]()
+        for run in ways.values():
+            np.testing.assert_allclose(run(), tau, rtol=1e-10, atol=1e-10)
+        turns = [[timeit(run, number=1) for run in ways.values()] for _ in range(TURNS)]
+        ours, *theirs = (median(times) for times in zip(*turns, strict=True))
+        for how, seconds in zip(list(ways)[1:], theirs, strict=True):
+            rates = BATCH / seconds, "states/s", BATCH / ours
+            yield Row("batch", f"inverse dynamics, {what}", how, *rates, ratio=ours / seconds)
+
+
+def first_use(name: str, problem: Case) -> float:
+    """Milliseconds to have an engine of robodyn ready, its first motion included."""
+    start = perf_counter()
+    taylor(problem, name, 1e-9)()
+    return 1e3 * (perf_counter() - start)
+
+
+def motions(engines: dict[str, ModuleType]) -> Iterator[Row]:
+    for reference, time in MOTIONS:
+        problem = case(reference, time)
+        if "heyoka" in engines:
+            for tolerance in (1e-6, 1e-15):
+                seconds = engines["heyoka"].compile_seconds(problem, tolerance)
+                what = f"{problem.name}, made ready at {tolerance:g}"
+                ours = first_use("compiled", problem)
+                yield Row("motion", what, "heyoka taylor_adaptive", 1e3 * seconds, "ms", ours)
+        curves = {
+            f"robodyn {name}": Curve(problem, [taylor(problem, name, x) for x in TOLERANCES])
+            for name in ("compiled", "python")
+        }
+        for name, engine in engines.items():
+            try:
+                found = engine.runs(problem, TOLERANCES) if hasattr(engine, "runs") else {}
+            except NotImplementedError:
+                continue
+            curves |= {f"{name} {how}": Curve(problem, runs) for how, runs in found.items()}
+        for curve in curves.values():
+            curve.measure()
+        for _ in range(REPEATS):
+            for curve in curves.values():
+                curve.turn()
+        compiled = curves.pop("robodyn compiled")
+        for target in TARGETS:
+            ours = 1e3 * compiled.time(target)
+            for name, curve in curves.items():
+                theirs = 1e3 * curve.time(target)
+                reached = np.isfinite(theirs)
+                yield Row(
+                    "motion",
+                    f"{problem.name}, to {target:g}",
+                    name,
+                    theirs,
+                    "ms",
+                    ours,
+                    ratio=ours / theirs if reached else None,
+                    bound=BOUND if reached and name.startswith("heyoka") else None,
+                )
+        for name, curve in curves.items():
+            best, ours = float(np.nanmin(curve.errors)), float(np.nanmin(compiled.errors))
+            yield Row("motion", f"{problem.name}, least error", name, best, "", ours)
+
+
+def drawn(rows: list[Row], versions: dict[str, str]) -> Table:
+    title = "robodyn beside " + ", ".join(f"{name} {text}" for name, text in versions.items())
+    table = Table(title=title, caption="ratio: seconds of robodyn / seconds of theirs")
+    for column in ("what", "engine"):
+        table.add_column(column, no_wrap=True)
+    for column in ("theirs", "robodyn", "", "ratio", "bound", "ok"):
+        table.add_column(column, justify="right", no_wrap=True)
+    before = rows[0]
+    for row in rows:
+        if row.part != before.part or row.what.split(",")[0] != before.what.split(",")[0]:
+            table.add_section()
+        before = row
+        numbers = [row.theirs, row.ours, row.ratio, row.bound]
+        shown = ["" if x is None else f"{x:.3g}" if np.isfinite(x) else "-" for x in numbers]
+        verdict = {None: "", True: "yes", False: "MISSED"}[row.ok]
+        table.add_row(row.what, row.engine, *shown[:2], row.unit, *shown[2:], verdict)
+    return table
+
+
+def main() -> int:
+    engines, versions, absent = {}, {"scipy": version("scipy")}, {}
+    for name, package in PEERS.items():
+        try:
+            engines[name] = import_module(f"peers.{name}_peer")
+            versions[name] = version(package)
+        except (ImportError, OSError) as error:
+            absent[name] = f"{type(error).__name__}: {error}"
+    rows: list[Row] = []
+    console = Console(stderr=True)
+    for part in track((agreement, batch, motions), "comparing", console=console, transient=True):
+        rows += part(engines)
+    Console(width=None if sys.stdout.isatty() else 120).print(drawn(rows, versions))
+    for name, reason in absent.items():
+        print(f"absent: {name}, {reason}")
+    target = ROOT / "bench" / "peers.json"
+    target.parent.mkdir(exist_ok=True)
+    content = {
+        "cores": os.cpu_count(),
+        "versions": versions,
+        "absent": absent,
+        "rows": [asdict(row) | {"ok": row.ok} for row in rows],
+    }
+    target.write_text(json.dumps(content, indent=2, allow_nan=True) + "\n")
+    missed = [row for row in rows if row.ok is False]
+    print(f"{len(missed)} of {sum(row.ok is not None for row in rows)} bounds missed")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""MuJoCo: the scene as MJCF text, hinges about the normal of the plane, closures as connects.
+
+Its constraints are soft, so that a closed mechanism's accelerations and torques are not meant to
+be the exact ones: M, G and the bias are compared, which are those of the opened tree, and what
+softness does to the accelerations is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import mujoco
+import numpy as np
+from bench_frontier import Array, Case, Run
+
+from robodyn import Mechanism
+from robodyn.description import Description
+
+STEPS = [250 * 2**k for k in range(11)]
+
+
+def mjcf(description: Description, timestep: float = 0.002) -> str:
+    """The scene; body and joint k are link k."""
+    links = description.links
+    if any(link.payload or link.damping for link in links):
+        raise NotImplementedError("payload, damping")
+    sites: dict[int | None, str] = {}
+    connects = ""
+    for c, closure in enumerate(description.closures):
+        if closure.along is not None:
+            raise NotImplementedError("slider")
+        for side, point in (("a", closure.first), ("b", closure.second)):
+            site = f'<site name="{side}{c}" pos="{_vector(point.at)}"/>'
+            sites[point.link] = sites.get(point.link, "") + site
+        connects += f'<connect site1="a{c}" site2="b{c}"/>'
+
+    def bodies(above: int | None) -> str:
+        text = sites.get(above, "")
+        for k, link in enumerate(links):
+            if link.hangs_from.link == above:
+                inertia = " ".join([repr(link.I)] * 3)  # the third counts, the others must fit it
+                text += (
+                    f'<body name="{k}" pos="{_vector(link.hangs_from.at)}">'
+                    f'<joint name="{k}" type="hinge" axis="0 0 1"/>'
+                    f'<inertial mass="{link.m!r}" pos="{_vector(link.r)}" diaginertia="{inertia}"/>'
+                    f"{bodies(k)}</body>"
+                )
+        return text
+
+    return (
+        '<mujoco><compiler angle="radian"/>'
+        f'<option gravity="{_vector(description.gravity)}" timestep="{timestep!r}"'
+        ' integrator="RK4"/>'
+        f"<worldbody>{bodies(None)}</worldbody><equality>{connects}</equality></mujoco>"
+    )
+
+
+def _vector(point: complex) -> str:
+    return f"{point.real!r} {point.imag!r} 0"
+
+
+class Model:
+    """A compiled scene and its data, joints in robodyn's order."""
+
+    def __init__(self, description: Description, timestep: float = 0.002) -> None:
+        self.model = mujoco.MjModel.from_xml_string(mjcf(description, timestep))
+        self.data = mujoco.MjData(self.model)
+        names = [str(k) for k in range(len(description.links))]
+        self.joints = np.array([self.model.joint(name).dofadr[0] for name in names])
+
+    def put(self, q: Array, qd: Array) -> None:
+        self.data.qpos[self.joints] = q
+        self.data.qvel[self.joints] = qd
+
+    def M(self, q: Array) -> Array:
+        self.bias(q, np.zeros_like(q))
+        full = np.zeros((len(q), len(q)))
+        mujoco.mj_fullM(self.model, self.data, full)
+        return full[np.ix_(self.joints, self.joints)]
+
+    def bias(self, q: Array, qd: Array) -> Array:
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qfrc_bias[self.joints]
+
+    def accelerations(self, q: Array, qd: Array) -> Array:
+        mujoco.mj_resetData(self.model, self.data)  # no warm start
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qacc[self.joints]
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        self.put(q, qd)
+        self.data.qacc[self.joints] = qdd
+        mujoco.mj_inverse(self.model, self.data)
+        return self.data.qfrc_inverse[self.joints]
+
+
+def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:
+    model = Model(mechanism.description)
+    found = {"M": model.M, "G": lambda q: model.bias(q, np.zeros_like(q)), "bias": model.bias}
+    if mechanism.rows:
+        return found | {"qdd, soft closures": model.accelerations}
+    return found | {"tau": model.torques, "qdd": model.accelerations}
+
+
+def batches(tree: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str, Run]:
+    model = Model(tree.description)
+
+    def loop() -> Array:
+        return np.array(list(map(model.torques, q, qd, qdd)))
+
+    return {"mj_inverse, a loop": loop}
+
+
+def runs(case: Case, tolerances: list[float]) -> dict[str, list[Run]]:
+    """RK4 at fixed steps, which stand for tolerances, the loop over them inside MuJoCo."""
+    if case.mechanism.rows:
+        raise NotImplementedError("soft closures: another motion")
+    n = case.mechanism.n
+
+    def run(model: Model, steps: int) -> Array:
+        mujoco.mj_resetData(model.model, model.data)
+        model.put(case.start[:n], case.start[n:])
+        mujoco.mj_step(model.model, model.data, steps)
+        return np.concatenate([model.data.qpos[model.joints], model.data.qvel[model.joints]])
+
+    description = case.mechanism.description
+    models = [(Model(description, case.time / steps), steps) for steps in STEPS]
+    return {"RK4, fixed steps": [partial(run, model, steps) for model, steps in models]}

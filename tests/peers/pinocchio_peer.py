@@ -1,0 +1,152 @@
+"""Pinocchio: the scene built joint by joint, revolute about the normal of the plane.
+
+Closures are its rigid constraints between two joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+from bench_frontier import Array, Run
+
+from robodyn import Mechanism
+from robodyn.description import Description
+
+CORES = 2
+
+
+class Model:
+    """A scene in Pinocchio, joints in robodyn's order at the surface."""
+
+    def __init__(self, description: Description) -> None:
+        links = description.links
+        if any(link.payload or link.damping for link in links):
+            raise NotImplementedError("payload, damping")
+        self.model = pin.Model()
+        gravity = description.gravity
+        self.model.gravity.linear = np.array([gravity.real, gravity.imag, 0.0])
+        self.ids: dict[int | None, int] = {None: 0}
+        self._hang(description, None)
+        self.data = self.model.createData()
+        joints = [self.model.joints[self.ids[k]].idx_v for k in range(len(links))]
+        self.joints = np.array(joints)
+        self.back = np.argsort(self.joints)  # theirs[back] of ours
+        self.closures = pin.StdVec_RigidConstraintModel()
+        for closure in description.closures:
+            if closure.along is not None:
+                raise NotImplementedError("slider")
+            sides = [
+                side
+                for point in (closure.first, closure.second)
+                for side in (self.ids[point.link], _placed(point.at))
+            ]
+            kind = pin.ContactType.CONTACT_3D
+            self.closures.append(pin.RigidConstraintModel(kind, self.model, *sides))
+        self.closed = pin.StdVec_RigidConstraintData()
+        for constraint in self.closures:
+            self.closed.append(constraint.createData())
+
+    def _hang(self, description: Description, above: int | None) -> None:
+        """Add what hangs from a link, depth first as its algorithms want it."""
+        for k, link in enumerate(description.links):
+            if link.hangs_from.link == above:
+                place = _placed(link.hangs_from.at)
+                joint = self.model.addJoint(self.ids[above], pin.JointModelRZ(), place, link.name)
+                centre = np.array([link.r.real, link.r.imag, 0.0])
+                inertia = pin.Inertia(link.m, centre, link.I * np.eye(3))
+                self.model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+                self.ids[k] = joint
+                self._hang(description, k)
+
+    def M(self, q: Array) -> Array:
+        full = np.triu(pin.crba(self.model, self.data, q[self.back]))
+        full = full + np.triu(full, 1).T
+        return full[np.ix_(self.joints, self.joints)]
+
+    def G(self, q: Array) -> Array:
+        return pin.computeGeneralizedGravity(self.model, self.data, q[self.back])[self.joints]
+
+    def bias(self, q: Array, qd: Array) -> Array:
+        found = pin.nonLinearEffects(self.model, self.data, q[self.back], qd[self.back])
+        return found[self.joints]
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        back = self.back
+        return pin.rnea(self.model, self.data, q[back], qd[back], qdd[back])[self.joints]
+
+    def accelerations(self, q: Array, qd: Array) -> Array:
+        """Without torques; closures by its proximal solver, whose normal row is empty."""
+        state = q[self.back], qd[self.back], np.zeros(len(q))
+        if not self.closures:
+            return pin.aba(self.model, self.data, *state)[self.joints]
+        pin.initConstraintDynamics(self.model, self.data, self.closures, self.closed)
+        settings = pin.ProximalSettings(1e-15, 1e-9, 30)
+        constraints = self.closures, self.closed, settings
+        found = pin.constraintDynamics(self.model, self.data, *state, *constraints)
+        return found[self.joints]
+
+    def closed_torques(self, actuated: tuple[int, ...]) -> Callable[..., Array]:
+        """rnea's torques shared out among the actuated joints and the closures' Jacobian."""
+
+        def torques(q: Array, qd: Array, qdd: Array) -> Array:
+            free = self.torques(q, qd, qdd)
+            pin.computeJointJacobians(self.model, self.data, q[self.back])
+            shares = [np.eye(len(q))[:, list(actuated)]]
+            for constraint, data in zip(self.closures, self.closed, strict=True):
+                constraint.calc(self.model, self.data, data)
+                full = pin.getConstraintJacobian(self.model, self.data, constraint, data)
+                shares.append(full[:2, self.joints].T)
+            tau = np.zeros(len(q))
+            solution = np.linalg.solve(np.hstack(shares), free)
+            tau[list(actuated)] = solution[: len(actuated)]
+            return tau
+
+        return torques
+
+
+def _placed(point: complex) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([point.real, point.imag, 0.0]))
+
+
+def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:
+    model = Model(mechanism.description)
+    closed = model.closed_torques(mechanism.actuated)
+    return {
+        "M": model.M,
+        "G": model.G,
+        "bias": model.bias,
+        "tau": closed if mechanism.rows else model.torques,
+        "qdd": model.accelerations,
+    }
+
+
+def batches(tree: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str, Run]:
+    """Inverse dynamics of all rows: a loop in Python, and its own over a pool of threads."""
+    made = Model(tree.description)
+    model, data = made.model, made.data
+    rows = [np.ascontiguousarray(x[:, made.back]) for x in (q, qd, qdd)]
+    columns = [x.T for x in rows]  # a state a column, contiguous
+
+    def loop() -> Array:
+        tau = np.empty_like(rows[0])
+        for k, (position, rate, acceleration) in enumerate(zip(*rows, strict=True)):
+            tau[k] = pin.rnea(model, data, position, rate, acceleration)
+        return tau[:, made.joints]
+
+    def parallel(threads: int) -> Run:
+        pool = pin.ModelPool(model, threads)
+        tau = np.empty_like(columns[0])
+
+        def run() -> Array:
+            pin.rneaInParallel(threads, pool, *columns, tau)
+            return tau.T[:, made.joints]
+
+        return run
+
+    found = {"rnea, a loop": loop}
+    if hasattr(pin, "rneaInParallel"):
+        for threads in range(1, CORES + 1):
+            found[f"rneaInParallel, {threads} threads"] = parallel(threads)
+    return found
