@@ -177,7 +177,7 @@ class StraightEngine(SteppingEngine):
         super().__init__(mechanism, closing, torques)
         self.order = order
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
-        constants = None if isinstance(torques, TorqueSeries) else torques
+        constants = None if isinstance(torques, TorqueSeries) else tuple(map(float, torques))
         self._expand = _expansion(mechanism, order, constants, work)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
