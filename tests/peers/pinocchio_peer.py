@@ -5,6 +5,7 @@ Closures are its rigid constraints between two joints.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -13,8 +14,6 @@ from bench_frontier import Array, Run
 
 from robodyn import Mechanism
 from robodyn.description import Description
-
-CORES = 2
 
 
 class Model:
@@ -147,6 +146,6 @@ def batches(tree: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str, Run]:
 
     found = {"rnea, a loop": loop}
     if hasattr(pin, "rneaInParallel"):
-        for threads in range(1, CORES + 1):
-            found[f"rneaInParallel, {threads} threads"] = parallel(threads)
+        for threads in sorted({1, os.cpu_count() or 1}):
+            found[f"rneaInParallel, {threads} thread" + "s" * (threads > 1)] = parallel(threads)
     return found
