@@ -1,0 +1,238 @@
+"""Steps of the Python engines: reference digits, rows between steps, and what ends a step."""
+
+import math
+
+import numpy as np
+import pytest
+from test_simulation import SENSITIVITY, reference, scene
+
+from random_mechanisms import mechanism
+from robodyn import closure_gap, closure_jacobian
+from robodyn.actuation import Actuation, constant, expressions
+from robodyn.projection import float_closing
+from robodyn.taylor import Status, default_order, step_size
+from robodyn.taylor_steps import ArrayEngine, StraightEngine
+from robodyn.torque_series import TorqueSeries
+
+ENGINES = pytest.mark.parametrize("kind", [StraightEngine, ArrayEngine])
+EACH = pytest.mark.parametrize("name", SENSITIVITY)
+ALL = 10**6
+NONE = np.zeros(0)
+
+
+def engine(kind, mech, tau="", rtol=1e-15, order=None, work=False):
+    actuation = expressions(mech, tau, "test") if tau else Actuation((0.0,) * mech.n)
+    torques = actuation.constants
+    if torques is None:
+        torques = TorqueSeries(actuation, mech.n)
+    closing = float_closing(mech) if mech.rows else None
+    return kind(mech, closing, order or default_order(rtol), rtol, rtol, torques, work)
+
+
+def run(kind, name, times=NONE, **options):
+    known = reference(name)
+    made = engine(kind, known.mechanism, known.tau, **options)
+    return made.advance(0.0, known.states[0], float(known.t[-1]), times, ALL)
+
+
+class TestReferences:
+    @ENGINES
+    @EACH
+    def test_near_rounding(self, name, kind):
+        known = reference(name)
+        chunk = run(kind, name, known.t[1:])
+        assert chunk.status is Status.REACHED
+        assert np.array_equal(chunk.row_t, known.t[1:])
+        error = np.abs(chunk.row_y - known.states[1:]).max()
+        assert error < 3e-15 * SENSITIVITY[name] + 1e-13
+        assert (np.diff(chunk.t) > 0).all()
+
+    @ENGINES
+    @EACH
+    def test_the_error_follows_the_tolerance(self, name, kind):
+        known = reference(name)
+        for rtol in (1e-5, 1e-8, 1e-11):
+            chunk = run(kind, name, known.t[1:], rtol=rtol)
+            assert np.abs(chunk.row_y - known.states[1:]).max() < SENSITIVITY[name] * rtol
+
+    @EACH
+    def test_both_engines_take_the_same_steps(self, name):
+        first, second = (run(kind, name, rtol=1e-8) for kind in (StraightEngine, ArrayEngine))
+        assert len(first.t) == len(second.t)
+        assert first.t == pytest.approx(second.t, rel=1e-5)
+        assert np.abs(first.y[-1] - second.y[-1]).max() < 1e-9 * SENSITIVITY[name] * 10
+
+    @ENGINES
+    @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar", "four-bar-driven"])
+    def test_loops_stay_closed(self, name, kind):
+        mech = reference(name).mechanism
+        n = mech.n
+        times = np.linspace(0.01, 1.0, 100)
+        chunk = run(kind, name, times, rtol=1e-6)
+        for rows in (chunk.y, chunk.row_y):
+            q, qd = rows[:, :n], rows[:, n:]
+            assert np.abs(closure_gap(mech, q)).max() < 1e-16 * max(100, np.abs(q).max() * 5)
+            rates = np.einsum("tij,tj->ti", closure_jacobian(mech, q), qd)
+            assert np.abs(rates).max() < 1e-14 * max(1.0, np.abs(qd).max())
+
+
+@ENGINES
+class TestRows:
+    def test_are_those_of_a_restart(self, kind):
+        known = reference("five-bar")
+        made = engine(kind, known.mechanism, rtol=1e-12)
+        times = np.sort(np.random.default_rng(2).uniform(0.0, 0.6, 50))
+        chunk = made.advance(0.0, known.states[0], 0.6, times, ALL)
+        assert np.array_equal(chunk.row_t, times)
+        for t, row in zip(times[::7], chunk.row_y[::7], strict=True):
+            again = made.advance(0.0, known.states[0], float(t), NONE, ALL)
+            assert again.t[-1] == t
+            assert np.abs(again.y[-1] - row).max() < 1e-10
+
+    def test_at_ends_of_steps_are_the_states(self, kind):
+        known = reference("four-bar")
+        made = engine(kind, known.mechanism, rtol=1e-7)
+        plain = made.advance(0.0, known.states[0], 1.0, NONE, ALL)
+        chunk = made.advance(0.0, known.states[0], 1.0, plain.t, ALL)
+        assert np.array_equal(chunk.t, plain.t)
+        assert np.array_equal(chunk.row_t, plain.t)
+        assert np.array_equal(chunk.row_y, plain.y)
+
+    def test_do_not_depend_on_how_many_there_are(self, kind):
+        many = np.linspace(0.0, 1.0, 1001)[1:]
+        rows = run(kind, "four-bar", many, rtol=1e-8)
+        few = run(kind, "four-bar", many[99::100], rtol=1e-8)
+        assert np.abs(rows.row_y[99::100] - few.row_y).max() < 2e-14  # rounding
+        assert np.array_equal(rows.t, few.t)
+
+    def test_backwards_is_the_mirror_of_forwards(self, kind):
+        mech = scene("2r")
+        times = np.linspace(0.1, 1.0, 10)
+        y, mirror = np.array([0.3, -0.4, 1.0, -2.0]), np.array([1, 1, -1, -1])
+        made = engine(kind, mech, rtol=1e-12)
+        forth = made.advance(0.0, y, 1.0, times, ALL)
+        back = made.advance(0.0, y * mirror, -1.0, -times, ALL)
+        assert np.array_equal(back.t, -forth.t)
+        assert np.abs(back.row_y * mirror - forth.row_y).max() < 1e-12
+
+    def test_back_to_the_start(self, kind):
+        known = reference("four-bar-driven")
+        made = engine(kind, known.mechanism, known.tau, rtol=1e-13)
+        t = known.t[::-1]
+        chunk = made.advance(t[0], known.states[-1], 0.0, t[1:], ALL)
+        assert np.abs(chunk.row_y - known.states[-2::-1]).max() < 1e-9
+
+    def test_work_is_the_change_of_energy(self, kind):
+        """Of a flywheel: a constant torque's way, a damper's loss, an expression's series."""
+        for damping, tau in ((0.0, "1.5"), (0.4, "1.5"), (0.4, "1.5*cos(t)"), (0.0, "sin(t)*qd1")):
+            wheel = mechanism(
+                "gravity: 0\nlinks:\n"
+                f"  - {{name: a, m: 1, l: 1, r: 0, I: 2.0, damping: {damping}}}\n"
+            )
+            made = engine(kind, wheel, tau, rtol=1e-12, work=True)
+            times = np.linspace(0.05, 3.0, 60)
+            chunk = made.advance(0.0, np.array([0.2, 1.0, 0.5]), 3.0, times, ALL)
+            for rows in (chunk.y, chunk.row_y):
+                assert rows[:, 2] - 0.5 == pytest.approx(rows[:, 1] ** 2 - 1.0, abs=1e-11)
+
+
+@ENGINES
+class TestStatus:
+    def test_some_steps_at_a_time(self, kind):
+        known = reference("four-bar")
+        made = engine(kind, known.mechanism, rtol=1e-9)
+        whole = made.advance(0.0, known.states[0], 1.0, NONE, ALL)
+        t, y, ends = 0.0, known.states[0], []
+        while t < 1.0:
+            chunk = made.advance(t, y, 1.0, NONE, 7)
+            t, y = float(chunk.t[-1]), chunk.y[-1]
+            ends += chunk.t.tolist()
+            assert chunk.status is (Status.REACHED if t == 1.0 else Status.FULL)
+        assert ends == whole.t.tolist()
+        assert np.array_equal(y, whole.y[-1])
+
+    def test_at_rest_it_goes_to_the_bound(self, kind):
+        still = mechanism("gravity: 0\nlinks:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1}\n")
+        chunk = engine(kind, still).advance(0.0, np.zeros(2), 1e6, NONE, ALL)
+        assert chunk.status is Status.REACHED
+        assert not chunk.y.any()
+
+    def test_not_finite(self, kind):
+        for y in ([0, 0, 1e200, 0], [0, 0, math.nan, 0], [math.inf, 0, 0, 0]):
+            chunk = engine(kind, scene("2r")).advance(0.0, np.array(y, float), 1.0, NONE, ALL)
+            assert (chunk.status, len(chunk.t)) == (Status.NOT_FINITE, 0)
+            assert chunk.y.shape == (0, 4)
+
+    def test_stuck_where_time_has_no_digits_left(self, kind):
+        y = np.array([0, 0, 1e6, 0])
+        chunk = engine(kind, scene("2r")).advance(1e12, y, 2e12, NONE, ALL)
+        assert (chunk.status, len(chunk.t)) == (Status.STUCK, 0)
+
+    @pytest.mark.parametrize("t", [0.0, 0.3, 1e6])
+    def test_a_bound_next_to_the_start_is_reached(self, kind, t):
+        made = engine(kind, scene("2r"), rtol=1e-9)
+        y = np.array([0.1, 0.2, 0.3, 0.4])
+        for bound in (math.nextafter(t, math.inf), math.nextafter(t, -math.inf)):
+            chunk = made.advance(t, y, bound, NONE, ALL)
+            assert chunk.status is Status.REACHED
+            assert chunk.t.tolist() == [bound]
+            assert chunk.y[0] == pytest.approx(y, abs=1e-8)
+
+    @pytest.mark.parametrize("way", [1.0, -1.0])
+    def test_where_a_torque_ends(self, kind, way):
+        given = "sqrt(0.5 - t), 0" if way > 0 else "sqrt(0.5 + t), 0"
+        made = engine(kind, scene("2r"), given, rtol=1e-9)
+        chunk = made.advance(0.0, np.array([0.1, 0.2, 0, 0]), way, NONE, ALL)
+        assert chunk.status in (Status.STUCK, Status.NOT_FINITE)
+        assert 0.4999 < way * chunk.t[-1] <= 0.5
+
+    def test_a_singular_end_moves(self, kind):
+        """The parallelogram runs towards its horizontal: no step ends next to it."""
+        mech = scene("parallelogram")
+        made = engine(kind, mech, rtol=1e-9)
+        n = mech.n
+        q, qd = np.array([1.0, -1.0, 1.0]), np.array([-3.0, 3.0, -3.0])
+        chunk = made.advance(0.0, np.concatenate([q, qd]), 3.0, NONE, ALL)
+        qualities = [made.closing(row.tolist())[1] for row in chunk.y]
+        assert min(qualities[:-1]) >= made.suspect
+        assert np.ptp(chunk.y[:, [0, 2]], axis=1).max() < 1e-9
+        assert chunk.y.shape[1] == 2 * n
+
+
+class TestStepSize:
+    def test_the_last_two_orders_meet_the_tolerance(self):
+        for p in (6, 14, 30):
+            z = np.zeros((1, p + 2), complex)
+            z[0, 1], z[0, -1], z[0, -2] = 1j, 3.0**p, 3.0 ** (p - 1)
+            h = step_size(z, 1e-9, 1e-9)
+            terms = (p + 1) * 3.0**p * h**p, p * 3.0 ** (p - 1) * h ** (p - 1)
+            assert max(terms) == pytest.approx(2e-9, rel=1e-6)
+
+    def test_no_more_than_two_radians(self):
+        z = np.array([[1, 10j, 0, 0, 0, 0, 0, 0]])
+        assert step_size(z, 0.5, 0.5) <= 0.2
+
+    def test_both_engines_have_the_same(self):
+        known = reference("3r")
+        for rtol in (1e-3, 1e-9, 1e-15):
+            sizes = [
+                engine(kind, known.mechanism, rtol=rtol).expand(
+                    0.0, known.states[0].tolist(), math.inf, 1.0
+                )[0]
+                for kind in (StraightEngine, ArrayEngine)
+            ]
+            assert sizes[0] == pytest.approx(sizes[1], rel=1e-8)
+
+    def test_orders_grow_with_the_digits(self):
+        orders = [default_order(10.0**-k) for k in range(1, 17)]
+        assert orders == sorted(orders)
+        assert all(order % 2 == 0 and 6 <= order <= 60 for order in orders)
+
+
+def test_torques_of_any_float_type():
+    mech = scene("2r")
+    found = constant(mech, np.array([1.5, -0.25])).constants
+    y = [0.1, 0.2, 0.3, 0.4]
+    plain = StraightEngine(mech, None, 8, 1e-9, 1e-9, found, False).expand(0.0, y, 1.0, 1.0)
+    numpy = StraightEngine(mech, None, 8, 1e-9, 1e-9, tuple(np.array(found)), False)
+    assert numpy.expand(0.0, y, 1.0, 1.0)[1] == plain[1]
