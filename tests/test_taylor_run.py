@@ -1,0 +1,258 @@
+"""Whole runs by the Taylor series: engines, change points, outcomes, balances, the process."""
+
+import json
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from test_simulation import DAMPED, START, reference, scene
+
+import oracles
+from hard_cases.cases import n_four_bar, scaled
+from hard_cases.cases import scene as hard_case
+from random_mechanisms import LOOPS, mechanism, seeded_scene
+from robodyn import assemble, simulate, taylor_run
+from robodyn.errors import InputError, SingularError
+from robodyn.loop_rates import loop_velocities
+from robodyn.recording import Outcome
+
+
+def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, engine="python", **options):
+    options = {"rtol": tolerance, "atol": tolerance, "engine": engine, **options}
+    return simulate(mech, q, qd, t_end, tau, "taylor", **options)
+
+
+def apart(first, second):
+    return np.abs(np.hstack([first.q - second.q, first.qd - second.qd])).max()
+
+
+class TestBalance:
+    @pytest.mark.parametrize("tau", [None, [1.5], "1.5*sin(2*t) + 0.2*q1"])
+    @pytest.mark.parametrize("name", DAMPED)
+    def test_work_is_dop853s(self, name, tau):
+        """With dampers; constant torques and expressions."""
+        text, q, qd, _, _ = DAMPED[name]
+        mech = mechanism(text)
+        if q is None:
+            q = assemble(mech, [1.0])
+            qd = loop_velocities(mech, q, qd)
+        if name == "arm" and tau is not None:
+            tau = [*tau, 0.5] if isinstance(tau, list) else f"{tau}, 1 - 0.5*q2"
+        found = taylor(mech, q, qd, 3.0, tau, 1e-12, t_eval=[1.5, 3.0])
+        known = simulate(mech, q, qd, 3.0, tau, rtol=1e-12, atol=1e-12, t_eval=[1.5, 3.0])
+        assert found.report.energy_drift < 1e-11
+        assert found.report.work == pytest.approx(known.report.work, abs=1e-8)
+        assert abs(known.report.work) > 0.1
+        assert apart(found, known) < 1e-8
+
+    @pytest.mark.parametrize("name", ["2r-regular", "3r", "four-bar", "five-bar", "slider-crank"])
+    def test_energy_is_kept(self, name):
+        known = reference(name)
+        n = known.mechanism.n
+        motion = taylor(known.mechanism, *np.split(known.states[0], [n]), 20.0, tolerance=1e-15)
+        assert motion.report.energy_drift < 3e-13
+        assert motion.report.work == 0.0
+        assert motion.report.largest_gap < 3e-14
+
+
+class TestChangePoints:
+    @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12, 1e-13])
+    @pytest.mark.parametrize("n", [1, 2, 5])
+    def test_n_four_bar(self, n, tolerance):
+        q = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
+        qd = np.concatenate([np.full(n + 1, -1.0), np.full(n, 1.0)])
+        motion = taylor(n_four_bar(n), q, qd, 10.0, tolerance=tolerance)
+        assert motion.outcome is Outcome.FINISHED
+        verticals = motion.q[-1, : n + 1]
+        exact = float(oracles.n_four_bar_exact(n, 10.0)[0])
+        assert np.abs(verticals - exact).max() < max(4000 * tolerance, 2e-8)
+        assert np.ptp(verticals) < 1e-12
+        assert motion.report.largest_gap < 1e-14
+        assert motion.report.evaluations < 3000  # no stall
+
+    @pytest.mark.parametrize("n", [1, 2, 5])
+    def test_a_start_at_a_change_point(self, n):
+        for tolerance in (1e-6, 1e-9, 1e-12):
+            still = np.zeros(2 * n + 1)
+            motion = taylor(n_four_bar(n), still, still, 1.0, tolerance=tolerance)
+            assert motion.outcome is Outcome.FINISHED
+            assert np.ptp(motion.q[-1, : n + 1]) < 1e-12
+            assert abs(motion.q[-1, 0]) > 0.5
+
+    def test_the_parallelogram(self):
+        mech = scene("parallelogram")
+        q = assemble(mech, [1.0])
+        motion = taylor(mech, q, loop_velocities(mech, q, [6.0]), 10.0, tolerance=1e-10)
+        assert motion.outcome is Outcome.FINISHED
+        turns = np.abs(np.diff(motion.q[:, 0])).sum() / np.pi
+        assert turns > 2  # it passes change points
+        assert np.ptp(motion.q[:, [0, 2]], axis=1).max() < 1e-9
+        assert motion.report.energy_drift < 1e-8
+
+    def test_closures_that_depend_on_one_another(self):
+        mech = hard_case("third-crank")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", category=UserWarning)
+            motion = taylor(mech, assemble(mech, [1.0]), np.zeros(4), 1.0)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.report.energy_drift < 1e-7
+        assert np.ptp(motion.q[:, [0, 2, 3]], axis=1).max() < 1e-9
+
+
+class TestEngines:
+    def test_a_massless_coupler_goes_by_arrays(self):
+        mech = hard_case("massless-coupler")
+        q = assemble(mech, [1.0])
+        motion = taylor(mech, q, np.zeros(3), 2.0, tolerance=1e-12, t_eval=[1.0, 2.0])
+        assert motion.report.evaluator == "array"
+        known = simulate(mech, q, np.zeros(3), 2.0, rtol=1e-12, atol=1e-12, t_eval=[1.0, 2.0])
+        assert apart(motion, known) < 1e-8
+
+    def test_a_massless_tip_is_explained(self):
+        with pytest.raises(SingularError, match="wire"):
+            taylor(hard_case("massless-tip"), [0.0, 0.0], [0.0, 0.0], 1.0)
+
+    def test_no_compiled_engine_without_numba(self, monkeypatch):
+        monkeypatch.setattr(taylor_run, "find_spec", lambda name: None)
+        with pytest.raises(InputError, match=r"engine = compiled: needs the extra `fast`"):
+            taylor(scene("2r"), *START, 1.0, engine="compiled")
+        assert taylor(scene("2r"), *START, 1.0, engine="auto").outcome is Outcome.FINISHED
+
+    def test_no_compiled_engine_for_expressions(self):
+        with pytest.raises(InputError, match=r"constant torques"):
+            taylor(scene("2r"), *START, 1.0, "sin(t), 0", engine="compiled")
+
+    def test_auto_goes_on_compiled(self, monkeypatch):
+        pytest.importorskip("numba")
+        monkeypatch.setattr(taylor_run, "PATIENCE", 0.0)
+        monkeypatch.delitem(sys.modules, taylor_run.COMPILED, raising=False)
+        start = ([0.1, 0.2], [1.0, 0.0])
+        options = {"tolerance": 1e-12, "t_eval": [10.0]}
+        motion = taylor(scene("2r"), *start, 10.0, engine="auto", **options)
+        assert motion.report.evaluator == "compiled"
+        assert apart(motion, taylor(scene("2r"), *start, 10.0, **options)) < 1e-7
+
+    @pytest.mark.parametrize("shape", [None, "four-bar", "five-bar", "slider-crank"])
+    def test_compiled_and_python_agree(self, shape):
+        pytest.importorskip("numba")
+        drawn = seeded_scene(3, LOOPS[shape]) if shape else None
+        mech = drawn.mechanism if drawn else scene("3r")
+        q, qd = (drawn.q, drawn.qd) if drawn else (np.full(3, 0.3), np.ones(3))
+        options = {"tolerance": 1e-14, "order": 16, "t_eval": [0.2]}
+        found = [
+            taylor(mech, q, qd, 0.2, engine=kind, **options) for kind in ("compiled", "python")
+        ]
+        assert apart(*found) < 1e-11
+
+    def test_rows_do_not_depend_on_the_others(self):
+        rows = [
+            taylor(scene("2r"), *START, 1.0, t_eval=np.linspace(0.0, 1.0, count))
+            for count in (3, 21, 301)
+        ]
+        for motion in rows[1:]:
+            step = (len(motion.t) - 1) // 2
+            assert np.abs(motion.q[::step] - rows[0].q).max() < 1e-14
+
+    @pytest.mark.parametrize("times", [[0.0], [1.0], [], [0.0, 1.0], [0.3]])
+    @pytest.mark.parametrize("way", [1.0, -1.0])
+    def test_exactly_the_times_given(self, times, way):
+        given = [way * t for t in times]
+        assert taylor(scene("2r"), *START, way, t_eval=given).t.tolist() == given
+
+    def test_time_zero(self):
+        motion = taylor(scene("2r"), *START, 0.0)
+        assert motion.t.tolist() == [0.0]
+        assert motion.outcome is Outcome.FINISHED
+
+
+class TestOutcomes:
+    def test_stiff_is_told_at_once(self):
+        """A damper 1e6 times too strong: the run would take more steps than it may."""
+        for tau in (None, "-1e5*qd2, 0"):
+            motion = taylor(hard_case("stiff"), [0.5, 0.8], [0, 0], 100.0, tau)
+            assert motion.outcome is Outcome.STIFF
+            assert "Radau" in motion.outcome.advice
+            assert motion.report.steps < 5000
+
+    def test_stiff_but_feasible_is_done(self):
+        text = DAMPED["arm"][0].replace("damping: 0.3", "damping: 3e+3")
+        motion = taylor(mechanism(text), [0.5, 0.8], [0.0, 0.0], 1.0)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.report.energy_drift < 1e-7
+
+    def test_long_is_not_stiff(self):
+        still = mechanism("gravity: 0\nlinks:\n  - {name: a, m: 1, l: 1, r: 0, I: 0.1}\n")
+        motion = taylor(still, [0.0], [1000.0], 1e5, max_evals=2000)
+        assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
+        motion = taylor(scene("2r"), *START, 1e6, max_evals=2000)
+        assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
+
+    @pytest.mark.parametrize("tau", [[1e20, 0.0], "0, 1e20*exp(0*t)", [1e200, 0.0], [1e8, 0.0]])
+    def test_torques_beyond_all_bounds(self, tau):
+        motion = taylor(scene("2r"), *START, 1.0, tau, max_evals=3000)
+        assert motion.outcome in (Outcome.STEP_TOO_SMALL, Outcome.TOO_MANY_EVALUATIONS)
+        assert np.isfinite(motion.q).all()
+
+    def test_few_digits_high_orders_long_times(self):
+        for options in ({"tolerance": 0.5}, {"order": 60}, {"order": 4}, {"tolerance": 1e-16}):
+            motion = taylor(scene("2r"), *START, 1.0, **options)
+            assert motion.outcome is Outcome.FINISHED
+        rest = taylor(scene("pendulum"), [-np.pi / 2], [0.0], 1e4)
+        assert rest.outcome is Outcome.FINISHED
+        assert np.abs(rest.q + np.pi / 2).max() < 1e-9
+
+    def test_1000_rad_a_second(self):
+        motion = taylor(scene("2r"), [0.3, 0.2], [1000.0, 0.0], 0.1)
+        assert motion.report.energy_drift < 1e-8
+
+    @pytest.mark.parametrize("size", [2.0**-20, 2.0**20])
+    def test_scales(self, size):
+        """Times go with the root of lengths; angles are the same."""
+        q, slow, times = assemble(scaled(1.0), [1.0]), np.sqrt(size), np.linspace(0.0, 1.0, 5)
+        known = taylor(scaled(1.0), q, np.zeros(3), 1.0, tolerance=1e-10, t_eval=times)
+        atol = 1e-10 / max(slow, 1.0)
+        options = {"rtol": 1e-10, "atol": atol, "t_eval": times * slow}
+        motion = taylor(scaled(size), q, np.zeros(3), slow, **options)
+        assert np.abs(motion.q - known.q).max() < 1e-8
+
+    @pytest.mark.parametrize(
+        ("options", "match"),
+        [
+            ({"method": "DOP853", "order": 8}, "order: is for the method taylor"),
+            ({"method": "DOP853", "engine": "python"}, "engine: is for the method taylor"),
+            ({"stabilize": "baumgarte"}, "stabilize = baumgarte"),
+            ({"order": 3}, "order = 3"),
+            ({"order": 100}, "order = 100"),
+            ({"rtol": 1e-17}, "rtol = 1e-17"),
+            ({"engine": "fortran"}, "engine = fortran"),
+        ],
+    )
+    def test_settings_that_are_none(self, options, match):
+        with pytest.raises(InputError, match=match):
+            simulate(scene("2r"), *START, 1.0, **{"method": "taylor", **options})
+
+
+class TestProcess:
+    LINE = ("simulate", "robots/2r.yaml", "--q", "0.3,-0.7", "--method", "taylor", "--quiet")
+
+    def test_never_imports_scipy(self):
+        code = f"from robodyn.cli import run; import sys; run({[*self.LINE, '--time', '1']!r})\n"
+        code += "sys.stderr.write(__import__('json').dumps(sorted(sys.modules)))"
+        line = [sys.executable, "-c", code]
+        done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=True)
+        modules = json.loads(done.stderr)
+        assert "robodyn.taylor_run" in modules
+        assert not [name for name in modules if name.split(".")[0] in ("scipy", "numba")]
+        assert len(done.stdout.splitlines()) > 5
+
+    def test_torque_takes_the_motion_back(self, robodyn, tmp_path):
+        options = ("--time", 1, "--points", 6, "--tau", "1.5,-0.25", "--order", 20)
+        csv = robodyn(*self.LINE, *options, "--engine", "python").succeeds().out
+        path = tmp_path / "motion.csv"
+        path.write_text(csv)
+        given = robodyn("torque", "robots/2r.yaml", path).succeeds()
+        assert np.abs(np.array(given.column("tau1")) - 1.5).max() < 1e-11
+        assert np.abs(np.array(given.column("tau2")) + 0.25).max() < 1e-11
