@@ -129,6 +129,7 @@ def taylor_run(
     crosses = closing is not None and closing(y.tolist())[1] < suspect
     while True:
         bound = next_kink(actuation.kinks, t, t_end)
+        recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         if crosses:
             t, y = _cross(side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol)
             status = Status.FULL
@@ -141,7 +142,6 @@ def taylor_run(
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
             status = chunk.status
-        recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         if t == t_end:
             return Outcome.FINISHED
         stuck = status is Status.STUCK and closing is not None and not crosses
