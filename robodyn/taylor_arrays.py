@@ -103,12 +103,18 @@ def _inverse(matrix: Array) -> Array:
     """By LAPACK in double precision, by elimination with pivots in any other."""
     if matrix.dtype == np.float64:
         return np.asarray(np.linalg.inv(matrix))
+    return solve_columns(matrix, np.eye(len(matrix), dtype=matrix.dtype))
+
+
+def solve_columns(matrix: Array, columns: Array) -> Array:
+    """matrix^-1 columns in any precision, by elimination with partial pivoting."""
     size = len(matrix)
-    work = np.concatenate([matrix, np.eye(size, dtype=matrix.dtype)], axis=1)
+    work = np.concatenate([matrix, columns], axis=1)
     for i in range(size):
         pivot = i + int(np.argmax(np.abs(work[i:, i])))
-        work[[i, pivot]] = work[[pivot, i]]
-        work[i] /= work[i, i]
+        if pivot != i:
+            work[[i, pivot]] = work[[pivot, i]]
+        work[i] = work[i] / work[i, i]
         others = np.arange(size) != i
         work[others] -= work[others, i, None] * work[i]
     return work[:, size:]

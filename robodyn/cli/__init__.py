@@ -20,7 +20,7 @@ import typer
 from robodyn import __version__
 from robodyn.errors import RobodynError
 
-COMMANDS = ("torque", "accel", "simulate", "terms", "assemble", "energy", "check")
+COMMANDS = ("torque", "accel", "simulate", "terms", "assemble", "energy", "check", "bench")
 
 
 def main() -> NoReturn:

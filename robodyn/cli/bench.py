@@ -1,0 +1,143 @@
+"""`robodyn bench`: speed against error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+from robodyn import actuation
+from robodyn.actuation import Actuation
+from robodyn.benchmark import Benchmark, Watch, benchmark
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, named
+from robodyn.cli.output import note, row_writer
+from robodyn.cli.states import Quantity, remarks, single_state
+from robodyn.errors import InputError
+from robodyn.mechanism import load
+
+COLUMNS = (
+    "method",
+    "tolerance",
+    "error",
+    "error_end",
+    "drift",
+    "gap",
+    "evaluations",
+    "steps",
+    "median_ms",
+    "least_ms",
+    "front",
+)
+
+
+def bench(
+    model: Model,
+    q: Q = None,
+    qd: Qd = None,
+    duration: Annotated[float, typer.Option("--time", metavar="S", help="End time, s.")] = 10.0,
+    tau: Annotated[
+        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+        typer.Option("--tau", metavar="TORQUES", help="As in simulate.", show_default=False),
+    ] = None,
+    repeats: Annotated[
+        int, typer.Option("--repeats", metavar="N", help="Timed runs of each, taken in turn.")
+    ] = 3,
+    evaluators: Annotated[
+        bool,
+        typer.Option("--evaluators", help="Measure dynamics of single states and batches instead."),
+    ] = False,
+    format: OutputFormat = None,
+    plot: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--plot",
+            metavar="FILE",
+            help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`).",
+            show_default=False,
+            callback=named,
+        ),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Speed against error of every method on one motion.
+
+    Each method runs at tolerances 1e-3 to 1e-13.  Errors are the largest of q and qd over 20 times
+    (and at the end), against a reference in extended precision that two computations agree on.
+    `front` marks the runs that none is both faster and better than.
+
+    \b
+    Examples:
+      robodyn bench robots/2r.yaml --q=-1.3,-0.2 --qd 0.5,0.25
+      robodyn bench robots/four-bar.yaml --q 60deg --qd 5 --time 5 --plot four-bar.png > bench.csv
+      robodyn bench robots/2r.yaml --evaluators
+    """
+    mechanism = load(model)
+    if repeats < 1:
+        raise InputError("--repeats", value=repeats, limit="must be >= 1")
+    if evaluators:
+        from robodyn.evaluators import COLUMNS as names
+        from robodyn.evaluators import measure_evaluators
+
+        with row_writer(format, out, names) as writer:
+            for row in measure_evaluators(mechanism):
+                writer.write_row(row)
+        return
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise InputError("--time", value=duration, limit="must be > 0 and finite")
+    if plot is not None:
+        from robodyn.cli.figures import check_plot
+
+        check_plot(plot)
+    torques = Actuation((0.0,) * mechanism.n)
+    if tau is not None:
+        torques = actuation.expressions(mechanism, tau, "--tau")
+    state = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
+    with remarks(), _progress() as watch:
+        result = benchmark(
+            mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
+        )
+    with row_writer(format, out, COLUMNS) as writer:
+        for row in _rows(result):
+            writer.write_row(row)
+    for line in result.left_out:
+        note(f"left out: {line}")
+    note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
+    if plot is not None:
+        from robodyn.cli.figures import work_precision
+
+        work_precision(result, f"{mechanism.name}, {duration:g} s", plot)
+
+
+def _rows(result: Benchmark) -> Iterator[list[float | str]]:
+    for x in result.measurements:
+        finished = x.outcome == "finished"
+        error: list[float | str] = [x.error, x.error_end] if finished else [x.outcome, ""]
+        yield [
+            x.method,
+            x.tolerance,
+            *error,
+            x.drift,
+            x.gap,
+            float(x.evaluations),
+            float(x.steps),
+            *([1e3 * x.median, 1e3 * x.least] if finished else ["", ""]),
+            "*" if x.front else "",
+        ]
+
+
+@contextmanager
+def _progress() -> Iterator[Watch]:
+    """A watch that moves a bar on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda part: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("measuring", total=1.0)
+        yield lambda part: progress.update(task, completed=part)

@@ -1,0 +1,118 @@
+"""Nanoseconds a state against rounding error, of the evaluators of inverse and forward dynamics.
+
+Rounding errors are measured with mpmath at 30 digits on the numeric model's own constants, and are
+relative to the largest torque or acceleration of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from timeit import repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn import dynamics, formulas, identities, straightline
+from robodyn.errors import RobodynError
+from robodyn.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("dynamics", "evaluator", "states", "ns_per_state", "largest_error", "median_error")
+BATCHES = (1, 1000, 1_000_000)
+CHECKED = 20  # states whose rounding errors are measured
+DIGITS = 30
+
+
+def measure_evaluators(mechanism: Mechanism) -> Iterator[list[float | str]]:
+    """Rows of COLUMNS for straight-line floats and for batches.
+
+    Raises RobodynError without mpmath, or where the mechanism has no closed states to sample.
+    """
+    if find_spec("mpmath") is None:
+        limit = "needs mpmath, of the extra `dev`: pip install mpmath"
+        raise RobodynError("bench --evaluators", limit=limit)
+    sample = identities.sample_states(mechanism, CHECKED)
+    q, qd = sample.q, sample.qd
+    if not len(q):
+        raise RobodynError("bench --evaluators", where=mechanism.source, limit="no closed states")
+    rng = np.random.default_rng(5)
+    tau = np.zeros_like(q)
+    driven = list(mechanism.actuated)
+    tau[:, driven] = rng.normal(size=(len(q), len(driven)))
+    qdd = np.array([_accelerations(mechanism, *each) for each in zip(q, qd, tau, strict=True)])
+    exact: dict[str, Array] = {"forward": qdd.astype(float)}
+    given = {"forward": (q, qd, tau), "inverse": (q, qd, qdd.astype(float))}
+    if len(driven) == mechanism.n - len(mechanism.rows):
+        exact["inverse"] = tau
+    calls: dict[str, Callable[..., Array]] = {
+        "inverse": dynamics.inverse_dynamics,
+        "forward": dynamics.forward_dynamics,
+    }
+    for kind, known in exact.items():
+        formula = getattr(formulas, f"{kind}_formula")(mechanism)
+        if formula is not None and len(formula.inputs) == 3 * mechanism.n:
+            function = straightline.compile_floats(formula, kind)
+            states = np.hstack(given[kind]).tolist()
+            found = np.array([function(*state)[: mechanism.n] for state in states])
+            seconds = min(repeat(lambda: [function(*x) for x in states], number=200, repeat=5))  # noqa: B023
+            yield [kind, "straight-line", 1.0, *_figures(found, known, seconds / 200 / len(states))]
+        for count in BATCHES:
+            many = [np.resize(x, (count, mechanism.n)) for x in given[kind]]
+            number = max(1, 2000 // count)
+            call = calls[kind]
+            seconds = min(repeat(lambda: call(*[mechanism, *many]), number=number, repeat=3))  # noqa: B023
+            if count == 1:
+                found = np.array([call(mechanism, *x) for x in zip(*given[kind], strict=True)])
+            else:
+                found = call(mechanism, *many)[:CHECKED]
+            figures = _figures(found, known, seconds / number / count)
+            yield [kind, "arrays", float(count), *figures]
+
+
+def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
+    size = np.abs(known).max(axis=1)
+    error = np.abs(found - known).max(axis=1) / np.where(size > 0.0, size, 1.0)
+    return [1e9 * seconds, float(error.max()), float(np.median(error))]
+
+
+def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> list[Any]:
+    """qdd by M qdd = tau - C qd - D qd - G + Psi^T lambda, Psi qdd = -Psidot qd, at DIGITS."""
+    from mpmath import mp
+
+    n, rows = mechanism.n, mechanism.rows
+    with mp.workdps(DIGITS):
+        alpha, w = [mp.mpf(0)] * n, [mp.mpf(0)] * n
+        for k in mechanism.order:
+            above = mechanism.parent[k]
+            alpha[k] = mp.mpf(float(q[k])) + (0 if above is None else alpha[above])
+            w[k] = mp.mpf(float(qd[k])) + (0 if above is None else w[above])
+        E = [mp.expj(angle) for angle in alpha]
+        system = mp.zeros(n + len(rows))
+        right = mp.zeros(n + len(rows), 1)
+        for j, k, value in mechanism.A:
+            turned = mp.conj(E[j]) * mp.mpc(value) * E[k]
+            system[j, k] = system[k, j] = turned.real
+            if j != k:
+                right[j] += turned.imag * w[k] ** 2
+                right[k] -= turned.imag * w[j] ** 2
+        for k in range(n):
+            right[k] -= (mp.conj(mp.mpc(mechanism.gamma)) * mp.mpc(mechanism.B[k]) * E[k]).imag
+            joint = mp.mpf(float(tau[k])) - mp.mpf(mechanism.damping[k]) * mp.mpf(float(qd[k]))
+            right[k] += joint
+            above = mechanism.parent[k]
+            if above is not None:
+                right[above] -= joint
+        for r, row in enumerate(rows):
+            for k, p in row.P:
+                turned = mp.mpc(p) * E[k]
+                system[n + r, k] = system[k, n + r] = -turned.imag
+                right[n + r] += turned.real * w[k] ** 2
+        solution = mp.lu_solve(system, right)
+        parents = mechanism.parent
+        return [
+            +(solution[k] - (0 if above is None else solution[above]))
+            for k, above in enumerate(parents)
+        ]
