@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from bench_frontier import frontier, taylor_process
+from bench_motions import many_loops, motions
 from numpy.typing import NDArray
 
 import robodyn
@@ -300,6 +301,8 @@ MEASURES = [
     evaluators,
     taylor_process,
     frontier,
+    many_loops,
+    motions,
 ]
 
 

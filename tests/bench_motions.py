@@ -1,0 +1,119 @@
+"""`robodyn bench` on known motions, and cost against the number of loops, for `make bench`."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict
+from functools import partial
+from importlib.util import find_spec
+from timeit import timeit
+from typing import Any
+
+import numpy as np
+from bench_frontier import ROOT, case
+from scipy.integrate import ode
+
+import robodyn
+from hard_cases.cases import n_four_bar
+from oracles import n_four_bar_exact
+from robodyn.actuation import Actuation
+from robodyn.benchmark import benchmark
+from robodyn.right_hand_side import right_hand_side
+from robodyn.taylor_run import compiled_engine, stepping_engine
+
+TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
+LOOPS = (1, 2, 5, 10, 20, 40)
+MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
+
+
+def motions(bench: Any) -> list[Any]:
+    """Every method on three motions; tables and figures go to bench/."""
+    from bench import Row
+
+    rows = []
+    folder = ROOT / "bench"
+    folder.mkdir(exist_ok=True)
+    tolerances = (1e-3, 1e-6, 1e-9) if bench.quick else tuple(10.0**-k for k in range(3, 14))
+    for name, time in MOTIONS[: 1 if bench.quick else 3]:
+        problem = case(name, time)
+        still = Actuation((0.0,) * problem.mechanism.n)
+        result = benchmark(
+            problem.mechanism, problem.start, time, still, tolerances=tolerances, repeats=3
+        )
+        with (folder / f"{name}.csv").open("w", newline="") as stream:
+            table = [asdict(each) for each in result.measurements]
+            writer = csv.DictWriter(stream, table[0].keys())
+            writer.writeheader()
+            writer.writerows(table)
+        if find_spec("matplotlib") is not None:
+            from robodyn.cli.figures import work_precision
+
+            work_precision(result, problem.name, str(folder / f"{name}.png"))
+        for target in (1e-6, 1e-9):
+            able = [x for x in result.measurements if x.error <= target]
+            best = {
+                method: min((x.least for x in able if x.method == method), default=np.inf)
+                for method in ("DOP853", "taylor", "taylor compiled")
+            }
+            for method in ("taylor", "taylor compiled"):
+                rows.append(
+                    Row(
+                        f"{problem.name}, simulate to {target:g}, {method}",
+                        best[method] / best["DOP853"],
+                        yardstick=f"DOP853: {1e3 * best['DOP853']:.4g} ms",
+                        ours=f"{1e3 * best[method]:.4g} ms",
+                    )
+                )
+        noise = result.reference.uncertainty
+        rows.append(Row(f"{problem.name}, uncertainty of the reference", noise, bound=1e-10))
+    return rows
+
+
+def many_loops(bench: Any) -> list[Any]:
+    """Cost of a motion against the number of loops, and its exponent from 10 loops on."""
+    from bench import Row, compared, in_turn
+
+    rows = []
+    counts = LOOPS[:3] if bench.quick else LOOPS
+    costs: dict[str, list[float]] = {}
+    for n in counts:
+        mechanism = n_four_bar(n)
+        m = mechanism.n
+        y = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
+        y = np.concatenate([y, np.full(n + 1, -1.0), np.full(n, 1.0)])
+        exact = float(n_four_bar_exact(n, TIME)[0])
+        still = Actuation((0.0,) * m)
+        engines = {"taylor": stepping_engine(mechanism, still, 1e-9, 1e-9)}
+        compiled = compiled_engine(mechanism, still, 1e-9, 1e-9, None)
+        if compiled is not None:
+            engines["taylor compiled"] = compiled
+        runs = {
+            name: partial(engine.advance, 0.0, y, TIME, np.zeros(0), 10**6)
+            for name, engine in engines.items()
+        }
+        for name, run in runs.items():
+            assert abs(run().y[-1][0] - exact) < 1e-7
+            costs.setdefault(name, []).append(min(timeit(run, number=1) for _ in range(9)))
+        simulate = partial(
+            robodyn.simulate, mechanism, y[:m], y[m:], TIME, rtol=1e-9, atol=1e-9, t_eval=[TIME]
+        )
+        costs.setdefault("DOP853", []).append(min(timeit(simulate, number=1) for _ in range(3)))
+    for name, seconds in costs.items():
+        large = np.array(counts) >= min(10, counts[-2])
+        exponent = np.polyfit(np.log(np.array(counts)[large]), np.log(np.array(seconds)[large]), 1)[
+            0
+        ]
+        shown = ", ".join(f"{n}: {1e3 * x:.3g} ms" for n, x in zip(counts, seconds, strict=True))
+        rows.append(Row(f"N-four-bar, exponent of N, {name}", float(exponent), ours=shown))
+    if compiled is not None:
+        rates = right_hand_side(mechanism, still).rates
+
+        def dop853() -> None:
+            solver = ode(rates).set_integrator("dop853", rtol=1e-9, atol=1e-9, nsteps=10**6)
+            solver.set_initial_value(y, 0.0)
+            solver.integrate(TIME)
+
+        times = in_turn(runs["taylor compiled"], dop853, 5)
+        what = f"{counts[-1]}-four-bar, {TIME:g} s at 1e-9, compiled"
+        rows.append(compared(what, times, 1, "scipy ode, generated", bound=0.1))
+    return rows
