@@ -78,4 +78,4 @@ def step_size(z: NDArray[Any], rtol: float, atol: float) -> float:
 
 def default_order(tolerance: float) -> int:
     """The order that measured cheapest: a step's cost grows with it, the number of steps falls."""
-    return 2 * max(3, round((3.5 - 0.5 * math.log(tolerance)) / 2.0))
+    return 2 * max(3, round((4.0 - 0.5 * math.log(tolerance)) / 2.0))

@@ -13,8 +13,8 @@ import typer
 from robodyn import actuation
 from robodyn.actuation import Actuation
 from robodyn.benchmark import Benchmark, Watch, benchmark
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, named
-from robodyn.cli.output import note, row_writer
+from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, named
+from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanism import load
@@ -26,7 +26,7 @@ COLUMNS = (
     "error_end",
     "drift",
     "gap",
-    "evaluations",
+    "evals",
     "steps",
     "median_ms",
     "least_ms",
@@ -101,8 +101,9 @@ def bench(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
     with row_writer(format, out, COLUMNS) as writer:
+        digits = 2 if default_format(format, out) is Format.table else 17
         for row in _rows(result):
-            writer.write_row(row)
+            writer.write_row([_shown(value, digits) for value in row])
     for line in result.left_out:
         note(f"left out: {line}")
     note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
@@ -110,6 +111,13 @@ def bench(
         from robodyn.cli.figures import work_precision
 
         work_precision(result, f"{mechanism.name}, {duration:g} s", plot)
+
+
+def _shown(value: float | str, digits: int) -> float | str:
+    """Two digits for people, who read it on a terminal."""
+    if isinstance(value, str) or digits > 15 or value.is_integer():
+        return value
+    return f"{value:.{digits}g}"
 
 
 def _rows(result: Benchmark) -> Iterator[list[float | str]]:
