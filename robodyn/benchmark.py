@@ -81,7 +81,8 @@ def benchmark(
     watch(0.1)
     names, left_out = _methods(mechanism, actuation)
     found: list[Measurement] = []
-    runs: list[tuple[Measurement, Callable[[], float]]] = []
+    problem = _Problem(mechanism, state, t_end, actuation, times, exact)
+    runs: list[tuple[Measurement, Settings]] = []
     for i, (name, settings) in enumerate(names):
         for tolerance in tolerances:
             if tolerance < SMALLEST_RTOL.get(settings.method, SCIPY_RTOL):
@@ -94,11 +95,11 @@ def benchmark(
                 engine=settings.engine,
             )
             begun = time.perf_counter()
-            measured = _measure(mechanism, state, t_end, actuation, each, times, exact, name)
+            measured = problem.measure(name, each)
             took = time.perf_counter() - begun
             found.append(measured)
             if measured.outcome == Outcome.FINISHED.label:
-                runs.append((measured, _timed(mechanism, state, t_end, actuation, each, times)))
+                runs.append((measured, each))
             if took > patience or measured.outcome != Outcome.FINISHED.label:
                 rest = [x for x in tolerances if x < tolerance]
                 if rest:
@@ -107,8 +108,8 @@ def benchmark(
                 break
         watch(0.1 + 0.4 * (i + 1) / len(names))
     for i in range(repeats):
-        for measured, once in runs:
-            measured.seconds.append(once())
+        for measured, each in runs:
+            measured.seconds.append(problem.seconds(each))
         watch(0.5 + 0.5 * (i + 1) / repeats)
     for measured, _ in runs:
         measured.median, measured.least = median(measured.seconds), min(measured.seconds)
@@ -134,57 +135,46 @@ def _methods(
     return names, left_out
 
 
-def _run(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    times: Array,
-) -> tuple[Outcome, Report, Array]:
-    rows: list[Array] = []
-    outcome, report = run(
-        mechanism, state, t_end, actuation, settings, lambda t, y: rows.append(y), times
-    )
-    y = np.concatenate(rows) if rows else np.zeros((0, len(state)))
-    return outcome, report, y
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """A motion, and the times at which it is compared."""
 
+    mechanism: Mechanism
+    state: Array
+    t_end: float
+    actuation: Actuation
+    times: Array
+    exact: Reference
 
-def _measure(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    times: Array,
-    exact: Reference,
-    name: str,
-) -> Measurement:
-    outcome, report, y = _run(mechanism, state, t_end, actuation, settings, times)
-    measured = Measurement(name, settings.rtol, outcome.label)
-    measured.evaluations, measured.steps = report.evaluations, report.steps
-    measured.drift, measured.gap = report.energy_drift, report.largest_gap
-    if outcome is Outcome.FINISHED:
-        off = np.abs(y - exact.y).max(axis=1)
-        measured.error = max(float(off.max()), exact.uncertainty)
-        measured.error_end = max(float(off[-1]), exact.uncertainty)
-    return measured
+    def run(self, settings: Settings) -> tuple[Outcome, Report, Array]:
+        rows: list[Array] = []
+        outcome, report = run(
+            self.mechanism,
+            self.state,
+            self.t_end,
+            self.actuation,
+            settings,
+            lambda t, y: rows.append(y),
+            self.times,
+        )
+        y = np.concatenate(rows) if rows else np.zeros((0, len(self.state)))
+        return outcome, report, y
 
+    def measure(self, name: str, settings: Settings) -> Measurement:
+        outcome, report, y = self.run(settings)
+        measured = Measurement(name, settings.rtol, outcome.label)
+        measured.evaluations, measured.steps = report.evaluations, report.steps
+        measured.drift, measured.gap = report.energy_drift, report.largest_gap
+        if outcome is Outcome.FINISHED:
+            off = np.abs(y - self.exact.y).max(axis=1)
+            measured.error = max(float(off.max()), self.exact.uncertainty)
+            measured.error_end = max(float(off[-1]), self.exact.uncertainty)
+        return measured
 
-def _timed(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    times: Array,
-) -> Callable[[], float]:
-    def once() -> float:
+    def seconds(self, settings: Settings) -> float:
         begun = time.perf_counter()
-        _run(mechanism, state, t_end, actuation, settings, times)
+        self.run(settings)
         return time.perf_counter() - begun
-
-    return once
 
 
 def _mark_front(found: list[Measurement], uncertainty: float) -> None:

@@ -27,20 +27,33 @@ class SteppingEngine:
     """Advances by the steps that `expand` makes, and lands them where the next series is good."""
 
     order: int
-    tolerances: tuple[float, float]  # rtol, atol
 
     def __init__(
         self,
         mechanism: Mechanism,
         closing: FloatClosing | None,
+        order: int,
+        rtol: float,
+        atol: float,
         torques: tuple[float, ...] | TorqueSeries,
+        work: bool,
     ) -> None:
         self.mechanism, self.closing, self.torques = mechanism, closing, torques
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
+        self.order, self.work = order, work
+        self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
+        self.constants: tuple[float, ...] | None = None
+        if not isinstance(torques, TorqueSeries):
+            self.constants = tuple(map(float, torques))
         # what no accuracy of the series excludes: torques that end, or bend, within a step
         self.bends = torques if isinstance(torques, TorqueSeries) and not torques.kinks else None
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
+        self.prepare()
+
+    def prepare(self) -> None:
+        """Make what `expand` needs."""
+        raise NotImplementedError
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
@@ -164,21 +177,8 @@ class SteppingEngine:
 class StraightEngine(SteppingEngine):
     """Straight-line floats, generated for one mechanism and one order."""
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        closing: FloatClosing | None,
-        order: int,
-        rtol: float,
-        atol: float,
-        torques: tuple[float, ...] | TorqueSeries,
-        work: bool,
-    ) -> None:
-        super().__init__(mechanism, closing, torques)
-        self.order = order
-        self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
-        constants = None if isinstance(torques, TorqueSeries) else tuple(map(float, torques))
-        self._expand = _expansion(mechanism, order, constants, work)
+    def prepare(self) -> None:
+        self._expand = _expansion(self.mechanism, self.order, self.constants, self.work)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         torques = self.torques
@@ -192,21 +192,9 @@ class StraightEngine(SteppingEngine):
 class ArrayEngine(SteppingEngine):
     """numpy over the links: for mechanisms whose straight-line code would be long."""
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        closing: FloatClosing | None,
-        order: int,
-        rtol: float,
-        atol: float,
-        torques: tuple[float, ...] | TorqueSeries,
-        work: bool,
-    ) -> None:
-        super().__init__(mechanism, closing, torques)
-        self.order, self.work = order, work
-        self.tolerances = float(rtol), float(atol)
-        constants = None if isinstance(torques, TorqueSeries) else np.array(torques)
-        self._series = ArraySeries(mechanism, order, constants)
+    def prepare(self) -> None:
+        constants = None if self.constants is None else np.array(self.constants)
+        self._series = ArraySeries(self.mechanism, self.order, constants)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         n, p = self.mechanism.n, self.order
