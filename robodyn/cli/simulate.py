@@ -34,6 +34,17 @@ from robodyn.table_writer import Writer
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+SETTINGS = [
+    "method",
+    "rtol",
+    "atol",
+    "stabilize",
+    "baumgarte_rate",
+    "max_evals",
+    "order",
+    "engine",
+    "accuracy",
+]
 DEFAULT_TOLERANCE = 1e-9
 DEFAULT_POINTS = 1001
 MOST_ROWS = 100_000_000
@@ -220,7 +231,7 @@ def simulate(
             writer().write_columns(_rows(mechanism, torques, t, y))
 
         with nullcontext() if report is None else open_output(report) as file:
-            with remarks(), _watching(duration, quiet) as watch:
+            with _named_options(), remarks(), _watching(duration, quiet) as watch:
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )
@@ -243,7 +254,8 @@ def _named_options() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        error.what = "--" + error.what.replace("_", "-")
+        if error.what in SETTINGS:
+            error.what = "--" + error.what.replace("_", "-").replace(" ", "-")
         raise
 
 
