@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from bench_frontier import frontier, taylor_process
-from bench_motions import many_loops, motions
+from bench_motions import many_loops, motions, series_engines
 from numpy.typing import NDArray
 
 import robodyn
@@ -301,6 +301,7 @@ MEASURES = [
     evaluators,
     taylor_process,
     frontier,
+    series_engines,
     many_loops,
     motions,
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.util import find_spec
 from timeit import timeit
@@ -18,8 +18,12 @@ from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
 from robodyn.actuation import Actuation
 from robodyn.benchmark import benchmark
+from robodyn.description import from_text
+from robodyn.mechanism import build
 from robodyn.right_hand_side import right_hand_side
+from robodyn.taylor_code import compile_expansion
 from robodyn.taylor_run import compiled_engine, stepping_engine
+from robodyn.taylor_steps import ArrayEngine, StraightEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)
@@ -116,4 +120,37 @@ def many_loops(bench: Any) -> list[Any]:
         times = in_turn(runs["taylor compiled"], dop853, 5)
         what = f"{counts[-1]}-four-bar, {TIME:g} s at 1e-9, compiled"
         rows.append(compared(what, times, 1, "scipy ode, generated", bound=0.1))
+    return rows
+
+
+def series_engines(bench: Any) -> list[Any]:
+    """Where straight-line series and those of numpy cross: ratio of the times of a step.
+
+    What generating straight-line code takes, against such a step, tells how many pay for it.
+    """
+    from bench import chain_text, compared, in_turn
+
+    rows = []
+    scenes = [(f"{n}R chain", build(from_text(chain_text(n), str(n)))) for n in (4, 8, 16)]
+    scenes += [(f"{n}-four-bar", n_four_bar(n)) for n in (2, 5, 10)]
+    for what, mechanism in scenes[:: 3 if bench.quick else 1]:
+        n = mechanism.n
+        q = np.full(n, 1.0)
+        if mechanism.rows:
+            q[n // 2 + 1 :] = -1.0
+        y = np.concatenate([q, np.zeros(n)]).tolist()
+        arguments = (mechanism, None, 14, 1e-9, 1e-9, (0.0,) * n, False)
+        kinds = [kind(*arguments) for kind in (StraightEngine, ArrayEngine)]
+        steps = [partial(engine.expand, 0.0, y, 1.0, 1.0) for engine in kinds]
+        times = in_turn(
+            lambda steps=steps: [steps[0]() for _ in range(20)],
+            lambda steps=steps: [steps[1]() for _ in range(20)],
+            bench.repeats,
+        )
+        made = min(
+            timeit(lambda m=mechanism, n=n: compile_expansion(m, 14, (0.0,) * n, False), number=1)
+            for _ in range(3)
+        )
+        row = compared(f"step of the series, straight-line, {what}", times, 20, "arrays")
+        rows.append(replace(row, ours=f"{row.ours}; generated in {1e3 * made:.3g} ms"))
     return rows
