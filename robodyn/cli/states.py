@@ -203,18 +203,22 @@ def assembled_state(
 def evaluate(
     mechanism: Mechanism,
     states: str | None,
-    quantities: Sequence[Quantity],
+    quantities: Sequence[Quantity] | Callable[[Sequence[str]], Sequence[Quantity]],
     columns: Sequence[str],
     compute: Callable[[list[Array]], Array],
     format: Format | None,
     out: str | None,
 ) -> None:
-    """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`."""
+    """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
+
+    `quantities` may depend on the CSV's header, which is empty where there are options only.
+    """
     import numpy as np
 
     if states is None:
         with remarks():
-            state = single_state(mechanism, quantities)
+            wanted = quantities([]) if callable(quantities) else quantities
+            state = single_state(mechanism, wanted)
             row = _finite(compute, [vector[None, :] for vector in state])[0].tolist()
         with row_writer(format, out, columns) as writer:
             writer.write_row(row)
@@ -224,9 +228,9 @@ def evaluate(
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
-        sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
-        wanted = [column for source in sources for column in source.columns]
-        chunks = reader.chunks(wanted)
+        wanted = quantities(reader.header) if callable(quantities) else quantities
+        sources = [table_source(mechanism, x, reader.header, name) for x in wanted]
+        chunks = reader.chunks([column for source in sources for column in source.columns])
 
         def results(values: Array) -> Array:
             given, begin = [], 0
