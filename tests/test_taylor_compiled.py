@@ -28,7 +28,7 @@ from robodyn.taylor import Status
 
 pytest.importorskip("numba")
 
-from robodyn import taylor_compiled
+from robodyn import taylor_kernel, taylor_layout
 from robodyn.taylor_compiled import CompiledEngine
 
 REFERENCES = Path(__file__).parent / "references"
@@ -261,7 +261,7 @@ class TestParallelBars:
         assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
 
     def test_large_systems_are_narrow(self):
-        _, _, at = taylor_compiled._numbers(n_four_bar(40), constant(n_four_bar(40), [0.0] * 81), 8)
+        _, _, at = taylor_layout.numbers(n_four_bar(40), constant(n_four_bar(40), [0.0] * 81), 8)
         assert at.pivot - at.system < 161 * 12
         assert at.normal_pivot - at.normal < 80 * 5
 
@@ -293,7 +293,7 @@ def test_one_compilation_serves_all():
         mechanism, t, states = reference(name)
         moved(mechanism, states[0], t[1])
         engine(mechanism).advance(0, states[0].tolist(), 1, [0.5], 3)
-    assert len(taylor_compiled._advance.signatures) == 1
+    assert len(taylor_kernel.advance.signatures) == 1
 
 
 def test_from_rest_at_right_angles_to_gravity_only_every_fourth_coefficient_is_left():
