@@ -3,17 +3,19 @@
 Two computations that share the mechanism's constants and nothing else run in numpy's longdouble
 (64 bits of mantissa where the platform has them): the Taylor series, and extrapolation of the
 midpoint rule on (33).  What they differ by is the uncertainty of the reference: no error below it
-can be claimed.
+can be claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
 from robodyn.projection import CUT
 from robodyn.taylor import step_size
@@ -23,10 +25,12 @@ from robodyn.torque_series import TorqueSeries
 Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble
 
+LONG, COMPLEX = np.longdouble, np.clongdouble
 ORDER = 30
-TOLERANCE = 1e-20
+TOLERANCE = 0.1  # of the series, in units of rounding
 SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
-EXTRAPOLATED = 1e-17  # what a step of it may miss
+EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
+SMALLEST_STEP = 1e-12  # s
 LARGEST_STEP = 0.25  # s, of the extrapolation
 LARGE = 12  # links, up to which the second computation is worth its time
 
@@ -38,21 +42,40 @@ class Reference(NamedTuple):
     uncertainty: float
 
 
-def reference(
-    mechanism: Mechanism, state: Array, times: Array, actuation: Actuation, project: bool = True
-) -> Reference:
+def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
     """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
 
     For mechanisms of many links the second computation is another series, of other order and step.
+    Where the torques have no series, both are extrapolations.  Raises RobodynError where the
+    motion cannot be followed.
     """
-    first = _by_series(mechanism, state, times, actuation, ORDER, TOLERANCE)
-    if mechanism.n <= LARGE:
-        second = _by_extrapolation(mechanism, state, times, actuation)
-    else:
-        second = _by_series(mechanism, state, times, actuation, ORDER - 9, 100 * TOLERANCE)
+    others = mechanism, state, times, actuation
+    with np.errstate(all="ignore"):
+        try:
+            first, second = _by_two(*others)
+        except (ArithmeticError, ValueError) as error:  # of torques; a singular matrix
+            raise _lost(mechanism, f"is not defined: {error}") from None
     apart = float(np.abs(first - second).max())
     eps = float(np.finfo(float).eps)
     return Reference(first.astype(float), max(apart, eps))
+
+
+def _by_two(
+    mechanism: Mechanism, state: Array, times: Array, actuation: Actuation
+) -> tuple[Long, Long]:
+    motion = mechanism, state, times, actuation
+    try:
+        first = _by_series(*motion, ORDER, TOLERANCE)
+    except InputError:  # a torque without a series
+        first = _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
+        return first, _by_extrapolation(*motion, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED)
+    if mechanism.n <= LARGE:
+        return first, _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
+    return first, _by_series(*motion, ORDER - 9, 100.0 * TOLERANCE)
+
+
+def _lost(mechanism: Mechanism, why: str) -> RobodynError:
+    return RobodynError("the motion", where=mechanism.source, limit=why)
 
 
 # -- the Taylor series ---------------------------------------------------------------------------
@@ -68,17 +91,21 @@ def _by_series(
 ) -> Long:
     n = mechanism.n
     constants = None if actuation.constants is None else np.array(actuation.constants)
-    series = ArraySeries(mechanism, order, constants, np.longdouble)
+    series = ArraySeries(mechanism, order, constants, LONG)
     torques = TorqueSeries(actuation, n) if constants is None else None
     closing = _Closing(mechanism)
-    y = closing(state.astype(np.longdouble))
-    rows, t = [], np.longdouble(0.0)
-    orders = np.arange(order + 2).astype(np.longdouble)
-    for end in times.astype(np.longdouble):
+    y = closing(state.astype(LONG))
+    rows, t = [], LONG(0.0)
+    tolerance *= float(np.finfo(LONG).eps)
+    orders = np.arange(order + 2).astype(LONG)
+    for end in times.astype(LONG):
         while t < end:
             push = torques.begin(float(t), y.astype(float).tolist(), 1.0) if torques else None
             z, _ = series.expand(y[:n], y[n:], push)
-            h = min(end - t, np.longdouble(step_size(z, tolerance, tolerance)))
+            longest = step_size(z, tolerance, tolerance)
+            if not longest > SMALLEST_STEP:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            h = min(end - t, LONG(longest))
             for kink in actuation.kinks:
                 if t < kink < t + h:
                     h = kink - t
@@ -97,43 +124,56 @@ def _by_series(
 
 
 def _by_extrapolation(
-    mechanism: Mechanism, state: Array, times: Array, actuation: Actuation
+    mechanism: Mechanism,
+    state: Array,
+    times: Array,
+    actuation: Actuation,
+    substeps: Sequence[int],
+    tolerance: float,
 ) -> Long:
     rates = _rates(mechanism, actuation)
     closing = _Closing(mechanism)
-    y = closing(state.astype(np.longdouble))
-    t, h = np.longdouble(0.0), np.longdouble(LARGEST_STEP / 8)
+    y = closing(state.astype(LONG))
+    t, h = LONG(0.0), LONG(LARGEST_STEP / 8)
+    tolerance *= float(np.finfo(LONG).eps)
     rows = []
-    for end in times.astype(np.longdouble):
+    for end in times.astype(LONG):
         while t < end:
             step = min(h, end - t)
             for kink in actuation.kinks:
                 if t < kink < t + step:
                     step = kink - t
-            new, error = _extrapolated(rates, t, y, step)
-            scale = EXTRAPOLATED * (1.0 + float(np.abs(y).max()))
-            factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(SUBSTEPS) - 1))
-            if error <= scale:
+            new, error = _extrapolated(rates, t, y, step, substeps)
+            scale = tolerance * (1.0 + float(np.abs(y).max()))
+            factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(substeps) - 1))
+            least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
+            if error <= scale or (least and np.isfinite(error)):
                 y = closing(new)
                 t = end if t + step >= end else t + step
-                h = np.longdouble(min(LARGEST_STEP, float(step) * min(2.0, factor)))
+                # a step that was cut says nothing against longer ones
+                longer = max(float(step) * min(2.0, factor), float(h) if step < h else 0.0)
+                h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))
+            elif least:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             else:
-                h = np.longdouble(float(step) * max(0.3, factor))
+                h = LONG(max(SMALLEST_STEP, float(step) * max(0.3, factor)))
         rows.append(y)
     return np.array(rows)
 
 
-def _extrapolated(rates: Any, t: Any, y: Long, step: Any) -> tuple[Long, float]:
+def _extrapolated(
+    rates: Any, t: Any, y: Long, step: Any, substeps: Sequence[int]
+) -> tuple[Long, float]:
     """Gragg's midpoint rule with more and more substeps, extrapolated to none; its error."""
     table: list[Long] = []
-    for k, count in enumerate(SUBSTEPS):
+    for k, count in enumerate(substeps):
         h = step / count
         before, now = y, y + h * rates(t, y)
         for i in range(1, count):
             before, now = now, before + 2 * h * rates(t + i * h, now)
         row = [(before + now + h * rates(t + step, now)) / 2]
         for j in range(1, k + 1):
-            ratio = np.longdouble(count) / SUBSTEPS[k - j]
+            ratio = LONG(count) / substeps[k - j]
             row.append(row[-1] + (row[-1] - table[j - 1]) / (ratio * ratio - 1))
         table = row
     return table[-1], float(np.abs(table[-1] - table[-2]).max())
@@ -142,18 +182,21 @@ def _extrapolated(rates: Any, t: Any, y: Long, step: Any) -> tuple[Long, float]:
 def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
     """dy/dt by (33), from the closed forms of M, C, G and Psi in joint coordinates."""
     n, arrays = mechanism.n, mechanism.arrays
-    J = arrays.J.astype(np.longdouble)
-    A = arrays.A.astype(np.clongdouble)
-    P = arrays.P.astype(np.clongdouble)
-    weight = np.conj(mechanism.gamma) * np.asarray(mechanism.B, np.clongdouble)
-    damping = np.asarray(mechanism.damping, np.longdouble)
+    J = arrays.J.astype(LONG)
+    A = arrays.A.astype(COMPLEX)
+    P = arrays.P.astype(COMPLEX)
+    weight = np.conj(mechanism.gamma) * np.asarray(mechanism.B, COMPLEX)
+    damping = np.asarray(mechanism.damping, LONG)
     torques = actuation.function(n)
 
     def rates(t: Any, y: Long) -> Long:
         q, qd = y[:n], y[n:]
         E, w = np.exp(1j * (J @ q)), J @ qd
         W = E.conj()[:, None] * A * E
-        tau = np.asarray(torques(float(t), y.astype(float).tolist()), np.longdouble)
+        try:
+            tau = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
+        except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
+            tau = np.full(n, LONG(np.nan))
         force = tau - damping * qd + J.T @ (W.imag @ w**2 - (weight * E).imag)
         M = J.T @ W.real @ J
         if not len(P):
@@ -174,9 +217,9 @@ class _Closing:
     def __init__(self, mechanism: Mechanism) -> None:
         arrays = mechanism.arrays
         self.n = mechanism.n
-        self.J = arrays.J.astype(np.longdouble)
-        self.P = arrays.P.astype(np.clongdouble)
-        self.offset = np.asarray(arrays.offset, np.longdouble)
+        self.J = arrays.J.astype(LONG)
+        self.P = arrays.P.astype(COMPLEX)
+        self.offset = np.asarray(arrays.offset, LONG)
 
     def __call__(self, y: Long) -> Long:
         if not len(self.P):
@@ -193,6 +236,6 @@ class _Closing:
                 return y  # next to a change point: the two computations will tell
             change = Psi.T @ solve_columns(normal, right)
             q, projected = q - change[:, 0], qd - change[:, 1]
-            if float(np.abs(gap).max()) < 1e-17:
+            if float(np.abs(gap).max()) < 100.0 * np.finfo(LONG).eps:
                 break
         return np.concatenate([q, projected])
