@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, Tau
-from robodyn.cli.states import Quantity, evaluate
+from robodyn.cli.states import Quantity, evaluate, overflow
 from robodyn.dynamics import (
     RobodynWarning,
     forward_dynamics_and_forces,
@@ -110,6 +110,8 @@ class _Motion:
                 multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
             else:
                 qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, given[-1])
+        if not np.isfinite(qdd).all():
+            raise overflow()
         dependent = dependent_rows(mechanism, q) if told and mechanism.rows else np.zeros(len(q))
         if self.given != ["qdd"]:
             self._refuse_change_points(q, dependent)
