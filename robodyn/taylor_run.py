@@ -131,7 +131,10 @@ def taylor_run(
         bound = next_kink(actuation.kinks, t, t_end)
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         if crosses:
+            before = t
             t, y = _cross(side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol)
+            if t == before:
+                return Outcome.SINGULAR
             status = Status.FULL
         else:
             steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
