@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from robodyn.loop_rates import loop_velocities as loop_velocities
     from robodyn.mechanism import Mechanism as Mechanism
     from robodyn.mechanism import load as load
+    from robodyn.reaction_forces import reactions as reactions
+    from robodyn.reaction_forces import shaking_force as shaking_force
     from robodyn.simulation import Motion as Motion
     from robodyn.simulation import simulate as simulate
 
@@ -60,6 +62,7 @@ _ROOMS = {
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanism": ["Mechanism", "load"],
+    "reaction_forces": ["reactions", "shaking_force"],
     "simulation": ["Motion", "simulate"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

@@ -20,7 +20,9 @@ import typer
 from robodyn import __version__
 from robodyn.errors import RobodynError
 
-COMMANDS = ("torque", "accel", "simulate", "terms", "assemble", "energy", "check", "bench")
+COMMANDS = (
+    *("torque", "accel", "reactions", "simulate", "terms", "assemble", "energy", "check", "bench"),
+)
 
 
 def main() -> NoReturn:
