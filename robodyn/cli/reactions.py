@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import Annotated, Optional
 
 import numpy as np
+import typer
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, Tau
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.states import Quantity, evaluate, overflow
 from robodyn.dynamics import (
     RobodynWarning,
@@ -22,6 +24,15 @@ from robodyn.projection import regular_rank
 from robodyn.reaction_forces import dependent_rows, not_unique, shaking_force
 from robodyn.reaction_forces import reactions as joint_forces
 
+Tau = Annotated[
+    Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+    typer.Option(
+        "--tau",
+        metavar="VECTOR",
+        help="Joint torques, N m, in place of --qdd: all joints, or the actuated ones.",
+        show_default=False,
+    ),
+]
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
 
