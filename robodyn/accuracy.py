@@ -61,8 +61,10 @@ def settings_for(
     if not (0.0 < accuracy < 1.0):
         raise InputError("accuracy", value=accuracy, limit="must be in (0, 1)")
     if settings.method == AUTO:
-        settings = replace(settings, method=best_method(mechanism, actuation))
-    first = max(accuracy / TIGHTER, _smallest(settings))
+        stabilizes = settings.stabilize != "baumgarte"
+        method = best_method(mechanism, actuation) if stabilizes else "DOP853"
+        settings = replace(settings, method=method)
+    first = max(accuracy / TIGHTER, TIGHTER * _smallest(settings))
     loose = replace(settings, rtol=first, atol=first)
     before = sampled(mechanism, state, t_end, actuation, loose)
     if before is None:  # the run itself tells why
@@ -70,18 +72,20 @@ def settings_for(
     best = np.inf
     while (tight := tighter(loose)) is not None:
         after = sampled(mechanism, state, t_end, actuation, tight)
+        if after is None:
+            break
         estimate = difference(before, after)
         if estimate <= accuracy:
             return tight, estimate
-        best = min(best, estimate) if np.isfinite(estimate) else best
+        best = min(best, estimate)
         loose, before = tight, after
-    raise AccuracyError(
-        "accuracy",
-        where=mechanism.source,
-        value=f"{accuracy:g}",
-        limit=f"is not kept at the tightest tolerances, which differ by {best:.2g}: this motion "
-        "forgets its start; ask for less, or for a shorter time",
-    )
+    limit = "is not kept at the tightest tolerances"
+    if tight is not None:
+        limit = f"is not kept, and a run of rtol {tight.rtol:g} does not finish"
+    if np.isfinite(best):
+        limit += f"; runs differ by {best:.2g}: this motion forgets its start"
+    limit += "; ask for less, or for a shorter time"
+    raise AccuracyError("accuracy", where=mechanism.source, value=f"{accuracy:g}", limit=limit)
 
 
 def best_method(mechanism: Mechanism, actuation: Actuation) -> str:

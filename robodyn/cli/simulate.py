@@ -242,6 +242,8 @@ def simulate(
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if not quiet:
             _summary(mechanism, facts)
+            if estimate_error and facts.error_estimate is None:
+                note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome is not Outcome.FINISHED:
             stream.flush()
             where = f"{facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"

@@ -1,0 +1,215 @@
+"""Global errors: what settings keep, what an estimate says, against references; the options."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from random_mechanisms import LOOPS, seeded_scene, seeded_tree
+from robodyn import accuracy, actuation, load
+from robodyn.accuracy import AUTO, AccuracyError, best_method, error_estimate, settings_for
+from robodyn.actuation import Actuation
+from robodyn.errors import InputError
+from robodyn.extended import reference
+from robodyn.recording import Outcome
+from robodyn.simulation import Settings, run
+
+REFERENCES = Path(__file__).parent / "references"
+ASKED = (1e-3, 1e-6, 1e-9)
+SCENES = {
+    **{f"tree of {n}": seeded_tree(10 + n, n) for n in (1, 3, 5)},
+    **{name: seeded_scene(7, LOOPS[name]) for name in ("four-bar", "five-bar", "loop in a tree")},
+    "six-bar with a piston": seeded_scene(9, LOOPS["six-bar with a piston"]),
+}
+ARM = ("simulate", "robots/2r.yaml", "--q=-1.3,-0.2", "--qd", "0.5,0.25", "--points", 3)
+START = np.array([-1.3, -0.2, 0.5, 0.25])
+
+
+def at_rest(n):
+    return Actuation((0.0,) * n)
+
+
+def arm(tau="0, 0"):
+    mech = load(ROOT / "robots/2r.yaml")
+    return mech, actuation.expressions(mech, tau, "tau")
+
+
+def error(mech, start, times, exact, torques, settings):
+    """The largest error of a run at these times."""
+    rows = []
+    outcome, _ = run(
+        mech, start, times[-1], torques, settings, lambda t, y: rows.append(y), np.array(times)
+    )
+    assert outcome is Outcome.FINISHED
+    return float(np.abs(np.concatenate(rows) - exact).max())
+
+
+def random_motion(name, tau):
+    scene = SCENES[name]
+    mech, start = scene.mechanism, np.concatenate([scene.q, scene.qd])
+    torques = at_rest(scene.n)
+    if tau:
+        torques = actuation.constant(mech, [0.5] * len(mech.actuated))
+    times = np.linspace(0.0, 0.4, 41)[1:]
+    exact = reference(mech, start, times, torques)
+    assert exact.uncertainty < 1e-11
+    return mech, start, times, exact.y, torques
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in REFERENCES.glob("*.json")))
+def test_the_accuracy_is_kept_on_known_motions(name):
+    data = json.loads((REFERENCES / f"{name}.json").read_text())
+    mech = load(ROOT / data["scene"])
+    torques = actuation.expressions(mech, data["tau"], "tau") if data["tau"] else at_rest(mech.n)
+    states = np.array([[float(x) for x in s["q"] + s["qd"]] for s in data["states"]])
+    times = [s["t"] for s in data["states"]]
+    for asked in ASKED:
+        settings, estimate = settings_for(
+            mech, states[0], times[-1], torques, Settings(AUTO), asked
+        )
+        assert settings.method == "taylor"
+        assert estimate <= asked
+        assert error(mech, states[0], times, states, torques, settings) <= asked
+
+
+@pytest.mark.parametrize("tau", [False, True])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_accuracy_is_kept_on_random_mechanisms(name, tau):
+    mech, start, times, exact, torques = random_motion(name, tau)
+    for method in (AUTO, "DOP853", "RK45"):
+        for asked in ASKED:
+            settings, _ = settings_for(mech, start, times[-1], torques, Settings(method), asked)
+            assert error(mech, start, times, exact, torques, settings) <= asked, (method, asked)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA", "taylor"])
+@pytest.mark.parametrize("name", SCENES)
+def test_the_estimate_is_near_the_error(name, method):
+    mech, start, times, exact, torques = random_motion(name, False)
+    for rtol in (1e-5, 1e-9):
+        settings = Settings(method, rtol, rtol)
+        true = error(mech, start, times, exact, torques, settings)
+        estimate = error_estimate(mech, start, times[-1], torques, settings)
+        assert true / 10 < estimate < 10 * true
+
+
+def test_torques_without_a_series_take_dop853():
+    mech, torques = arm("abs(sin(5*t)), 0")
+    assert best_method(mech, torques) == "DOP853"
+    assert best_method(*arm("sin(t), -qd2")) == "taylor"
+    times = [0.5, 1.0]
+    exact = reference(mech, START, np.array(times), torques).y
+    settings, _ = settings_for(mech, START, 1.0, torques, Settings(AUTO), 1e-8)
+    assert settings.method == "DOP853"
+    assert error(mech, START, times, exact, torques, settings) <= 1e-8
+
+
+def test_baumgarte_takes_dop853():
+    mech, start, times, exact, torques = random_motion("four-bar", False)
+    wanted = Settings(AUTO, stabilize="baumgarte")
+    settings, _ = settings_for(mech, start, times[-1], torques, wanted, 1e-6)
+    assert (settings.method, settings.stabilize) == ("DOP853", "baumgarte")
+    assert error(mech, start, times, exact, torques, settings) <= 1e-6
+
+
+def test_a_motion_that_forgets_its_start():
+    mech, torques = arm()
+    start = np.array([0.5, 0.75, 1.0, 0.5])
+    with pytest.raises(AccuracyError, match=r"1e-09: is not kept.*differ by.*forgets its start"):
+        settings_for(mech, start, 60.0, torques, Settings(AUTO), 1e-9)
+
+
+def test_an_accuracy_beyond_doubles_says_so():
+    mech, torques = arm()
+    with pytest.raises(AccuracyError, match=r"runs differ by [1-9.]+e-1[3-6]: "):
+        settings_for(mech, START, 2.0, torques, Settings(AUTO), 1e-17)
+
+
+def test_a_tighter_run_that_does_not_finish_is_told():
+    mech, torques = arm()
+    few = Settings("RK45", max_evaluations=500)
+    with pytest.raises(AccuracyError, match="a run of rtol 1e-08 does not finish; ask for less"):
+        settings_for(mech, START, 2.0, torques, few, 1e-4)
+    assert math.isnan(error_estimate(mech, START, 2.0, torques, few))
+
+
+@pytest.mark.parametrize("asked", [0.0, -1.0, 1.0, math.nan, math.inf])
+def test_an_accuracy_that_is_none(asked):
+    with pytest.raises(InputError, match="accuracy = "):
+        settings_for(*arm()[:1], START, 1.0, arm()[1], Settings(AUTO), asked)
+
+
+def test_backwards_and_no_time():
+    mech, torques = arm("sin(3*t), 0")
+    forth, back = (settings_for(mech, START, t, torques, Settings(AUTO), 1e-6) for t in (1.5, -1.5))
+    assert 0.0 < back[1] <= 1e-6
+    assert forth[0].method == back[0].method
+    assert settings_for(mech, START, 0.0, torques, Settings(AUTO), 1e-6)[1] == 0.0
+    assert error_estimate(mech, START, 0.0, torques, Settings()) == 0.0
+
+
+def test_the_tightest_settings_have_no_tighter():
+    assert accuracy.tighter(Settings("DOP853", 3e-14, 3e-14)) is None
+    assert math.isnan(
+        error_estimate(arm()[0], START, 1.0, arm()[1], Settings("RK45", 5e-14, 5e-14))
+    )
+
+
+# The options of simulate
+
+
+def test_the_report_has_the_estimate(robodyn, tmp_path):
+    path = tmp_path / "report.json"
+    for options in (["--accuracy", "1e-8"], ["--estimate-error"]):
+        given = robodyn(*ARM, "--time", 1, "--report", path, *options)
+        assert given.code == 0
+        report = json.loads(path.read_text())
+        assert 0.0 < report["error_estimate"] <= 1e-8
+        assert f"error of q and qd: {report['error_estimate']:.2g} at most" in given.err
+        assert report["method"] == ("taylor" if "--accuracy" in options else "DOP853")
+    robodyn(*ARM, "--time", 1, "--report", path, "--quiet").succeeds()
+    assert json.loads(path.read_text())["error_estimate"] is None
+
+
+def test_an_error_that_is_not_estimated_is_told(robodyn):
+    tightest = ("--rtol", "3e-14", "--atol", "3e-14", "--estimate-error")
+    given = robodyn(*ARM, "--time", 1, *tightest)
+    assert given.code == 0
+    assert "not estimated" in given.err
+    robodyn(*ARM, "--time", 1, *tightest, "--quiet").succeeds()
+
+
+@pytest.mark.parametrize("option", ["--rtol", "--atol"])
+def test_accuracy_excludes_tolerances(robodyn, option):
+    robodyn(*ARM, "--accuracy", "1e-6", option, "1e-9").fails(2, "--accuracy", "exclude")
+
+
+@pytest.mark.parametrize("asked", ["0", "-1", "nan", "2", "much"])
+def test_values_that_are_no_accuracy(robodyn, asked):
+    given = robodyn(*ARM, f"--accuracy={asked}")
+    given.fails(2, "--accuracy")
+    assert given.out == ""
+
+
+@pytest.mark.parametrize("time", [-1, 0])
+def test_accuracy_backwards_and_at_once(robodyn, time):
+    given = robodyn(*ARM, "--time", time, "--accuracy", "1e-6", "--quiet").succeeds()
+    assert given.column("t")[-1] == time
+
+
+def test_a_run_that_does_not_finish_ends_with_its_outcome(robodyn, tmp_path):
+    path = tmp_path / "report.json"
+    unfinished = ("--accuracy", "1e-6", "--max-evals", 5, "--quiet", "--report", path)
+    robodyn(*ARM, *unfinished).fails(1, "too many evaluations at t = ")
+    assert not path.exists() or json.loads(path.read_text())["error_estimate"] is None
+    ends = robodyn(*ARM, "--tau", "sqrt(0.5 - t), 0", "--accuracy", "1e-6", "--quiet")
+    ends.fails(1, "step too small at t = 0.5")
+
+
+def test_a_chaotic_motion_ends_with_a_message(robodyn):
+    given = robodyn("simulate", "robots/2r.yaml", "--q", "1,1", "--time", 60, "--accuracy", "1e-9")
+    given.fails(1, "robots/2r.yaml: accuracy = 1e-09: is not kept", "forgets its start")
+    assert given.out == ""
