@@ -42,7 +42,11 @@ def measure_evaluators(mechanism: Mechanism) -> Iterator[list[float | str]]:
     tau = np.zeros_like(q)
     driven = list(mechanism.actuated)
     tau[:, driven] = rng.normal(size=(len(q), len(driven)))
-    qdd = np.array([_accelerations(mechanism, *each) for each in zip(q, qd, tau, strict=True)])
+    try:
+        qdd = np.array([_accelerations(mechanism, *each) for each in zip(q, qd, tau, strict=True)])
+    except ZeroDivisionError:
+        limit = "the accelerations are not unique: closures depend on one another"
+        raise RobodynError("bench --evaluators", where=mechanism.source, limit=limit) from None
     exact: dict[str, Array] = {"forward": qdd.astype(float)}
     given = {"forward": (q, qd, tau), "inverse": (q, qd, qdd.astype(float))}
     if len(driven) == mechanism.n - len(mechanism.rows):
@@ -67,12 +71,13 @@ def measure_evaluators(mechanism: Mechanism) -> Iterator[list[float | str]]:
             if count == 1:
                 found = np.array([call(mechanism, *x) for x in zip(*given[kind], strict=True)])
             else:
-                found = call(mechanism, *many)[:CHECKED]
+                found = call(mechanism, *many)[: len(known)]
             figures = _figures(found, known, seconds / number / count)
             yield [kind, "arrays", float(count), *figures]
 
 
 def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
+    known = known[: len(found)]
     size = np.abs(known).max(axis=1)
     error = np.abs(found - known).max(axis=1) / np.where(size > 0.0, size, 1.0)
     return [1e9 * seconds, float(error.max()), float(np.median(error))]

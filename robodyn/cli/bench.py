@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from typing import Annotated, Optional
 
 import numpy as np
@@ -13,11 +14,13 @@ import typer
 from robodyn import actuation
 from robodyn.actuation import Actuation
 from robodyn.benchmark import Benchmark, Watch, benchmark
+from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, named
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanism import load
+from robodyn.output_file import same_file
 
 COLUMNS = (
     "method",
@@ -78,20 +81,26 @@ def bench(
     mechanism = load(model)
     if repeats < 1:
         raise InputError("--repeats", value=repeats, limit="must be >= 1")
+    if evaluators and plot is not None:
+        raise InputError("--evaluators and --plot", limit="exclude each other")
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise InputError("--time", value=duration, limit="must be > 0 and finite")
+    if plot is not None:
+        check_plot(plot)
+        if same_file(plot, out):
+            raise InputError("--plot", value=plot, limit="must not be where the rows go (--out)")
+    if out is not None:
+        check_directory(out)
     if evaluators:
         from robodyn.evaluators import COLUMNS as names
         from robodyn.evaluators import measure_evaluators
 
+        rows = measure_evaluators(mechanism)
+        first = next(rows)  # what cannot be measured writes no header
         with row_writer(format, out, names) as writer:
-            for row in measure_evaluators(mechanism):
+            for row in chain([first], rows):
                 writer.write_row(row)
         return
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise InputError("--time", value=duration, limit="must be > 0 and finite")
-    if plot is not None:
-        from robodyn.cli.figures import check_plot
-
-        check_plot(plot)
     torques = Actuation((0.0,) * mechanism.n)
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")
@@ -108,8 +117,6 @@ def bench(
         note(f"left out: {line}")
     note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
     if plot is not None:
-        from robodyn.cli.figures import work_precision
-
         work_precision(result, f"{mechanism.name}, {duration:g} s", plot)
 
 

@@ -20,8 +20,15 @@ def check_plot(path: str) -> None:
     """Raise before the work where the figure could not be made."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError("--plot", value=path, limit=f"must end in {', '.join(SUFFIXES)}")
+    check_directory(path)
     if find_spec("matplotlib") is None:
         raise RobodynError("--plot", limit="needs the extra `plot`: pip install 'robodyn[plot]'")
+
+
+def check_directory(path: str) -> None:
+    """Raise before the work where a file's directory does not exist."""
+    if not Path(path).resolve().parent.is_dir():
+        raise InputError("cannot be written", where=path, limit="no such directory")
 
 
 def work_precision(result: Benchmark, title: str, path: str) -> None:
