@@ -86,7 +86,7 @@ def inverse_dynamics_and_forces(
         dense = _inverse(mechanism, *pieces)
         solution.reshape(-1, mechanism.n)[doubtful] = dense.tau
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
-        _warned(dense)
+        return Torques(solution, forces, _warned(dense).remark)
     return Torques(solution, forces)
 
 
@@ -119,7 +119,7 @@ def forward_dynamics_and_forces(
         dense = _forward(mechanism, pieces[0], pieces[1], pieces[2])
         solution.reshape(-1, mechanism.n)[doubtful] = dense.qdd
         forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
-        _warned(dense)
+        return Accelerations(solution, forces, _warned(dense).remark)
     return Accelerations(solution, forces)
 
 

@@ -84,6 +84,25 @@ def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
     return bool((ranks > _rank(mechanism, closure_jacobian(mechanism, here))).any())
 
 
+def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
+    """Raise SingularError for the first of the states (T, n) that rests at a change point.
+
+    From there the mechanism can go on in two ways; one that moves has chosen its way.
+    """
+    resting = q[~np.any(qd, axis=-1)]
+    if not mechanism.rows or not len(resting):
+        return
+    ranks = _rank(mechanism, closure_jacobian(mechanism, resting))
+    for state in resting[ranks < len(mechanism.rows)]:
+        if change_point(mechanism, state):
+            at = ", ".join(f"{x:.9g}" for x in state)
+            raise SingularError(
+                f"singular configuration (change point) at q = {at}",
+                where=mechanism.source,
+                limit="the mechanism can go on in two ways: its acceleration is not unique",
+            )
+
+
 def _rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
     s = np.linalg.svd(Psi, compute_uv=False)
     return np.asarray((s > SINGULAR * loop_size(mechanism)).sum(axis=-1))

@@ -27,12 +27,13 @@ GENERATE = """awk 'BEGIN {print "q1,q2"; for (i = 0; i < %d; i++) print i/1e4 ",
 COMMANDS = {
     "torque": "robodyn torque robots/2r.yaml --q 1,2",
     "accel": "robodyn accel robots/2r.yaml --q 1,2",
+    "reactions": "robodyn reactions robots/2r.yaml --q 1,2",
     "terms": "robodyn terms robots/2r.yaml --q 1,2",
     "assemble": "robodyn assemble robots/four-bar.yaml --q 1",
     "energy": "robodyn energy robots/2r.yaml --q 1,2",
     "check": "robodyn check robots/pendulum.yaml",
 }
-BATCHES = ("torque", "accel", "energy")
+BATCHES = ("torque", "accel", "reactions", "energy")
 
 
 def gravity(q1: float, q2: float) -> list[float]:

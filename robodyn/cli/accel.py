@@ -7,8 +7,7 @@ import numpy as np
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
-from robodyn.errors import SingularError
-from robodyn.loop_rates import change_point
+from robodyn.loop_rates import check_way_on
 from robodyn.mechanism import load
 
 
@@ -38,15 +37,8 @@ def accel(
         columns += [f"fx{c + 1}", f"fy{c + 1}"]
 
     def compute(state: list[np.ndarray]) -> np.ndarray:
+        check_way_on(mechanism, state[0], state[1])
         solution = forward_dynamics_and_forces(mechanism, *state)
-        for q in state[0] if solution.remark else []:
-            if change_point(mechanism, q):
-                at = ", ".join(f"{x:.9g}" for x in q)
-                raise SingularError(
-                    f"singular configuration (change point) at q = {at}",
-                    where=mechanism.source,
-                    limit="the mechanism can go on in two ways: its acceleration is not unique",
-                )
         forces = pin_forces(mechanism, solution.multipliers)
         return np.concatenate([solution.qdd, forces.reshape(len(forces), -1)], axis=-1)
 

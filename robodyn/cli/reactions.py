@@ -17,10 +17,9 @@ from robodyn.dynamics import (
     inverse_dynamics_and_forces,
     pin_forces,
 )
-from robodyn.errors import InputError, SingularError
-from robodyn.loop_rates import change_point
+from robodyn.errors import InputError
+from robodyn.loop_rates import check_way_on
 from robodyn.mechanism import Mechanism, load
-from robodyn.projection import regular_rank
 from robodyn.reaction_forces import dependent_rows, not_unique, shaking_force
 from robodyn.reaction_forces import reactions as joint_forces
 
@@ -120,12 +119,11 @@ class _Motion:
                 qdd = given[0]
                 multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
             else:
+                check_way_on(mechanism, q, qd)
                 qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, given[-1])
         if not np.isfinite(qdd).all():
             raise overflow()
         dependent = dependent_rows(mechanism, q) if told and mechanism.rows else np.zeros(len(q))
-        if self.given != ["qdd"]:
-            self._refuse_change_points(q, dependent)
         for warning in told:
             warnings.warn(warning.message, stacklevel=2)
         if dependent.any() and not self._named:
@@ -133,19 +131,6 @@ class _Motion:
         if len(given) == 2:
             _check_agreement(qd, given[0], qdd)
         return qdd, multipliers
-
-    def _refuse_change_points(self, q: np.ndarray, dependent: np.ndarray) -> None:
-        if not dependent.any():
-            return
-        mechanism = self._mechanism
-        for state in q[dependent > len(mechanism.rows) - regular_rank(mechanism)]:
-            if change_point(mechanism, state):
-                at = ", ".join(f"{x:.9g}" for x in state)
-                raise SingularError(
-                    f"singular configuration (change point) at q = {at}",
-                    where=mechanism.source,
-                    limit="the mechanism can go on in two ways: its acceleration is not unique",
-                )
 
     def _name(self, q: np.ndarray) -> None:
         """Warn which forces are not unique at q (n,)."""
