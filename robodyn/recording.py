@@ -259,7 +259,8 @@ class Recorder:
             half = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
             apart = np.hypot(0.5 * (product[:, 0, 0] - product[:, 1, 1]), product[:, 0, 1])
             least = np.sqrt(np.maximum(half - apart, 0.0))
-            at = [int(np.argmin(least)), -1]
+            near = least**2 <= least.min() ** 2 + 1e-14 * half  # rounding hides which is the least
+            at = np.append(np.flatnonzero(near), -1)
             least[at] = np.linalg.svd(Psi[at], compute_uv=False)[:, 1]
             return np.asarray(least / size)
         s = np.linalg.svd(Psi, compute_uv=False)
