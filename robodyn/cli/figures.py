@@ -39,6 +39,7 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
+    labelled: list[tuple[float, float]] = []
     names = list(dict.fromkeys(x.method for x in result.measurements))
     for i, name in enumerate(names):
         runs = [x for x in result.measurements if x.method == name and np.isfinite(x.least)]
@@ -52,10 +53,13 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
             error, least, color=str(shade), lw=width, marker=MARKS[i % len(MARKS)], ms=5, label=name
         )
         best = int(np.argmin(error))
+        place = float(np.log10(error[best])), float(np.log10(least[best]))
+        close = any(abs(place[0] - x) < 2.0 and abs(place[1] - y) < 0.15 for x, y in labelled)
+        labelled.append(place)
         axes.annotate(
             name,
             (error[best], least[best]),
-            xytext=(-6, 3),
+            xytext=(-6, 14 if close else 3),
             textcoords="offset points",
             ha="right",
             color=str(shade),
