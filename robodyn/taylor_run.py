@@ -138,6 +138,8 @@ def taylor_run(
             status = Status.FULL
         else:
             steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            left = recorder.max_evaluations - recorder.report.evaluations
+            steps = max(1, min(steps, left + 1))
             chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
             recorder.chunk(chunk, t_end)
             if _held_by_stability(chunk, t_end, recorder, rtol, atol):

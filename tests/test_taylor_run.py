@@ -256,3 +256,13 @@ class TestProcess:
         given = robodyn("torque", "robots/2r.yaml", path).succeeds()
         assert np.abs(np.array(given.column("tau1")) - 1.5).max() < 1e-11
         assert np.abs(np.array(given.column("tau2")) + 0.25).max() < 1e-11
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+def test_a_run_stops_at_its_limit_of_evaluations(engine):
+    """However many steps an engine takes at a time."""
+    if engine == "compiled":
+        pytest.importorskip("numba")
+    motion = taylor(scene("2r"), [1.0, 0.5], [0, 0], 10.0, engine=engine, max_evals=7)
+    assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
+    assert motion.report.evaluations == 8

@@ -65,6 +65,7 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
             color=str(shade),
         )
     axes.axvline(result.reference.uncertainty, color="0.8", lw=1.0, ls=":")
+    axes.margins(y=0.1)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("largest error of q (rad) and qd (rad/s)")
