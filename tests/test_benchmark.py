@@ -118,12 +118,17 @@ def test_without_numba(monkeypatch):
     assert "robodyn[fast]" in reason
 
 
+def told(result):
+    """What was left out, but for an extra that is not installed."""
+    return [line for line in result.left_out if "robodyn[fast]" not in line]
+
+
 def test_patience_ends_a_method():
     result = arm(patience=0.0)
     assert {x.tolerance for x in result.measurements} == {TOLERANCES[0]}
-    assert all(f"below {TOLERANCES[0]:g}: took" in line for line in result.left_out)
-    assert len(result.left_out) == len(methods(result))
-    assert arm(patience=0.0, tolerances=(1e-4,)).left_out == []
+    assert all(f"below {TOLERANCES[0]:g}: took" in line for line in told(result))
+    assert len(told(result)) == len(methods(result))
+    assert told(arm(patience=0.0, tolerances=(1e-4,))) == []
 
 
 def test_loading_is_no_part_of_patience(monkeypatch):
@@ -136,7 +141,7 @@ def test_loading_is_no_part_of_patience(monkeypatch):
         return run(mech, state, t_end, torques, settings, *rest)
 
     monkeypatch.setattr(benchmark, "run", slow_at_first)
-    assert arm(t_end=0.05, tolerances=(1e-3, 1e-4), patience=0.3).left_out == []
+    assert told(arm(t_end=0.05, tolerances=(1e-3, 1e-4), patience=0.3)) == []
 
 
 def test_a_run_that_does_not_finish_is_told(monkeypatch):
