@@ -86,9 +86,9 @@ def bench(
     if not (np.isfinite(duration) and duration > 0.0):
         raise InputError("--time", value=duration, limit="must be > 0 and finite")
     if plot is not None:
-        check_plot(plot)
         if same_file(plot, out):
             raise InputError("--plot", value=plot, limit="must not be where the rows go (--out)")
+        check_plot(plot)
     if out is not None:
         check_directory(out)
     if evaluators:
