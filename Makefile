@@ -48,4 +48,4 @@ peers: $(PEERS)/.ready
 	PYTHONPATH=tests $(PEERS)/bin/python -m peers
 
 clean:
-	rm -rf $(VENV) bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
