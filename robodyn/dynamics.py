@@ -13,7 +13,8 @@ the constrained system is not, and where closures depend on one another.
 from __future__ import annotations
 
 import warnings
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import TypeVar
 
 import numpy as np
@@ -128,15 +129,15 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
     found = dense_dynamics.forward(mechanism, q, qd, tau)
     if not mechanism.rows or not q.size:
         return found
-    n, qdd, multipliers = mechanism.n, found.qdd, found.multipliers
+    qdd, multipliers = found.qdd, found.multipliers
     Psi = closed_form.closure_jacobian(mechanism, q)
     s = np.linalg.svd(Psi, compute_uv=False)
     quality = (s[..., projection.regular_rank(mechanism) - 1] / s[..., 0]) ** 2
     for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
-        around = _branch(mechanism, q[state], qd[state], float(quality[state]))
-        if around is not None:
-            beside = dense_dynamics.forward(mechanism, around[:, :n], around[:, n:], tau[state])
-            qdd[state] = change_points.across(beside.qdd)
+        beside = partial(_accelerations_beside, mechanism, tau[state])
+        led = _lead_across(mechanism, (q[state], qd[state]), float(quality[state]), beside)
+        if led is not None:
+            qdd[state] = led
             load = required_load(mechanism, q[state], qd[state], qdd[state]) - tau[state]
             multipliers[state] = np.linalg.pinv(Psi[state].T, rcond=RANK_CUT) @ load
     return found
@@ -153,15 +154,11 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             tau = np.reshape([x.tau for x in each], q.shape)
             multipliers = np.reshape([x.multipliers for x in each], (*q.shape[:-1], -1))
             return Torques(tau, multipliers, max((x.remark for x in each), key=len))
-        around = _branch(mechanism, q, qd, 0.0)
-        if around is None:
+        beside = partial(_torques_beside, mechanism, qdd)
+        led = _lead_across(mechanism, (q, qd), 0.0, beside)
+        if led is None:
             raise
-    n = mechanism.n
-    q_, qd_ = around[:, :n], around[:, n:]
-    Psi = closed_form.closure_jacobian(mechanism, q_)
-    opening = np.einsum("kij,j->ki", Psi, qdd) + closed_form.closure_bias(mechanism, q_, qd_)
-    closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
-    tau = change_points.across(dense_dynamics.inverse(mechanism, q_, qd_, qdd - closing).tau)
+        tau = led
     load = required_load(mechanism, q, qd, qdd) - tau
     Psi_T = closed_form.closure_jacobian(mechanism, q).T
     multipliers = np.linalg.pinv(Psi_T, rcond=RANK_CUT) @ load
@@ -169,9 +166,34 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     return Torques(tau, multipliers, remark)
 
 
-def _branch(mechanism: Mechanism, q: Array, qd: Array, quality: float) -> Array | None:
+def _accelerations_beside(mechanism: Mechanism, tau: Array, q: Array, qd: Array) -> Array:
+    return dense_dynamics.forward(mechanism, q, qd, tau).qdd
+
+
+def _torques_beside(mechanism: Mechanism, qdd: Array, q: Array, qd: Array) -> Array:
+    """The torques of closed states (k, n) for the accelerations nearest to qdd (n,) that close."""
+    Psi = closed_form.closure_jacobian(mechanism, q)
+    opening = np.einsum("kij,j->ki", Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
+    closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+    return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
+
+
+def _lead_across(
+    mechanism: Mechanism,
+    state: tuple[Array, Array],
+    quality: float,
+    evaluate: Callable[[Array, Array], Array],
+) -> Array | None:
+    """`change_points.lead_across` of a function of q and qd."""
+    n = mechanism.n
     closing = projection.dense_closing(mechanism)
-    return change_points.beside(mechanism, closing, np.concatenate([q, qd]), quality)
+    return change_points.lead_across(
+        mechanism,
+        closing,
+        np.concatenate(state),
+        quality,
+        lambda states: evaluate(states[:, :n], states[:, n:]),
+    )
 
 
 def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robodyn import closed_form, straightline
 from robodyn.assembly import close_positions, loop_size
-from robodyn.change_points import SUSPECT, Closing, across, beside
+from robodyn.change_points import SUSPECT, Closing, lead_across
 from robodyn.formulas import projection_formula
 from robodyn.mechanism import Mechanism
 
@@ -115,8 +115,8 @@ def projection(mechanism: Mechanism, closing: Closing) -> Callable[[Array], Arra
 
     def project(y: Array) -> Array:
         closed, quality = closing(y)
-        around = beside(mechanism, closing, y, quality)
-        return closed if around is None else across(around)
+        led = lead_across(mechanism, closing, y, quality, lambda states: states)
+        return closed if led is None else led
 
     return project
 

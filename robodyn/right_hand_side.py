@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics, straightline
 from robodyn.actuation import Actuation
-from robodyn.change_points import across, beside
+from robodyn.change_points import lead_across
 from robodyn.mechanism import Mechanism
 from robodyn.projection import (
     SINGULAR,
@@ -108,10 +108,14 @@ def right_hand_side(
 
     def careful(t: float, y: Array) -> Any:
         closed, quality = closing(y)
-        around = beside(mechanism, closing, y, quality)
-        if around is None:
-            return solved(t, closed)
-        return across(np.array([solved(t, state) for state in around]))
+        led = lead_across(
+            mechanism,
+            closing,
+            y,
+            quality,
+            lambda states: np.array([solved(t, state) for state in states]),
+        )
+        return solved(t, closed) if led is None else led
 
     if kind != "straight-line":  # a projection costs little beside them
         return RightHandSide(careful, project, kind)

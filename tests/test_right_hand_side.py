@@ -18,7 +18,7 @@ from random_mechanisms import (
     trees,
 )
 from robodyn import actuation, closure_gap, closure_jacobian, dense_dynamics, load, loop_velocities
-from robodyn.actuation import Actuation
+from robodyn.actuation import Actuation, expressions
 from robodyn.assembly import close_positions
 from robodyn.closed_form import closure_bias, mass_matrix
 from robodyn.dynamics import forward_dynamics
@@ -417,6 +417,18 @@ class TestNearSingular:
         closed = side.projection(strayed)
         assert closed == pytest.approx(y, abs=1e-5)
         assert np.ptp(closed[:3] * [1, -1, 1]) < 1e-12
+
+    @EACH_KIND
+    @pytest.mark.parametrize("bend", [0.25, 0.5])
+    def test_a_torque_that_bends_beside_it(self, kind, bend):
+        """The bend stays outside of what is interpolated: 0.5 of the torque acts at q1 = 0."""
+        mech = load(ROOT / "robots/parallelogram.yaml")
+        torque = expressions(mech, f"0.5 if q1 < {bend} else 0.5 + 4*(q1 - {bend})", "test")
+        constant = Actuation((0.5, 0.0, 0.0))
+        y = np.array([1e-4, -1e-4, 1e-4, 3.0, -3.0, 3.0])
+        found = rates(right_hand_side(mech, torque, kind=kind), 0.0, y)
+        expected = rates(right_hand_side(mech, constant, kind=kind), 0.0, y)
+        assert found == pytest.approx(expected, rel=1e-10)
 
     @EACH_KIND
     @pytest.mark.parametrize("mismatch", [1e-3, 1e-6])
