@@ -346,9 +346,9 @@ def long_run() -> Iterator[Row]:
 # -- 9: scales, edges ----------------------------------------------------------------------------
 
 
-def scaled(size: float) -> Mechanism:
+def scaled(size: float, gravity: float = 9.81) -> Mechanism:
     """The four-bar `size` times as long, of the same masses."""
-    text = (ROBOTS / "four-bar.yaml").read_text()
+    text = (ROBOTS / "four-bar.yaml").read_text().replace("9.81", repr(gravity))
     lengths = {
         "l: 0.35, r: 0.15, I: 0.008": (0.35, 0.15, 0.008),
         "l: 0.95, r: 0.45, I: 0.102": (0.95, 0.45, 0.102),
@@ -392,6 +392,14 @@ def scales_and_edges() -> Iterator[Row]:
         once = robodyn.inverse_dynamics(unit, q, [0, 0, 0], [0, 0, 0])
         error = float(np.abs(again - once).max())
         yield Row(f"four-bar times {size:.3g}", "scale", "torque differs, relative", 1e-13, error)
+        # another unit of length: gravity changes too, and times stay
+        runs = [
+            simulate(scaled(unit, 9.81 * unit), q, [0, 0, 0], 1.0, t_eval=times, method=method)
+            for unit in (1.0, size)
+        ]
+        error = float(np.abs(runs[0].q - runs[1].q).max())
+        case = f"four-bar in units of {1 / size:.3g} m, {method}"
+        yield Row(case, "scale", "angles differ, rad", 1e-14, error)
     motion = simulate(plain, [0.3, 0.2], [0, 0], 0.0)
     right = motion.t.tolist() == [0.0] and motion.q.tolist() == [[0.3, 0.2]]
     yield Row("time zero", "edge", "not the start alone", 0, truth(right))
