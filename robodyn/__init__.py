@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from robodyn.closed_form import gravity_vector as gravity_vector
     from robodyn.closed_form import kinetic_energy as kinetic_energy
     from robodyn.closed_form import mass_matrix as mass_matrix
+    from robodyn.closed_form import other_forces as other_forces
     from robodyn.closed_form import potential_energy as potential_energy
     from robodyn.dynamics import forward_dynamics as forward_dynamics
     from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
@@ -50,6 +51,7 @@ _ROOMS = {
         "gravity_vector",
         "kinetic_energy",
         "mass_matrix",
+        "other_forces",
         "potential_energy",
     ],
     "dynamics": [

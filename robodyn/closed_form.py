@@ -2,16 +2,18 @@
 
 With E = exp(i alpha), alpha = J q, and W = conj(E)[:, None] * A * E[None, :],
 
-    M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T Im(conj(gamma) B E)
-    KE = 1/2 alphad^T Re(W) alphad      PE = -Re(conj(gamma) B . E) + const
+    M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T (Im(w E) - moments)
+    KE = 1/2 alphad^T Re(W) alphad      PE = -Re(w . E) - moments . alpha + const
     gap = Re(P E) + offset      Psi = -Im(P * E) J      Psidot qd = -Re(P (E * alphad^2))
 
-where A, B, J, P and gamma are the constants of `mechanism.py`.  This C is the Christoffel one:
-Mdot - 2C is skew-symmetric.  The equation of motion, which every docstring refers to, is
+where A, J, P, the weights w (conj(gamma) B, but for constant forces) and the moments are the
+constants of `mechanism.py`.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
+equation of motion, which every docstring refers to, is
 
-    M qdd + C qd + D qd + G = tau + Psi^T lambda        gap(q) = 0                            (1)
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
-with D the diagonal matrix of joint damping.  States are arrays (..., n); radians, SI units.
+with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
+is Q (`forces.py`).  States are arrays (..., n); radians, SI units.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn import forces
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, PlanarPoint
 
@@ -63,8 +66,8 @@ def absolute_inertia(mechanism: Mechanism, E: NDArray[np.complex128]) -> NDArray
 
 
 def absolute_gravity(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
-    """G in alpha, (..., n)."""
-    G: Array = (np.conj(mechanism.gamma) * mechanism.arrays.B * E).imag
+    """G in alpha, of weights and constant forces and torques, (..., n)."""
+    G: Array = (mechanism.arrays.weights * E).imag - mechanism.arrays.moments
     return G
 
 
@@ -90,12 +93,33 @@ def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """G = dPE/dq of equation (1), (..., n), N m.
+    """G = dPE/dq of equation (1), (..., n), N m: of gravity, springs, constant forces and torques.
 
-    Raises InputError where q is not finite or not n wide.
+    Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
+    with a free length coincide.
     """
-    G: Array = absolute_gravity(mechanism, phases(mechanism, q)) @ mechanism.arrays.J
+    E = phases(mechanism, q)
+    G: Array = absolute_gravity(mechanism, E) @ mechanism.arrays.J
+    if mechanism.springs or mechanism.joint_springs:
+        G = G - forces.potential_torques(mechanism, np.asarray(q, float), E)
     return G
+
+
+def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """Q of equation (1), (..., n), N m: of what has no potential, but for dampers of joints.
+
+    Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
+    not finite or not n wide, SingularError where the ends of a damped spring coincide.
+    """
+    E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
+    return forces.other_torques(mechanism, np.asarray(qd, float), E, rates)
+
+
+def scene_torques(mechanism: Mechanism, q: Array, qd: Array, E: NDArray[np.complex128]) -> Array:
+    """The joint torques of springs and of Q together, (..., n), N m."""
+    rates = absolute_rates(mechanism, qd)
+    torques = forces.potential_torques(mechanism, q, E)
+    return torques + forces.other_torques(mechanism, qd, E, rates)
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -106,9 +130,21 @@ def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """PE of all masses under gravity, zero at the origin's height, (...), J."""
-    weight = np.conj(mechanism.gamma) * mechanism.arrays.B
-    PE: Array = mechanism.energy_offset - (phases(mechanism, q) @ weight).real
+    """PE of gravity, springs, constant forces and torques, (...), J.
+
+    That of gravity is zero at the origin's height, that of a force where its point is at the
+    origin, that of a torque where its link points along +X.
+    """
+    return _potential(mechanism, q, phases(mechanism, q))
+
+
+def _potential(mechanism: Mechanism, q: ArrayLike, E: NDArray[np.complex128]) -> Array:
+    arrays = mechanism.arrays
+    PE: Array = mechanism.energy_offset - (E @ arrays.weights).real
+    if any(mechanism.moments):
+        PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
+    if mechanism.springs or mechanism.joint_springs:
+        PE = PE + forces.spring_energy(mechanism, np.asarray(q, float), E)
     return PE
 
 
@@ -117,9 +153,7 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     E = phases(mechanism, q)
     v = E * absolute_rates(mechanism, qd)
     KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
-    weight = np.conj(mechanism.gamma) * mechanism.arrays.B
-    PE: Array = mechanism.energy_offset - (E @ weight).real
-    return KE, PE
+    return KE, _potential(mechanism, q, E)
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:

@@ -2,8 +2,8 @@
 
 With N a basis of the null space of Psi (N^T Psi^T = 0) and x any solution of Psi x = -Psidot qd,
 
-    forward:   N^T M N z = N^T (tau - C qd - D qd - G - M x),      qdd = x + N z
-    inverse:   N^T S^T tau_act = N^T (M qdd + C qd + D qd + G)
+    forward:   N^T M N z = N^T (tau + Q - C qd - D qd - G - M x),      qdd = x + N z
+    inverse:   N^T S^T tau_act = N^T (M qdd + C qd + D qd + G - Q)
 
 and lambda follows from the equations that are left, with least norm where closures depend on one
 another.  No inverse of M alone is needed, so massless links in a loop are no trouble.
@@ -26,6 +26,7 @@ from robodyn.closed_form import (
     closure_gap,
     closure_jacobian,
     phases,
+    scene_torques,
 )
 from robodyn.errors import RobodynError, SingularError
 from robodyn.mechanism import Mechanism
@@ -59,7 +60,7 @@ class Accelerations(NamedTuple):
 
 
 def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
-    """M qdd + C qd + D qd + G, (..., n): what torques and pin forces must balance, N m.
+    """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m.
 
     In absolute angles it is Re(conj(E) (A (E (alphadd + i alphad^2)))) + G.
     """
@@ -69,7 +70,7 @@ def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Arra
     inner = E * (absolute_rates(mechanism, qdd, "qdd") + 1j * rates**2)
     load = (E.conj() * (inner @ arrays.A.T)).real + absolute_gravity(mechanism, E)
     result: Array = load @ arrays.J + arrays.damping * qd
-    return result
+    return result - scene_torques(mechanism, q, qd, E) if mechanism.has_forces else result
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -120,7 +121,10 @@ def forward(
     rates = absolute_rates(mechanism, qd)
     W = absolute_inertia(mechanism, E)
     M = W.real  # all of this in absolute angles
-    force = (tau - arrays.damping * qd) @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
+    joint = tau - arrays.damping * qd
+    if mechanism.has_forces:
+        joint = joint + scene_torques(mechanism, q, qd, E)
+    force = joint @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
     force = force + _times(W.imag, rates**2) - absolute_gravity(mechanism, E)
     Psi = -(arrays.P * E[..., None, :]).imag
     bend = closure_bias(mechanism, q, qd)

@@ -18,6 +18,7 @@ from robodyn.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.yaml_values import ValueReader, nearest
 
 BRANCHES = ("open", "crossed")
+FRAMES = ("ground", "link")  # in which a load's force stays
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,14 @@ class Point:
 
     link: int | None
     at: complex
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it."""
+
+    torque: float
+    speed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +49,45 @@ class Link:
     hangs_from: Point
     payload: float = 0.0
     damping: float = 0.0
+    friction: Friction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Spring:
+    """A spring (N/m, free length m) and damper (N s/m) between two points."""
+
+    first: Point
+    second: Point
+    stiffness: float
+    length: float
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpring:
+    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint."""
+
+    joint: int
+    stiffness: float
+    angle: float
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
+
+    point: Point
+    force: complex
+    turns: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A constant torque on a link, N m."""
+
+    link: int
+    torque: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +111,8 @@ class Description:
     branches: tuple[str, ...]
     actuated: tuple[int, ...] | None
     start: tuple[float | None, ...] | None
+    springs: tuple[Spring | JointSpring, ...] = ()
+    loads: tuple[Load | Moment, ...] = ()
 
 
 def read(path: str | Path) -> Description:
@@ -98,7 +148,10 @@ class _Reader(ValueReader):
 
     def scene(self, root: Mapping, source: str) -> Description:
         keys = self.keys(
-            root, "", ["links"], ["name", "gravity", "closures", "actuated", "assembly", "start"]
+            root,
+            "",
+            ["links"],
+            ["name", "gravity", "closures", "actuated", "assembly", "start", "springs", "loads"],
         )
         entries = self.items(keys.get("links"), "links")
         if "links" in keys and isinstance(keys["links"], Sequence) and not entries:
@@ -120,6 +173,14 @@ class _Reader(ValueReader):
             branches=self.branches(keys.get("assembly"), len(closures)),
             actuated=self.actuated(keys.get("actuated")),
             start=self.start(keys.get("start"), len(links)),
+            springs=tuple(
+                self.spring(f"springs[{k}]", entry)
+                for k, entry in enumerate(self.items(keys.get("springs"), "springs"))
+            ),
+            loads=tuple(
+                self.load(f"loads[{k}]", entry)
+                for k, entry in enumerate(self.items(keys.get("loads"), "loads"))
+            ),
         )
 
     def gravity(self, node: Node | None) -> complex:
@@ -192,7 +253,12 @@ class _Reader(ValueReader):
         if not isinstance(node, Mapping):
             self.fault(place, node, "must be a mapping {name, m, l, r, I}", self.shown(node))
             return Link("", 0.0, 0.0, 0j, 0.0, Point(None, 0j))
-        keys = self.keys(node, place, ["name", "m", "l", "r", "I"], ["from", "payload", "damping"])
+        keys = self.keys(
+            node,
+            place,
+            ["name", "m", "l", "r", "I"],
+            ["from", "payload", "damping", "friction"],
+        )
 
         def amount(key: str) -> float:
             return self.amount(keys[key], f"{place}.{key}") if key in keys else 0.0
@@ -211,7 +277,20 @@ class _Reader(ValueReader):
             hangs_from=hangs_from,
             payload=amount("payload"),
             damping=amount("damping"),
+            friction=self.friction(keys.get("friction"), f"{place}.friction"),
         )
+
+    def friction(self, node: Node | None, place: str) -> Friction | None:
+        if node is None:
+            return None
+        keys = self.keys(node, place, ["torque", "speed"], [])
+        torque = self.amount(keys["torque"], f"{place}.torque") if "torque" in keys else 0.0
+        speed = self.number(keys["speed"], f"{place}.speed") if "speed" in keys else 1.0
+        if not speed > 0.0:
+            limit = "must be > 0: the friction is -torque tanh(qd/speed)"
+            self.fault(f"{place}.speed", keys["speed"], limit, self.shown(keys["speed"]))
+            return None
+        return Friction(torque, speed)
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
@@ -276,6 +355,56 @@ class _Reader(ValueReader):
                     along = 1 + 0j
         along /= max(abs(along.real), abs(along.imag))  # first, so that no square overflows
         return Closure(first, Point(None, through), along / abs(along))
+
+    # -- springs and loads -------------------------------------------------------------------
+
+    def spring(self, place: str, node: Node) -> Spring | JointSpring:
+        if isinstance(node, Mapping) and any(key.text == "joint" for key, _ in node.pairs):
+            keys = self.keys(node, place, ["joint", "stiffness", "angle"], ["damping"])
+            joint = self.link_name(keys["joint"], f"{place}.joint") if "joint" in keys else None
+            angle = 0.0
+            if "angle" in keys:
+                angle = self.number(keys["angle"], f"{place}.angle", parse_angle)
+            stiffness, damping = self.amounts(keys, place, "stiffness", "damping")
+            return JointSpring(joint or 0, stiffness, angle, damping)
+        keys = self.keys(node, place, ["between", "stiffness", "length"], ["damping"])
+        ends = [Point(None, 0j)] * 2
+        if "between" in keys:
+            between = keys["between"]
+            sides = self.items(between, f"{place}.between")
+            if isinstance(between, Sequence) and len(sides) != 2:
+                limit = "must name two points, [POINT, POINT]"
+                self.fault(f"{place}.between", between, limit, f"{len(sides)} points")
+            elif sides:
+                ends = [self.point(side, f"{place}.between[{k}]") for k, side in enumerate(sides)]
+                if ends[0].link == ends[1].link:
+                    whole = "the ground" if ends[0].link is None else "one link"
+                    limit = f"joins two points of {whole}; its ends must move apart"
+                    self.fault(f"{place}.between", between, limit)
+        return Spring(
+            ends[0], ends[1], *self.amounts(keys, place, "stiffness", "length", "damping")
+        )
+
+    def amounts(self, keys: dict[str, Node], place: str, *names: str) -> list[float]:
+        return [
+            self.amount(keys[name], f"{place}.{name}") if name in keys else 0.0 for name in names
+        ]
+
+    def load(self, place: str, node: Node) -> Load | Moment:
+        turning = isinstance(node, Mapping) and any(key.text == "torque" for key, _ in node.pairs)
+        if turning:
+            keys = self.keys(node, place, ["link", "torque"], [])
+        else:
+            keys = self.keys(node, place, ["link", "at", "force"], ["frame"])
+        link = self.link_name(keys["link"], f"{place}.link") if "link" in keys else None
+        if turning:
+            return Moment(link or 0, self.number(keys["torque"], f"{place}.torque"))
+        at = self.vector(keys["at"], f"{place}.at") if "at" in keys else 0j
+        force = self.vector(keys["force"], f"{place}.force") if "force" in keys else 0j
+        frame = self.text(keys["frame"], f"{place}.frame") if "frame" in keys else FRAMES[0]
+        if frame not in FRAMES:
+            self.fault(f"{place}.frame", keys["frame"], "must be ground or link", frame)
+        return Load(Point(link or 0, at), force, frame == FRAMES[1])
 
     def link_name(self, node: Node, place: str) -> int | None:
         name = self.text(node, place)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robodyn import dynamics, formulas, identities, straightline
 from robodyn.errors import RobodynError
+from robodyn.expression import FUNCTIONS
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -95,6 +96,12 @@ def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> lis
             alpha[k] = mp.mpf(float(q[k])) + (0 if above is None else alpha[above])
             w[k] = mp.mpf(float(qd[k])) + (0 if above is None else w[above])
         E = [mp.expj(angle) for angle in alpha]
+        own = [mp.mpf(0)] * (2 * n)  # of springs, and of the scene's other forces
+        if mechanism.has_forces:
+            function = straightline.compile_forces(
+                mechanism, {name: getattr(mp, name) for name in FUNCTIONS}
+            )
+            own = list(function(*(mp.mpf(float(x)) for x in (*q, *qd))))
         system = mp.zeros(n + len(rows))
         right = mp.zeros(n + len(rows), 1)
         for j, k, value in mechanism.A:
@@ -104,8 +111,9 @@ def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> lis
                 right[j] += turned.imag * w[k] ** 2
                 right[k] -= turned.imag * w[j] ** 2
         for k in range(n):
-            right[k] -= (mp.conj(mp.mpc(mechanism.gamma)) * mp.mpc(mechanism.B[k]) * E[k]).imag
+            right[k] += mechanism.moments[k] - (mp.mpc(mechanism.weights[k]) * E[k]).imag
             joint = mp.mpf(float(tau[k])) - mp.mpf(mechanism.damping[k]) * mp.mpf(float(qd[k]))
+            joint += own[k] + own[n + k]
             right[k] += joint
             above = mechanism.parent[k]
             if above is not None:

@@ -14,7 +14,9 @@ from typing import Union
 Value = Union["Expression", float]
 
 # Cost of an operation in additions, for choosing between two ways to write a formula.
-COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5, "sin": 4.0, "cos": 4.0}
+COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
+FUNCTIONS = ("sin", "cos", "sqrt", "tanh")
+COST |= dict.fromkeys(FUNCTIONS, 4.0)
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 
 
@@ -165,6 +167,16 @@ def sin(a: Value) -> Value:
     return a.graph.node("sin", (a,))
 
 
+def sqrt(a: Value) -> Value:
+    """The square root of a."""
+    return a.graph.node("sqrt", (a,)) if isinstance(a, Expression) else math.sqrt(a)
+
+
+def tanh(a: Value) -> Value:
+    """tanh(a)."""
+    return a.graph.node("tanh", (a,)) if isinstance(a, Expression) else math.tanh(a)
+
+
 def cost(outputs: Sequence[Value]) -> float:
     """Cost of evaluating the outputs, in additions."""
     return sum(COST.get(node.op, 0.0) for node in _needed(outputs))
@@ -193,7 +205,7 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
         if op == "var":
             text[node.index] = (str(args[0]), 9)
             continue
-        if op in ("sin", "cos"):
+        if op in FUNCTIONS:
             shown, precedence = f"{op}({written(args[0], 0)})", 9
         elif op == "neg":
             shown, precedence = f"-{written(args[0], 3)}", 3

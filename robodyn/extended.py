@@ -8,7 +8,7 @@ can be claimed.  Rounding of the constants themselves, which every run shares, i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError
+from robodyn.expression import FUNCTIONS
 from robodyn.mechanism import Mechanism
 from robodyn.projection import CUT
+from robodyn.straightline import compile_forces
 from robodyn.taylor import step_size
 from robodyn.taylor_arrays import ArraySeries, solve_columns
 from robodyn.torque_series import TorqueSeries
@@ -91,8 +93,9 @@ def _by_series(
 ) -> Long:
     n = mechanism.n
     constants = None if actuation.constants is None else np.array(actuation.constants)
-    series = ArraySeries(mechanism, order, constants, LONG)
-    torques = TorqueSeries(actuation, n) if constants is None else None
+    pushed = constants is None or mechanism.has_forces
+    series = ArraySeries(mechanism, order, None if pushed else constants, LONG)
+    torques = TorqueSeries(actuation, mechanism) if pushed else None
     closing = _Closing(mechanism)
     y = closing(state.astype(LONG))
     rows, t = [], LONG(0.0)
@@ -185,7 +188,9 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
     J = arrays.J.astype(LONG)
     A = arrays.A.astype(COMPLEX)
     P = arrays.P.astype(COMPLEX)
-    weight = np.conj(mechanism.gamma) * np.asarray(mechanism.B, COMPLEX)
+    weight = np.asarray(mechanism.weights, COMPLEX)
+    moments = np.asarray(mechanism.moments, LONG)
+    own = _scene_torques(mechanism)
     damping = np.asarray(mechanism.damping, LONG)
     torques = actuation.function(n)
 
@@ -197,7 +202,9 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
             tau = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
         except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
             tau = np.full(n, LONG(np.nan))
-        force = tau - damping * qd + J.T @ (W.imag @ w**2 - (weight * E).imag)
+        if own is not None:
+            tau = tau + own(y)
+        force = tau - damping * qd + J.T @ (W.imag @ w**2 - (weight * E).imag + moments)
         M = J.T @ W.real @ J
         if not len(P):
             return np.concatenate([qd, solve_columns(M, force[:, None])[:, 0]])
@@ -209,6 +216,19 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
         return np.concatenate([qd, free + X @ multipliers])
 
     return rates
+
+
+def _scene_torques(mechanism: Mechanism) -> Callable[[Long], Long] | None:
+    """The joint torques (n) of springs and the like, in extended precision."""
+    if not mechanism.has_forces:
+        return None
+    function = compile_forces(mechanism, {name: getattr(np, name) for name in FUNCTIONS})
+
+    def torques(y: Long) -> Long:
+        values = np.array(function(*y), LONG).reshape(2, mechanism.n)
+        return np.asarray(values.sum(axis=0))
+
+    return torques
 
 
 class _Closing:

@@ -13,16 +13,25 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from robodyn import expression
-from robodyn.expression import Graph, Value
+from robodyn.expression import Value
+from robodyn.force_formulas import other_torques, potential_torques
+from robodyn.formula_state import (
+    Planar,
+    State,
+    imaginary,
+    planar,
+    plus,
+    real,
+    times,
+    to_joints,
+)
 from robodyn.mechanism import Mechanism
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 
-Planar = tuple[Value, Value]  # a complex number: real and imaginary part
-
 
 class Formula(NamedTuple):
-    """Inputs by name, outputs (n joint values, r multipliers), and the pivots of the closures.
+    """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
 
     A pivot is relative to its size in a good configuration.  Where one is near zero the
     configuration is near singular and the result must be computed another way.
@@ -31,76 +40,6 @@ class Formula(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
-
-
-class _State:
-    """Angles, rates and directions of the links as expressions, made as they are asked for."""
-
-    def __init__(self, mechanism: Mechanism, rates: tuple[str, ...], by_direction: bool) -> None:
-        self.mechanism = mechanism
-        self.by_direction = by_direction
-        self.graph = Graph()
-        n = mechanism.n
-        self.inputs = tuple(f"{name}{k}" for name in ("q", *rates) for k in range(n))
-        self.relative = {
-            name: [self.graph.variable(f"{name}{k}") for k in range(n)] for name in ("q", *rates)
-        }
-        self.alpha = self.absolute("q")
-
-    def absolute(self, name: str) -> list[Value]:
-        """J times the relative values called `name`."""
-        values: list[Value] = list(self.relative[name])
-        for k in self.mechanism.order:
-            above = self.mechanism.parent[k]
-            if above is not None:
-                values[k] = values[above] + values[k]
-        return values
-
-    def direction(self, k: int) -> Planar:
-        """E_k."""
-        return expression.cos(self.alpha[k]), expression.sin(self.alpha[k])
-
-    def turn(self, j: int, k: int) -> Planar:
-        """conj(E_j) E_k for j above k."""
-        if j == k:
-            return 1.0, 0.0
-        if self.by_direction:
-            (cj, sj), (ck, sk) = self.direction(j), self.direction(k)
-            return cj * ck + sj * sk, cj * sk - sj * ck
-        angle: Value = 0.0
-        link: int | None = k
-        while link != j:
-            assert link is not None
-            angle = angle + self.relative["q"][link]
-            link = self.mechanism.parent[link]
-        return expression.cos(angle), expression.sin(angle)
-
-    def gravity(self, k: int) -> Value:
-        """G_k in alpha, Im(conj(gamma) B_k E_k)."""
-        weight = self.mechanism.gamma.conjugate() * self.mechanism.B[k]
-        return _imaginary(weight, self, k)
-
-
-def _imaginary(weight: complex, state: _State, k: int) -> Value:
-    """Im(weight E_k), without the sine or cosine that it does not need."""
-    value: Value = 0.0
-    if weight.imag != 0.0:
-        value = weight.imag * expression.cos(state.alpha[k])
-    if weight.real != 0.0:
-        value = value + weight.real * expression.sin(state.alpha[k])
-    return value
-
-
-def _real(weight: complex, state: _State, k: int) -> Value:
-    return _imaginary(weight * 1j, state, k)
-
-
-def _times(a: Planar, b: Planar) -> Planar:
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
-
-
-def _plus(a: Planar, b: Planar) -> Planar:
-    return a[0] + b[0], a[1] + b[1]
 
 
 def _cheaper(write: Callable[[bool], Formula]) -> Formula:
@@ -122,17 +61,20 @@ def inverse_formula(mechanism: Mechanism) -> Formula | None:
 
 
 def _inverse(mechanism: Mechanism, by_direction: bool) -> Formula:
-    state = _State(mechanism, ("qd", "qdd"), by_direction)
+    state = State(mechanism, ("qd", "qdd"), by_direction)
     load = _recursive_load(state) if by_direction else _pairwise_load(state)
-    load = _to_joints(mechanism, load)
+    load = to_joints(mechanism, load)
     for k, damping in enumerate(mechanism.damping):
         load[k] = load[k] + damping * state.relative["qd"][k]
+    if mechanism.has_forces:
+        acting = zip(potential_torques(state), other_torques(state), strict=True)
+        load = [x - (a + b) for x, (a, b) in zip(load, acting, strict=True)]
     if not mechanism.rows:
         return Formula(state.inputs, tuple(load), ())
 
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
     n = mechanism.n
-    Psi = [_to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
+    Psi = [to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
     columns = [[row[p] for row in Psi] for p in mechanism.passive]
     right = [load[p] for p in mechanism.passive]
     if len(Psi) == 1:
@@ -153,7 +95,7 @@ def _inverse(mechanism: Mechanism, by_direction: bool) -> Formula:
     return Formula(state.inputs, (*tau, *multipliers), pivots)
 
 
-def _pairwise_load(state: _State) -> list[Value]:
+def _pairwise_load(state: State) -> list[Value]:
     """M alphadd + C alphad + G in alpha, by the entries of A."""
     rates, accelerations = state.absolute("qd"), state.absolute("qdd")
     load = [state.gravity(k) for k in range(state.mechanism.n)]
@@ -161,13 +103,13 @@ def _pairwise_load(state: _State) -> list[Value]:
         if j == k:
             load[k] = load[k] + value.real * accelerations[k]
             continue
-        w = _times((value.real, value.imag), state.turn(j, k))
+        w = times((value.real, value.imag), state.turn(j, k))
         load[j] = load[j] + (w[0] * accelerations[k] - w[1] * (rates[k] * rates[k]))
         load[k] = load[k] + (w[0] * accelerations[j] + w[1] * (rates[j] * rates[j]))
     return load
 
 
-def _recursive_load(state: _State) -> list[Value]:
+def _recursive_load(state: State) -> list[Value]:
     """The same in O(links): accelerations outward, inertial forces inward.
 
     A_jk = conj(p_jk) B_k for j above k, so the links above act through the acceleration of the
@@ -183,61 +125,62 @@ def _recursive_load(state: _State) -> list[Value]:
     diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
     links = mechanism.description.links
 
-    def planar(z: complex) -> Planar:
-        return z.real, z.imag
-
     def moment(k: int, point: complex, force: Planar) -> Value:
         """Re(conj(i point E_k) force), the force's moment about link k's joint."""
-        arm = _times(planar(point), state.direction(k))
+        arm = times(planar(point), state.direction(k))
         return arm[0] * force[1] - arm[1] * force[0]
 
     for k in mechanism.order:
-        bend[k] = _times(state.direction(k), (-(rates[k] * rates[k]), accelerations[k]))
+        bend[k] = times(state.direction(k), (-(rates[k] * rates[k]), accelerations[k]))
         above = mechanism.parent[k]
         if above is not None:
-            joint[k] = _plus(joint[above], _times(planar(links[k].hangs_from.at), bend[above]))
+            joint[k] = plus(joint[above], times(planar(links[k].hangs_from.at), bend[above]))
         load[k] = diagonal[k] * accelerations[k] + moment(k, mechanism.B[k], joint[k])
+        load[k] = load[k] + state.constant_load(k)
     below: list[Planar] = [(0.0, 0.0)] * mechanism.n
     for k in reversed(mechanism.order):
         above = mechanism.parent[k]
         if above is not None:
-            force = _plus(below[k], _times(planar(mechanism.B[k]), bend[k]))
+            force = plus(below[k], times(planar(mechanism.B[k]), bend[k]))
             load[above] = load[above] + moment(above, links[k].hangs_from.at, force)
-            below[above] = _plus(below[above], force)
+            below[above] = plus(below[above], force)
     return load
-
-
-def _to_joints(mechanism: Mechanism, values: list[Value]) -> list[Value]:
-    """J^T times values in alpha."""
-    sums = list(values)
-    for k in reversed(mechanism.order):
-        above = mechanism.parent[k]
-        if above is not None:
-            sums[above] = sums[above] + sums[k]
-    return sums
 
 
 # -- forward dynamics ----------------------------------------------------------------------------
 
 
 def forward_formula(
-    mechanism: Mechanism, torques: Sequence[float] | None = None, baumgarte: float = 0.0
+    mechanism: Mechanism,
+    torques: Sequence[float] | None = None,
+    baumgarte: float = 0.0,
+    power: bool = False,
 ) -> Formula:
     """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
+
+    With `power` that of the scene's forces without potential follows, Q . qd.
 
     The symmetric system [M Psi^T; Psi 0] is solved by L D L^T without pivoting, M first: its
     Schur complement -Psi M^-1 Psi^T is the matrix that the textbook's elimination inverts.
     Constant `torques` (n) are folded in.  A `baumgarte` rate b (1/s) makes the closures obey
     gapdd + 2 b gapd + b^2 gap = 0 instead of gapdd = 0.
     """
-    return _cheaper(lambda by_direction: _forward(mechanism, torques, baumgarte, by_direction))
+
+    def write(by_direction: bool) -> Formula:
+        return _forward(mechanism, torques, baumgarte, power, by_direction)
+
+    return _cheaper(write)
 
 
 def _forward(
-    mechanism: Mechanism, torques: Sequence[float] | None, baumgarte: float, by_direction: bool
+    mechanism: Mechanism,
+    torques: Sequence[float] | None,
+    baumgarte: float,
+    power: bool,
+    by_direction: bool,
 ) -> Formula:
     rates_and_torques = ("qd", "tau") if torques is None else ("qd",)
-    state = _State(mechanism, rates_and_torques, by_direction)
+    state = State(mechanism, rates_and_torques, by_direction)
     n, rows = mechanism.n, len(mechanism.rows)
     rates = state.absolute("qd")
     squares = [rate * rate for rate in rates]
@@ -248,6 +191,13 @@ def _forward(
         tau - damping * qd
         for tau, qd, damping in zip(given, state.relative["qd"], mechanism.damping, strict=True)
     ]
+    own_power: list[Value] = [0.0] * power
+    if mechanism.has_forces:
+        other = other_torques(state)
+        if power:
+            own_power = [_dot(other, state.relative["qd"])]
+        acting = zip(potential_torques(state), other, strict=True)
+        joint = [tau + (a + b) for tau, (a, b) in zip(joint, acting, strict=True)]
     force = list(joint)
     for k, above in enumerate(mechanism.parent):
         if above is not None:
@@ -259,14 +209,14 @@ def _forward(
             matrix[k][k] = value.real
             force[k] = force[k] - state.gravity(k)
             continue
-        w = _times((value.real, value.imag), state.turn(j, k))
+        w = times((value.real, value.imag), state.turn(j, k))
         matrix[min(j, k)][max(j, k)] = w[0]
         force[j] = force[j] + w[1] * squares[k]
         force[k] = force[k] - w[1] * squares[j]
     for row, entries in enumerate(_jacobian(state)):
         bend: Value = 0.0  # Psi alphadd = -Psidot qd = Re(P E alphad^2)
         for k, weight in mechanism.rows[row].P:
-            bend = bend + _real(weight, state, k) * squares[k]
+            bend = bend + real(weight, state, k) * squares[k]
         gap, gapd = _gap(state, row), _product(entries, rates)
         force.append(bend - 2.0 * baumgarte * gapd - baumgarte**2 * gap)
         for k, slope in entries.items():
@@ -282,7 +232,7 @@ def _forward(
         pivot / -sum(abs(weight) ** 2 / diagonal[k] for k, weight in row.P)
         for pivot, row in zip(negative_pivots, mechanism.rows, strict=True)
     )
-    return Formula(state.inputs, (*qdd, *(-x for x in solution[n:])), pivots)
+    return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
 
 
 def projection_formula(mechanism: Mechanism) -> Formula:
@@ -290,9 +240,9 @@ def projection_formula(mechanism: Mechanism) -> Formula:
 
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
     """
-    state = _State(mechanism, ("qd",), by_direction=True)
+    state = State(mechanism, ("qd",), by_direction=True)
     n, rows = mechanism.n, len(mechanism.rows)
-    Psi = [_to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
+    Psi = [to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
     normal = [{c: _dot(Psi[r], Psi[c]) for c in range(r, rows)} for r in range(rows)]
     outputs: list[Value] = []
     pivots: list[Value] = []
@@ -309,12 +259,12 @@ def projection_formula(mechanism: Mechanism) -> Formula:
     return Formula(state.inputs, (*outputs, *gap), relative)
 
 
-def _gap(state: _State, row: int) -> Value:
+def _gap(state: State, row: int) -> Value:
     """Re(P E) + offset."""
     entry = state.mechanism.rows[row]
     gap: Value = entry.offset
     for k, weight in entry.P:
-        gap = gap + _real(weight, state, k)
+        gap = gap + real(weight, state, k)
     return gap
 
 
@@ -329,10 +279,10 @@ def _product(entries: dict[int, Value], values: Sequence[Value]) -> Value:
     return _dot(list(entries.values()), [values[k] for k in entries])
 
 
-def _jacobian(state: _State) -> list[dict[int, Value]]:
+def _jacobian(state: State) -> list[dict[int, Value]]:
     """The rows of Psi in alpha, -Im(P_k E_k)."""
     return [
-        {k: _imaginary(-weight, state, k) for k, weight in row.P} for row in state.mechanism.rows
+        {k: imaginary(-weight, state, k) for k, weight in row.P} for row in state.mechanism.rows
     ]
 
 

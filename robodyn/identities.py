@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import assembly, closed_form, dynamics, loop_rates
-from robodyn.description import Description, Point
+from robodyn.description import Description, JointSpring, Load, Moment, Point, Spring
 from robodyn.errors import SingularError
 from robodyn.mechanism import Mechanism
 
@@ -29,6 +29,7 @@ ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton'
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 
 BALANCE = "M qdd + C qd + D qd + G = tau + Psi^T lambda"
+FORCES = "Q qd = power of its forces"
 POWER = "power in = dE/dt"
 
 
@@ -122,7 +123,8 @@ def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> l
     christoffel = np.einsum("...ij,...j->...i", Mdot, qd) - np.stack(slopes, axis=-1)
     directions = np.random.default_rng(2).normal(size=q.shape)
     description = mechanism.description
-    slope = _along(lambda s: _potential_energy(description, q + s * directions), directions)
+    sharp = _sharpness(description, q)
+    slope = _along(lambda s: _potential_energy(description, q + s * directions), directions * sharp)
     G = closed_form.gravity_vector(mechanism, q)
     PE = closed_form.potential_energy(mechanism, q)
     work = np.einsum("...i,...i->...", G, directions)
@@ -139,7 +141,20 @@ def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> l
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
         Identity("G = dPE/dq", _relative(slope - work, max(_top(G), _top(slope)))),
+        *_force_identities(mechanism, q, qd, directions),
     ]
+
+
+def _force_identities(
+    mechanism: Mechanism, q: Array, qd: Array, directions: Array
+) -> list[Identity]:
+    """The power of what has no potential, along any velocities, of a scene that names such."""
+    if not mechanism.has_forces:
+        return []
+    Q = closed_form.other_forces(mechanism, q, qd)
+    power = np.einsum("...i,...i->...", Q, directions)
+    bodies = _other_power(mechanism.description, q, qd, directions)
+    return [Identity(FORCES, _relative(power - bodies, max(_top(Q), _top(power))))]
 
 
 def _shifted_energy(mechanism: Mechanism, q: Array, qd: Array, joint: Array, s: Array) -> Array:
@@ -183,13 +198,15 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
-    damping = np.array([link.damping for link in description.links])
+    damping = _joint_damping(description)
+    Q = closed_form.other_forces(mechanism, q, qd) if mechanism.has_forces else np.zeros(q.shape)
     terms = [
         np.einsum("...ij,...j->...i", closed_form.mass_matrix(mechanism, q), qdd),
         np.einsum("...ij,...j->...i", closed_form.coriolis_matrix(mechanism, q, qd), qd),
         damping * qd,
         G,
         -tau,
+        -Q,
     ]
     found = []
     if mechanism.rows:
@@ -211,8 +228,9 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         KE = closed_form.kinetic_energy(mechanism, path, rate)
         return KE + _potential_energy(description, path)
 
-    growth = _along(energy, np.maximum(np.abs(qd), np.sqrt(np.abs(qdd))))
-    power = np.einsum("...i,...i->...", tau, qd) - (damping * qd**2).sum(axis=-1)
+    sharp = _sharpness(description, q)
+    growth = _along(energy, sharp * np.maximum(np.abs(qd), np.sqrt(np.abs(qdd))))
+    power = np.einsum("...i,...i->...", tau + Q, qd) - (damping * qd**2).sum(axis=-1)
     return [*found, Identity(POWER, _relative(growth - power, scale * _top(qd)))]
 
 
@@ -250,8 +268,68 @@ def _masses(description: Description, q: Array) -> list[tuple[float, Complex]]:
 
 
 def _potential_energy(description: Description, q: Array) -> Array:
+    """Of masses, springs, and constant forces and torques."""
     g = description.gravity.conjugate()
-    return np.asarray(-sum(m * (g * place).real for m, place in _masses(description, q)))
+    PE = np.asarray(-sum(m * (g * place).real for m, place in _masses(description, q)))
+    for load in description.loads:
+        if isinstance(load, Moment):
+            PE = PE - load.torque * _angle(description, q, load.link)
+        elif not load.turns:
+            PE = PE - (load.force.conjugate() * _place(description, q, load.point)).real
+    for spring in description.springs:
+        stretched = (
+            q[..., spring.joint] - spring.angle
+            if isinstance(spring, JointSpring)
+            else _length(description, q, spring) - spring.length
+        )
+        PE = PE + 0.5 * spring.stiffness * stretched**2
+    return PE
+
+
+def _other_power(description: Description, q: Array, qd: Array, directions: Array) -> Array:
+    """The power along `directions` of dampers of springs, forces that turn, and friction."""
+    power = np.zeros(q.shape[:-1])
+    sharp = _sharpness(description, q)
+    for spring in description.springs:
+        if isinstance(spring, Spring) and spring.damping:
+            length = partial(_length, description, spring=spring)
+            speed, way = (_rate(length, q, v, sharp) for v in (qd, directions))
+            power = power - spring.damping * speed * way
+    for load in description.loads:
+        if isinstance(load, Load) and load.turns:
+            way = _rate(partial(_place, description, point=load.point), q, directions, sharp)
+            assert load.point.link is not None
+            turn = np.exp(1j * _angle(description, q, load.point.link))
+            power = power + ((load.force * turn).conjugate() * way).real
+    for k, link in enumerate(description.links):
+        if link.friction is not None:
+            smooth = np.tanh(qd[..., k] / link.friction.speed)
+            power = power - link.friction.torque * smooth * directions[..., k]
+    return power
+
+
+def _joint_damping(description: Description) -> Array:
+    damping = np.array([link.damping for link in description.links])
+    for spring in description.springs:
+        if isinstance(spring, JointSpring):
+            damping[spring.joint] += spring.damping
+    return damping
+
+
+def _angle(description: Description, q: Array, link: int) -> Array:
+    """The link's angle from +X."""
+    angle, above = np.zeros(q.shape[:-1]), link
+    while True:
+        angle = angle + q[..., above]
+        further = description.links[above].hangs_from.link
+        if further is None:
+            return angle
+        above = further
+
+
+def _length(description: Description, q: Array, spring: Spring) -> Array:
+    first, second = (_place(description, q, point) for point in (spring.first, spring.second))
+    return np.asarray(np.abs(first - second))
 
 
 def _kinetic_energy(description: Description, q: Array, qd: Array) -> Array:
@@ -269,19 +347,17 @@ def _kinetic_energy(description: Description, q: Array, qd: Array) -> Array:
     return np.asarray(0.5 * (np.abs(velocities) ** 2 @ masses + turning))
 
 
-def _gap(description: Description, q: Array) -> Array:
+def _place(description: Description, q: Array, point: Point) -> Complex:
+    if point.link is None:
+        return np.full(q.shape[:-1], point.at)
     joints, directions = _places(description, q)
+    return joints[point.link] + point.at * directions[point.link]
 
-    def place(point: Point) -> Complex | complex:
-        return (
-            point.at
-            if point.link is None
-            else joints[point.link] + point.at * directions[point.link]
-        )
 
+def _gap(description: Description, q: Array) -> Array:
     rows: list[Array] = []
     for closure in description.closures:
-        apart = np.asarray(place(closure.first) - place(closure.second))
+        apart = _place(description, q, closure.first) - _place(description, q, closure.second)
         if closure.along is None:
             rows += [apart.real, apart.imag]
         else:
@@ -311,6 +387,21 @@ def _along(function: Callable[[Array], Any], speed: Array) -> Any:
         total = total + weight * (function(k * step) - function(-k * step))
     shaped = step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
     return total / shaped
+
+
+def _rate(function: Callable[[Array], Any], q: Array, speed: Array, sharp: Array) -> Any:
+    """d function(q)/dt at the velocities `speed`."""
+    return _along(lambda s: function(q + s * speed), speed * sharp)
+
+
+def _sharpness(description: Description, q: Array) -> Array:
+    """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
+    sharp = np.ones(len(q))
+    for spring in description.springs:
+        if isinstance(spring, Spring):
+            length = _length(description, q, spring)
+            sharp = np.maximum(sharp, 0.5 * length.max(initial=0.0) / np.maximum(length, 1e-300))
+    return sharp[:, None]
 
 
 def _top(values: Array) -> float:

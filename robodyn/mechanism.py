@@ -10,6 +10,11 @@ and from the closures, which are linear in E.  For j above k in the tree every b
 link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that
 link k carries: the constants cost O(links * depth), and only nonzero ones are kept.
 
+Constant forces and torques act like weights: with p_b = const + sum_k c_k E_k the point of such a
+force F, the potential energy is
+
+    PE = const - Re(weights . E) - moments . alpha,      weights_k = conj(gamma) B_k + conj(F) c_k
+
 Nothing here needs numpy until `Mechanism.arrays` is asked for: a command that evaluates one state
 in plain floats starts without it.
 """
@@ -24,7 +29,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robodyn import description as scene
-from robodyn.description import Description, Point
+from robodyn.description import (
+    Description,
+    Friction,
+    JointSpring,
+    Load,
+    Moment,
+    Point,
+    Spring,
+)
 from robodyn.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,6 +69,29 @@ class ClosureRow:
     offset: float
 
 
+@dataclass(frozen=True, slots=True)
+class PointSpring:
+    """A spring between points of two links (None: the ground): `between`, first less second."""
+
+    first: int | None
+    second: int | None
+    ends: tuple[PlanarPoint, PlanarPoint]
+    between: PlanarPoint
+    stiffness: float  # N/m
+    length: float  # free length, m
+    damping: float  # N s/m
+
+
+@dataclass(frozen=True, slots=True)
+class Force:
+    """A constant force at a point of a link, N; one that turns with the link has no potential."""
+
+    link: int
+    point: PlanarPoint
+    force: complex
+    turns: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """A planar mechanism as numbers; immutable, compared by identity.
@@ -73,12 +109,18 @@ class Mechanism:
     B: tuple[complex, ...]  # kg m
     gamma: complex  # gravity as gx + i gy, m/s^2
     energy_offset: float  # potential energy of the constants, J
-    damping: tuple[float, ...]  # N m s/rad
+    damping: tuple[float, ...]  # N m s/rad, of joints and of the springs at them
     rows: tuple[ClosureRow, ...]
     actuated: tuple[int, ...]
     pivots: tuple[PlanarPoint, ...]  # each link's own joint
     tips: tuple[PlanarPoint, ...]
     centres: tuple[PlanarPoint, ...]  # centres of gravity, payload not included
+    weights: tuple[complex, ...]  # of gravity and constant forces, N m
+    moments: tuple[float, ...]  # constant torques on links, N m
+    springs: tuple[PointSpring, ...] = ()
+    joint_springs: tuple[JointSpring, ...] = ()
+    forces: tuple[Force, ...] = ()
+    friction: tuple[tuple[int, Friction], ...] = ()  # of joints
 
     @property
     def n(self) -> int:
@@ -90,6 +132,19 @@ class Mechanism:
         """The joints that carry no torque of their own."""
         actuated = set(self.actuated)
         return tuple(i for i in range(self.n) if i not in actuated)
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
+        turning = any(force.turns for force in self.forces)
+        return bool(self.springs or self.joint_springs or self.friction or turning)
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
+        turning = any(force.turns for force in self.forces)
+        dampers = any(self.damping) or any(spring.damping for spring in self.springs)
+        return bool(dampers or self.friction or turning)
 
     @cached_property
     def arrays(self) -> Arrays:
@@ -110,6 +165,8 @@ class Arrays:
     P: NDArray[np.complex128]  # (r, n), gap = Re(P E) + offset
     offset: NDArray[np.float64]  # (r,) m
     damping: NDArray[np.float64]  # (n,) N m s/rad
+    weights: NDArray[np.complex128]  # (n,) N m
+    moments: NDArray[np.float64]  # (n,) N m
 
 
 def load(path: str | Path) -> Mechanism:
@@ -155,8 +212,24 @@ def _build(description: Description) -> Mechanism:
         (description.gravity.conjugate() * pivot.constant).real * (link.m + link.payload)
         for pivot, link in zip(pivots, links, strict=True)
     )
+    weights = [description.gravity.conjugate() * b for b in B]
+    moments, damping = [0.0] * len(links), [link.damping for link in links]
+    forces: list[Force] = []
+    for entry in description.loads:
+        if isinstance(entry, Moment):
+            moments[entry.link] += entry.torque
+            continue
+        forces.append(_force(entry, pivots))
+        if not entry.turns:
+            offset -= (entry.force.conjugate() * forces[-1].point.constant).real
+            for k, c in forces[-1].point.terms:
+                weights[k] += entry.force.conjugate() * c
+    joint_springs = [x for x in description.springs if isinstance(x, JointSpring)]
+    for spring in joint_springs:
+        damping[spring.joint] += spring.damping
     rows = tuple(_rows(description, pivots))
     numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
+    numbers += weights
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
         raise _too_large(description)
     return Mechanism(
@@ -170,12 +243,22 @@ def _build(description: Description) -> Mechanism:
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
-        damping=tuple(link.damping for link in links),
+        damping=tuple(damping),
         rows=rows,
         actuated=_actuated(description, pivots),
         pivots=tuple(pivots),
         tips=tuple(_point(pivots, Point(k, complex(link.l))) for k, link in enumerate(links)),
         centres=tuple(_point(pivots, Point(k, link.r)) for k, link in enumerate(links)),
+        weights=tuple(weights),
+        moments=tuple(moments),
+        springs=tuple(_spring(x, pivots) for x in description.springs if isinstance(x, Spring)),
+        joint_springs=tuple(x for x in joint_springs if x.stiffness),
+        forces=tuple(forces),
+        friction=tuple(
+            (k, link.friction)
+            for k, link in enumerate(links)
+            if link.friction is not None and link.friction.torque
+        ),
     )
 
 
@@ -203,19 +286,42 @@ def _point(pivots: Sequence[PlanarPoint], point: Point) -> PlanarPoint:
     return PlanarPoint(pivot.constant, (*pivot.terms, (point.link, point.at)))
 
 
+def _difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
+    """First less second, without the terms that cancel."""
+    terms: dict[int, complex] = dict(first.terms)
+    for k, coefficient in second.terms:
+        terms[k] = terms.get(k, 0j) - coefficient
+    kept = tuple((k, coefficient) for k, coefficient in terms.items() if coefficient != 0)
+    return PlanarPoint(first.constant - second.constant, kept)
+
+
+def _force(load: Load, pivots: Sequence[PlanarPoint]) -> Force:
+    assert load.point.link is not None
+    return Force(load.point.link, _point(pivots, load.point), load.force, load.turns)
+
+
+def _spring(spring: Spring, pivots: Sequence[PlanarPoint]) -> PointSpring:
+    first, second = _point(pivots, spring.first), _point(pivots, spring.second)
+    return PointSpring(
+        first=spring.first.link,
+        second=spring.second.link,
+        ends=(first, second),
+        between=_difference(first, second),
+        stiffness=spring.stiffness,
+        length=spring.length,
+        damping=spring.damping,
+    )
+
+
 def _rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[ClosureRow]:
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
-        first, second = _point(pivots, closure.first), _point(pivots, closure.second)
-        terms: dict[int, complex] = dict(first.terms)
-        for k, coefficient in second.terms:
-            terms[k] = terms.get(k, 0j) - coefficient
-        constant = first.constant - second.constant
+        gap = _difference(_point(pivots, closure.first), _point(pivots, closure.second))
         directions = (1 + 0j, 1j) if closure.along is None else (1j * closure.along,)
         for direction in directions:
             w = direction.conjugate()
-            P = tuple((k, w * coefficient) for k, coefficient in terms.items() if coefficient != 0)
-            rows.append(ClosureRow(c, direction, P, (w * constant).real))
+            P = tuple((k, w * coefficient) for k, coefficient in gap.terms)
+            rows.append(ClosureRow(c, direction, P, (w * gap.constant).real))
     return rows
 
 
@@ -268,6 +374,8 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         P=P,
         offset=np.array([row.offset for row in mechanism.rows], float),
         damping=np.array(mechanism.damping, float),
+        weights=np.array(mechanism.weights, complex),
+        moments=np.array(mechanism.moments, float),
     )
     for name in Arrays.__slots__:
         getattr(arrays, name).flags.writeable = False

@@ -4,13 +4,16 @@ Newton's equation of all bodies b that link k carries, itself and payloads inclu
 unknown: the force R_k that acts on link k at its own joint, from the link (or the ground) that it
 hangs from.  With the pin forces f_c on the side that closure c names first,
 
-    R_k = sum_b m_b (a_b - gamma) - sum_c (+1 first side, -1 second side below k) f_c         (2)
+    R_k = sum_b m_b (a_b - gamma) - sum_c (+1 first side, -1 second side below k) f_c - F_k   (2)
+
+F_k is what springs and loads put on all that link k carries.
 
 The ground feels the momentum that changes and the weight, whichever way the forces take:
 
     F = sum_b m_b (gamma - a_b)      M = sum_b s_b x m_b (gamma - a_b) - sum_k I_k alphadd_k   (3)
 
-Joint torques, dampers and pins between links are internal; those of ground joints are in M.
+and the loads besides.  Joint torques, dampers, pins and springs between links are internal; those
+at the ground are in F and M.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from robodyn.closed_form import absolute_rates, as_states, closure_jacobian, pha
 from robodyn.dense_dynamics import RANK_CUT
 from robodyn.dynamics import pin_forces
 from robodyn.errors import InputError
+from robodyn.forces import forces_on_links, load_wrench
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -61,6 +65,9 @@ def reactions(
         raise InputError("multipliers.shape", value=lam.shape, limit=limit)
     _, load = _motion(mechanism, bodies, q, qd, qdd)
     forces = -(load @ bodies.below)
+    if mechanism.springs or mechanism.forces:
+        E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
+        forces = forces - forces_on_links(mechanism, E, rates) @ mechanism.arrays.J
     if len(bodies.sides):
         pins = pin_forces(mechanism, lam)
         forces = forces - (pins[..., 0] + 1j * pins[..., 1]) @ bodies.sides
@@ -71,7 +78,8 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     """What the mechanism does to the ground, equation (3), (..., 3): Fx, Fy N, M N m.
 
     M is about the origin, counter-clockwise.  All joints that hang from the ground, closures to
-    ground points, sliders, and torques and dampers of ground joints are in it.  q, qd, qdd (..., n)
+    ground points, sliders, springs to the ground, and torques and dampers of ground joints are in
+    it.  q, qd, qdd (..., n)
     are a motion that obeys equation (1), rad and s.  Raises InputError for arrays that do not fit.
     """
     bodies = _bodies(mechanism)
@@ -79,6 +87,9 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     force = load.sum(axis=-1)
     moment = (place.conj() * load).imag.sum(axis=-1)
     moment = moment - absolute_rates(mechanism, qdd, "qdd") @ bodies.inertia
+    if mechanism.forces or any(mechanism.moments):
+        of_loads = load_wrench(mechanism, phases(mechanism, q))
+        force, moment = force + of_loads[0], moment + of_loads[1]
     return np.stack([force.real, force.imag, moment], axis=-1)
 
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from robodyn import dense_dynamics, straightline
 from robodyn.actuation import Actuation
 from robodyn.change_points import lead_across
+from robodyn.closed_form import other_forces
 from robodyn.mechanism import Mechanism
 from robodyn.projection import (
     SINGULAR,
@@ -142,6 +143,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
+    forced = mechanism.has_forces
 
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
@@ -152,6 +154,8 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
         if not np.isfinite(y).all():
             return np.full(len(y), np.nan)
         qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
+        if work and forced:
+            tau = tau + other_forces(mechanism, q, qd)
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

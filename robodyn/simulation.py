@@ -191,7 +191,7 @@ def run(
     if stamps and not (min(stamps) <= min(0.0, t_end) and max(stamps) >= max(0.0, t_end)):
         span = f"{min(stamps):g} to {max(stamps):g} s"
         raise InputError("table of torques", value=span, limit=f"must cover 0 to {t_end:g} s")
-    work = actuation.active or any(mechanism.damping)
+    work = actuation.active or mechanism.dissipates
     report = Report(
         method=settings.method,
         rtol=settings.rtol,

@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from robodyn.actuation import Actuation
 from robodyn.change_points import Closing
+from robodyn.closed_form import other_forces, scene_torques
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ class SparseMechanism:
         n, r = mechanism.n, len(mechanism.rows)
         self.n, self.r = n, r
         self.mechanism = mechanism
-        self.weight = np.conj(mechanism.gamma) * np.array(mechanism.B)
+        self.weight, self.moments = np.array(mechanism.weights), np.array(mechanism.moments)
         self.damping = np.array(mechanism.damping)
         self.j, self.k = (np.array([entry[i] for entry in mechanism.A]) for i in (0, 1))
         self.A = np.array([entry[2] for entry in mechanism.A])
@@ -79,8 +80,10 @@ class SparseMechanism:
         squares = rates**2
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
+        if self.mechanism.has_forces:
+            joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E)
         force = joint - np.bincount(self.above, joint[self.child], minlength=n)
-        force -= (self.weight * E).imag
+        force -= (self.weight * E).imag - self.moments
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]
         force += np.bincount(j, turning * squares[k], minlength=n)
         force -= np.bincount(k, turning * squares[j], minlength=n)
@@ -123,6 +126,7 @@ def rates(
     """dy/dt; states too near a singular configuration are left to `fallback`."""
     n = system.n
     torques = actuation.function(n)
+    forced = system.mechanism.has_forces
 
     def derivative(t: float, y: Array) -> Array:
         try:
@@ -137,6 +141,8 @@ def rates(
             result: Array = fallback(t, y)
             return result
         qd = y[n : 2 * n]
+        if work and forced:
+            tau = tau + other_forces(system.mechanism, y[:n], qd)
         power = [tau @ qd - system.damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

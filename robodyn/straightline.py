@@ -13,6 +13,7 @@ from typing import Any
 
 from robodyn import expression, formulas
 from robodyn.actuation import Actuation
+from robodyn.force_formulas import force_code
 from robodyn.formulas import Formula
 from robodyn.mechanism import Mechanism
 
@@ -43,9 +44,11 @@ def compile_rates(
     `least_pivot` is handed to `otherwise`.
     """
     torques = actuation.constants
-    formula = formulas.forward_formula(mechanism, torques, baumgarte)
+    own_power = work and mechanism.has_forces
+    formula = formulas.forward_formula(mechanism, torques, baumgarte, own_power)
     n = mechanism.n
-    body, outputs = expression.float_source(formula.outputs[:n] + formula.pivots)
+    needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
+    body, outputs = expression.float_source(needed)
     rates = [f"qd{k}" for k in range(n)]
     names = [f"q{k}" for k in range(n)] + rates
     power = ""
@@ -55,9 +58,11 @@ def compile_rates(
             f"{tau}*qd{k}" for k, tau in enumerate(values) if torques is None or torques[k] != 0.0
         ]
         terms += [f"-{d!r}*qd{k}*qd{k}" for k, d in enumerate(mechanism.damping) if d != 0.0]
+        terms += outputs[n + len(formula.pivots) :]
         power = f", {' + '.join(terms) or '0.0'}"
         names.append("_")
-    checks = [f"not {pivot} > {least_pivot!r}" for pivot in outputs[n:]]
+    pivots = outputs[n : n + len(formula.pivots)]
+    checks = [f"not {pivot} > {least_pivot!r}" for pivot in pivots]
     guard = [f"if {' or '.join(checks)}: return otherwise(t, y)"] if checks else []
     statements = [
         f"{', '.join(names)}, = y.tolist()",
@@ -109,6 +114,18 @@ def compile_closing(
     return _define(source, "close")
 
 
+def compile_forces(mechanism: Mechanism, functions: Mapping[str, object]) -> FloatFunction:
+    """The joint torques of a scene's own forces from q, qd: of springs (n), then of the others (n).
+
+    `functions` are sin, cos, sqrt and tanh of the numbers it is called with.
+    """
+    code = force_code(mechanism)
+    inputs = [f"{name}{k}" for name in ("q", "qd") for k in range(mechanism.n)]
+    body = "\n    ".join([*code.lines, f"return ({', '.join(code.potential + code.other)},)"])
+    source = f"def forces({', '.join(inputs)}):\n    {body}\n"
+    return _define(source, "forces", scope=functions)
+
+
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
     """A function of input blocks, then output blocks, then work buffers; and how many buffers."""
     outputs = [f"y{i}" for i in range(len(formula.outputs) + len(formula.pivots))]
@@ -122,17 +139,12 @@ def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
 def _define(
     source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
 ) -> Callable[..., Any]:
-    names: dict[str, object] = {
-        **(scope or {}),
-        "sin": math.sin,
-        "cos": math.cos,
-        "nan": math.nan,
-        "inf": math.inf,
-    }
+    known = (*expression.FUNCTIONS, "nan", "inf")
+    names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
     if arrays:
         import numpy as np
 
-        calls = ("add", "subtract", "multiply", "divide", "negative", "sin", "cos")
+        calls = ("add", "subtract", "multiply", "divide", "negative", *expression.FUNCTIONS)
         names |= {call: getattr(np, call) for call in calls}
     exec(compile(source, f"<robodyn straight-line {name}>", "exec"), names)
     function = names[name]

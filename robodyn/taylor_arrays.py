@@ -29,7 +29,8 @@ class ArraySeries:
         self.J: Array = arrays.J.astype(dtype)
         self.A = np.asarray(arrays.A, self.complex)
         self.P = np.asarray(arrays.P, self.complex)
-        self.weight = -mechanism.gamma * np.asarray(mechanism.B, self.complex).conj()
+        self.weight = -np.asarray(mechanism.weights, self.complex).conj()
+        self.moments: Array = np.asarray(mechanism.moments, dtype)
         self.damping: Array = np.asarray(mechanism.damping, dtype)
         self.torques: Array | None = None if torques is None else np.asarray(torques, dtype)
         self.relative: Array = np.eye(n, dtype=dtype)  # J^-1
@@ -39,9 +40,10 @@ class ArraySeries:
         self.moving = torques is None or bool(self.damping.any())
 
     def expand(self, q: Array, qd: Array, push: Any = None) -> tuple[Array, Array | None]:
-        """z (n, order + 2), links' turns from the start as r + i t; the joints' net torques.
+        """z (n, order + 2), links' turns from the start as r + i t; the joints' working torques.
 
-        The latter, tau - D qd (n, order + 1), is None where it does not change.
+        The latter, those that change the energy, tau + Q - D qd (n, order + 1), is None where it
+        does not change.
         """
         n, p, dtype = self.mechanism.n, self.order, self.dtype
         r = len(self.P)
@@ -58,21 +60,22 @@ class ArraySeries:
         z = np.zeros((n, p + 2), self.complex)
         z[:, 0], z[:, 1] = 1.0, 1j * w
         F = np.zeros((n, p), self.complex)
-        net: Array = np.zeros((n, p + 1), dtype)
+        working: Array = np.zeros((n, p + 1), dtype)
+        constant: Array = np.zeros(n, dtype) if self.torques is None else self.torques
         for k in range(p):
             if self.moving:
-                net[:, k] = self._net(z, k, push)
-            elif k == 0:
-                net[:, 0] = self.torques
+                net, working[:, k] = self._net(z, k, push)
+            else:
+                net = constant if k == 0 else np.zeros(n, dtype)
             scale = dtype((k + 1) * (k + 2))
             inner = (z[:, 1 : k + 2].conj() * z[:, k + 1 : 0 : -1]).real.sum(axis=1)
             N = -scale / 2 * inner
-            T = self.relative.T @ net[:, k]
+            T = self.relative.T @ net
             if k:
                 T = T - (z[:, 1 : k + 1].conj() * F[:, k - 1 :: -1]).imag.sum(axis=1)
             b = T - W.imag @ N
             if k == 0:
-                b = b - weight.imag
+                b = b - weight.imag + self.moments
             solution = inverse @ np.concatenate([b, -PE.real @ N])
             P = N + 1j * solution[:n]
             F[:, k] = W @ P + PE.conj().T @ solution[n:]
@@ -80,17 +83,19 @@ class ArraySeries:
                 F[:, 0] += weight
             z[:, k + 2] = P / scale
         if self.moving:
-            net[:, p] = self._net(z, p, push)
-        return z, net if self.moving else None
+            _, working[:, p] = self._net(z, p, push)
+        return z, working if self.moving else None
 
-    def _net(self, z: Array, k: int, push: Any) -> Array:
-        """tau - D qd of order k."""
+    def _net(self, z: Array, k: int, push: Any) -> tuple[Array, Array]:
+        """tau + Q - D qd of order k, (n,), with springs and without."""
         rates = self.relative @ link_rates(z, k)
         if self.torques is not None:
             tau = self.torques if k == 0 else np.zeros_like(self.torques)
         else:
             tau = np.asarray(push(rates.tolist()), self.dtype)
-        return np.asarray(tau - self.damping * rates)
+        n = self.mechanism.n
+        damped = self.damping * rates
+        return tau[:n] - damped, tau[-n:] - damped
 
 
 def link_rates(z: Array, k: int) -> Array:

@@ -6,7 +6,7 @@ r^2 + t^2 = 1, and a tangential part:
 
     P_k = (k+1)(k+2) (r + i t)_{k+2},
     r_{k+2} = -1/2 sum_{0<m<k+2} (r_m r_{k+2-m} + t_m t_{k+2-m})
-    F_j = sum_l W_jl P_l - conj(E_j) (gamma conj(B_j) + sum_rows conj(P_row,j) lambda_row)
+    F_j = sum_l W_jl P_l - conj(E_j) (conj(weight_j) + sum_rows conj(P_row,j) lambda_row)
     r_j Im F_j - t_j Re F_j = tau_j,        Re(sum_l P_row,l E_l P_l) = 0
 
 with W = conj(E) A E at the step's start, whose real part is M.  So what is unknown at order k,
@@ -34,8 +34,8 @@ def compile_expansion(
     """The series, that of the rates to `order`, and one step along it.
 
     `torques` (n) are constant; None: `push(rates)`, given the coefficients of the joint rates of
-    one order, returns those of the torques.  With `work` a component for the work done by torques
-    less dampers is appended to the state.
+    one order, returns those of the torques, as `TorqueSeries` does.  With `work` a component for
+    the work done by torques less dampers is appended to the state.
     """
     writer = _Writer(mechanism, order, torques, work)
     source = writer.function()
@@ -63,8 +63,8 @@ class _Writer:
             if j != k:
                 self.coupling[k].append((j, value.real, -value.imag))
         self.own = [terms[0][1] for terms in self.coupling]
-        weight = [-mechanism.gamma * complex(b).conjugate() for b in mechanism.B]
-        self.weight = [(w.real, w.imag) for w in weight]
+        self.weight = [(-w.real, w.imag) for w in mechanism.weights]
+        self.separate = mechanism.has_forces  # whether `push` returns what does work besides
         # the power of constant torques needs no series: their work is tau times the way
         damped = any(self.damping)
         self.moving = torques is None or damped  # whether the series of the rates are wanted
@@ -196,8 +196,7 @@ class _Writer:
         own: list[list[str]] = []
         if self.torques is None:
             rates = ", ".join(f"v{j}_{k}" for j in range(self.n))
-            names = ", ".join(f"u{j}_{k}" for j in range(self.n))
-            self.add(f"{names}, = push(({rates},))")
+            self.push(k, rates)
         for j in range(self.n):
             terms = []
             if self.torques is None:
@@ -211,8 +210,16 @@ class _Writer:
         for j in range(self.n):
             terms = list(own[j])
             terms += [f"-({term})" for child in self.children[j] for term in own[child]]
+            if k == 0 and self.mechanism.moments[j]:
+                terms.append(repr(self.mechanism.moments[j]))
             result.append(_sum(terms) if terms else "")
         return result
+
+    def push(self, k: int, rates: str) -> None:
+        """u, the torques of order k, and g, those whose work changes the energy."""
+        kinds = "ug" if self.separate else "u"
+        names = ", ".join(f"{kind}{j}_{k}" for kind in kinds for j in range(self.n))
+        self.add(f"{names}, = push(({rates},))")
 
     def force(self, j: int, k: int, scale: float) -> None:
         """Re F_j of order k."""
@@ -294,15 +301,15 @@ class _Writer:
     def power(self) -> None:
         """The series of the power of torques less dampers."""
         p = self.order
+        working = "g" if self.separate else "u"
         if self.torques is None:  # the torques of the last order are not needed elsewhere
             rates = ", ".join(f"v{j}_{p}" for j in range(self.n))
-            names = ", ".join(f"u{j}_{p}" for j in range(self.n))
-            self.add(f"{names}, = push(({rates},))")
+            self.push(p, rates)
         for k in range(p + 1):
             terms = []
             for j in range(self.n):
                 if self.torques is None:
-                    terms.append(_convolution(f"u{j}_", f"v{j}_", 0, k, k))
+                    terms.append(_convolution(f"{working}{j}_", f"v{j}_", 0, k, k))
                 elif self.torques[j]:
                     terms.append(f"{self.torques[j]!r}*v{j}_{k}")
                 if self.damping[j]:

@@ -49,7 +49,9 @@ class CompiledEngine:
     @classmethod
     def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
         """Whether this engine can: constant torques, M and Psi regular but at single states."""
-        if actuation.constants is None or not elimination_is_safe(mechanism):
+        if actuation.constants is None or mechanism.has_forces:
+            return False
+        if not elimination_is_safe(mechanism):
             return False
         return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)
 

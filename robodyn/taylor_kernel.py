@@ -4,7 +4,7 @@ With E_k = c_k + i s_k = exp(i alpha_k), w = d(alpha)/dt and a = dw/dt, the coef
 
     E' = i w E             (k+1) E_{k+1} = i sum_m w_m E_{k-m}
     P = E''                P_k = (k+1)(X_k + i Y_k) + i a_k E_0,  X_k + i Y_k = i sum w_m E_{k+1-m}
-    F = A P - gamma conj(B) - P_closure^H lambda                  Re(conj(i E_j) F_j) = tau_j
+    F = A P - conj(weight) - P_closure^H lambda                   Re(conj(i E_j) F_j) = tau_j
 
 so that (a_k, -lambda_k) solves [M Psi^T; Psi 0] of the step's start with a right side of two
 convolutions a link; the factors serve all orders.  Where the numbers lie, `taylor_layout.py` says.
@@ -292,6 +292,7 @@ def _series(whole, real, work, at, y, q):
             torque = -real[at.damping + j] * rate
             if k == 0:
                 torque += real[at.torque + j]
+                work[at.x + whole[at.place + j]] += real[at.moment + j]
             work[at.x + whole[at.place + j]] += torque
             if above >= 0:
                 work[at.x + whole[at.place + above]] -= torque

@@ -62,10 +62,11 @@ class Layout(NamedTuple):
     inertia: int  # (n,) A_jj, kg m^2
     A_re: int  # kg m^2
     A_im: int
-    weight_re: int  # (n,) gamma conj(B), N
+    weight_re: int  # (n,) conj(weights), N m
     weight_im: int
     damping: int  # (n,) N m s/rad
     torque: int  # (n,) N m
+    moment: int  # (n,) N m, on links
     P_re: int
     P_im: int
     offset: int  # (r,) m
@@ -107,7 +108,7 @@ def numbers(
     assert actuation.constants is not None
     n, r = mechanism.n, len(mechanism.rows)
     parent = [-1 if above is None else above for above in mechanism.parent]
-    weight = mechanism.gamma * np.conj(np.array(mechanism.B, complex))
+    weight = np.conj(np.array(mechanism.weights, complex))
     beside: list[list[tuple[int, complex]]] = [[] for _ in range(n)]
     inertia = [0.0] * n
     for j, k, value in mechanism.A:
@@ -167,6 +168,7 @@ def numbers(
         "weight_im": weight.imag,
         "damping": mechanism.damping,
         "torque": actuation.constants,
+        "moment": mechanism.moments,
         "P_re": [value.real for _, _, value in P],
         "P_im": [value.imag for _, _, value in P],
         "offset": [row.offset for row in mechanism.rows],

@@ -58,10 +58,10 @@ def stepping_engine(
     if order is None:
         order = default_order(max(rtol, atol))
     torques: tuple[float, ...] | TorqueSeries
-    if actuation.constants is not None:
+    if actuation.constants is not None and not mechanism.has_forces:
         torques = actuation.constants
     else:
-        torques = TorqueSeries(actuation, mechanism.n)
+        torques = TorqueSeries(actuation, mechanism)
     closing = float_closing(mechanism) if mechanism.rows and project else None
     small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
         mechanism
@@ -116,8 +116,9 @@ def taylor_run(
     if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
         stepping = fast()
         if stepping is None and engine == "compiled":
-            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, and "
-            limit += "closures that do not depend on one another: take auto or python"
+            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, no "
+            limit += "springs, friction or forces that turn, and closures that do not depend on "
+            limit += "one another: take auto or python"
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None
     if stepping is None:
@@ -155,7 +156,8 @@ def taylor_run(
         crosses = stuck or status is Status.SINGULAR
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
-            if find_spec("numba") is None and actuation.constants is not None:
+            simple = actuation.constants is not None and not mechanism.has_forces
+            if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
 
 

@@ -202,17 +202,17 @@ class ArrayEngine(SteppingEngine):
         push = torques.begin(t, y, direction) if isinstance(torques, TorqueSeries) else None
         try:
             with np.errstate(all="ignore"):
-                z, net = self._series.expand(np.array(y[:n]), np.array(y[n : 2 * n]), push)
+                z, working = self._series.expand(np.array(y[:n]), np.array(y[n : 2 * n]), push)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             return 0.0, y, ()
         if not np.isfinite(z).all():
             return 0.0, y, ()
         h = min(most, step_size(z, *self.tolerances))
         series = [z.real, z.imag]
-        if self.work and net is not None:
+        if self.work and working is not None:
             rates = np.stack([link_rates(z, k) for k in range(p + 1)], axis=-1)
             relative = relative_matrix(self.mechanism) @ rates
-            power = [(net[:, : k + 1] * relative[:, k::-1]).sum() for k in range(p + 1)]
+            power = [(working[:, : k + 1] * relative[:, k::-1]).sum() for k in range(p + 1)]
             series.append(np.array([[*power, 0.0]]))
         rows = np.concatenate(series)
         closing, self.closing = self.closing, None

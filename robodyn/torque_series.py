@@ -15,27 +15,42 @@ from typing import TypeVar
 
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError
+from robodyn.force_formulas import force_code
+from robodyn.mechanism import Mechanism
 
 Push = Callable[[Sequence[float]], list[float]]
 NodeT = TypeVar("NodeT", bound="_Node")
 
 
 class TorqueSeries:
-    """The series of all joint torques of an actuation whose torques are not constant."""
+    """The series of all joint torques: of an actuation, and of a scene's springs and the like.
 
-    def __init__(self, actuation: Actuation, n: int) -> None:
-        self.n, self.kinks = n, actuation.kinks
-        self._function = actuation.function(n)
-        self._reader = None if actuation.kinks else _Reader(actuation, n)
+    What `begin` gives returns the torques (n) of one order, and where the scene has forces of its
+    own those again (n) without springs, whose work is no loss of energy.
+    """
+
+    def __init__(self, actuation: Actuation, mechanism: Mechanism) -> None:
+        self.kinks = actuation.kinks
+        self.separate = mechanism.has_forces
+        self._function = actuation.function(mechanism.n)
+        self._reader = reader = _Reader(mechanism.n)
+        self._given = reader.actuation(actuation)
+        self._taus = self._working = self._given
+        if self.separate:
+            self._working, self._taus = reader.scene(mechanism, self._given)
+        self._n = mechanism.n
 
     def begin(self, t: float, y: Sequence[float], direction: float) -> Push:
         """A function from the coefficients of the joint rates of an order to those of the torques.
 
         It is called with order 0 first, and so on; y = (q, qd, ...) is the state at t.
         """
-        if self._reader is None:
-            return self._pieces(t, y, direction)
-        return self._reader.begin(t, y)
+        push = self._reader.begin(t, y, self._taus + self._working * self.separate)
+        if self.kinks:
+            for node, value, slope in zip(self._given, *self._piece(t, y, direction), strict=True):
+                assert isinstance(node, _Given)
+                node.coming = [value, slope]
+        return push
 
     def agrees(self, x: float, t: float, y: Sequence[float], relative: float, small: float) -> bool:
         """Whether the series, x after where it began, gives the torques at the state y at t.
@@ -44,13 +59,13 @@ class TorqueSeries:
         flat where it began (tanh(1e5*t)).  What it misses by may be `small`, N m, or that part of
         its terms.
         """
-        if self._reader is None:  # a table, on which steps end where it bends
+        if self.kinks:  # a table, on which steps end where it bends
             return True
         try:
             torques = self._function(t, y)
         except (ArithmeticError, ValueError):  # outside the domain
             return False
-        for node, torque in zip(self._reader.taus, torques, strict=True):
+        for node, torque in zip(self._given, torques, strict=True):
             total = most = 0.0
             power = 1.0
             for value in node.values:
@@ -62,8 +77,10 @@ class TorqueSeries:
                 return False
         return True
 
-    def _pieces(self, t: float, y: Sequence[float], direction: float) -> Push:
-        """Of a table: a value and a slope up to its next row."""
+    def _piece(
+        self, t: float, y: Sequence[float], direction: float
+    ) -> tuple[list[float], list[float]]:
+        """Of a table: the torques at t and their slopes up to its next row."""
         if direction > 0.0:
             end = self.kinks[min(bisect_right(self.kinks, t), len(self.kinks) - 1)]
         else:
@@ -71,48 +88,72 @@ class TorqueSeries:
         third = (end - t) / 3.0 or 1.0
         first, second = (self._function(t + k * third, y) for k in (1, 2))
         slopes = [(b - a) / third for a, b in zip(first, second, strict=True)]
-        orders = [[a - s * third for a, s in zip(first, slopes, strict=True)], slopes]
-        zero = [0.0] * self.n
-
-        def push(rates: Sequence[float]) -> list[float]:
-            return orders.pop(0) if orders else zero
-
-        return push
+        return [a - s * third for a, s in zip(first, slopes, strict=True)], slopes
 
 
 class _Reader:
-    """Builds the nodes of an actuation's expressions."""
+    """Builds the nodes of expressions."""
 
-    def __init__(self, actuation: Actuation, n: int) -> None:
+    def __init__(self, n: int) -> None:
         self.n = n
         self.nodes: list[_Node] = []  # each after its parts
-        self.time = self.keep(_Given())
-        self.q = [self.keep(_Given()) for _ in range(n)]
-        self.qd = [self.keep(_Given()) for _ in range(n)]
-        self.taus: list[_Node] = [self.keep(_Given()) for _ in range(n)]
+        self.time: _Given | None = None  # made where an expression names it, as these
+        self.q: dict[int, _Given] = {}
+        self.qd: dict[int, _Given] = {}
+        self.names: dict[str, _Node] = {}
+
+    def actuation(self, actuation: Actuation) -> list[_Node]:
+        """The nodes of the joint torques (n) of an actuation; those of a table are given."""
+        if actuation.constants is not None:
+            return [self.constant(value) for value in actuation.constants]
+        taus: list[_Node] = [self.keep(_Given()) for _ in range(self.n)]
+        if actuation.kinks:
+            return taus
         for line in actuation.lines:
             match ast.parse(line).body:
                 case [ast.Assign(targets=[ast.Name(id=name)], value=value)]:
-                    self.taus[int(name.removeprefix("tau"))] = self.read(value)
+                    taus[int(name.removeprefix("tau"))] = self.read(value)
                 case _:
                     raise _refused("a function of Python")
+        return taus
 
-    def begin(self, t: float, y: Sequence[float]) -> Push:
+    def scene(self, mechanism: Mechanism, taus: list[_Node]) -> tuple[list[_Node], list[_Node]]:
+        """Those and the scene's own torques: without springs, and with them."""
+        code = force_code(mechanism)
+        for line in code.lines:
+            name, _, text = line.partition(" = ")
+            self.names[name] = self.read(ast.parse(text, mode="eval").body)
+
+        def plus(nodes: list[_Node], texts: tuple[str, ...]) -> list[_Node]:
+            parts = [self.read(ast.parse(text, mode="eval").body) for text in texts]
+            pairs = zip(nodes, parts, texts, strict=True)
+            return [a if text == "0.0" else self.keep(_Sum(a, b, 1.0, 1.0)) for a, b, text in pairs]
+
+        working = plus(taus, code.other)
+        return working, plus(working, code.potential)
+
+    def begin(self, t: float, y: Sequence[float], outputs: list[_Node]) -> Push:
         n = self.n
         for node in self.nodes:
             node.values = []
-        self.time.coming = [t, 1.0]
+        if self.time is not None:
+            self.time.coming = [t, 1.0]
         angles = list(y[:n])
+        order = 0
 
         def push(rates: Sequence[float]) -> list[float]:
-            k = len(self.qd[0].values)
+            nonlocal order
+            for j, node in self.q.items():
+                node.coming = [angles[j]]
+            for j, node in self.qd.items():
+                node.coming = [rates[j]]
+            k = order
+            order += 1
             for j, rate in enumerate(rates):
-                self.q[j].coming = [angles[j]]
-                self.qd[j].coming = [rate]
-                angles[j] = rate / (k + 1)
-            for node in self.nodes:
-                node.values.append(node.coefficient(k))
-            return [node.values[k] for node in self.taus]
+                angles[j] = rate / order
+            for other in self.nodes:
+                other.values.append(other.coefficient(k))
+            return [other.values[k] for other in outputs]
 
         return push
 
@@ -126,11 +167,15 @@ class _Reader:
             case ast.Constant(value=int() | float() as value):
                 return self.constant(float(value))
             case ast.Name(id="t"):
+                if self.time is None:
+                    self.time = self.keep(_Given())
                 return self.time
+            case ast.Name(id=name) if name in self.names:
+                return self.names[name]
             case ast.Name(id=name) if name.startswith("qd"):
-                return self.qd[int(name[2:])]
+                return self.given(self.qd, int(name[2:]))
             case ast.Name(id=name) if name.startswith("q"):
-                return self.q[int(name[1:])]
+                return self.given(self.q, int(name[1:]))
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.read(operand)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -150,6 +195,11 @@ class _Reader:
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self.function(name.removeprefix("_"), [self.read(x) for x in args])
         raise _refused(f"`{ast.unparse(tree)[:60]}`")
+
+    def given(self, nodes: dict[int, _Given], joint: int) -> _Given:
+        if joint not in nodes:
+            nodes[joint] = self.keep(_Given())
+        return nodes[joint]
 
     def constant(self, value: float) -> _Node:
         node = self.keep(_Given())

@@ -274,6 +274,49 @@ def scene(numbers: Numbers, shape: Shape, massless: tuple[int, ...] = ()) -> Sce
     return Scene("\n".join(text) + "\n", pose.q, qd, qdd)
 
 
+def forced(seed: int, plain: Scene) -> Scene:
+    """The scene with springs, loads and friction of every kind at random links."""
+    numbers, n = seeded(1000 + seed), plain.n
+
+    def link() -> str:
+        return f"link{numbers.whole(0, n - 1)}"
+
+    def place() -> dict:
+        return {"link": link(), "at": _pair(numbers.point(0.8))}
+
+    first = place()
+    second = _pair(numbers.point(2.0))
+    others = [f"link{k}" for k in range(n) if f"link{k}" != first["link"]]
+    if others:
+        second = {"link": others[seed % len(others)], "at": second}
+    springs = [
+        {
+            "between": [place(), _pair(numbers.point(2.0))],
+            "stiffness": numbers.real(5.0, 40.0),
+            "length": numbers.real(0.1, 1.0),
+            "damping": numbers.real(0.1, 2.0),
+        },
+        {"between": [first, second], "stiffness": numbers.real(5.0, 40.0), "length": 0},
+        {
+            "joint": link(),
+            "stiffness": numbers.real(1.0, 9.0),
+            "angle": numbers.real(-2.0, 2.0),
+            "damping": numbers.real(0.0, 0.5),
+        },
+    ]
+    loads = [
+        {**place(), "force": _pair(numbers.point(9.0))},
+        {**place(), "force": _pair(numbers.point(9.0)), "frame": "link"},
+        {"link": link(), "torque": numbers.real(-3.0, 3.0)},
+    ]
+    friction = {"torque": numbers.real(0.1, 2.0), "speed": numbers.real(0.5, 2.0)}
+    rubbing = f"name: link{numbers.whole(0, n - 1)},"
+    text = plain.text.replace(rubbing, f"{rubbing} friction: {_flow(friction)},")
+    lists = {"springs": springs, "loads": loads}
+    added = [f"{key}: {_flow(entries)}\n" for key, entries in lists.items()]
+    return Scene(text + "".join(added), plain.q, plain.qd, plain.qdd)
+
+
 def seeded_scene(seed: int, shape: Shape, massless: tuple[int, ...] = ()) -> Scene:
     """A random scene of this shape, always the same for the same seed."""
     numbers = seeded(seed)
@@ -328,7 +371,7 @@ def _flow(value) -> str:
     """A value in YAML's flow style."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_flow, value)) + "]"
     return value if isinstance(value, str) else repr(value)
 

@@ -331,13 +331,14 @@ class TestSelfTestDetects:
     @MODELS
     def test_a_wrong_first_moment(self, robot):
         mech = load_robot(robot)
-        B = (mech.B[0] * 1.1, *mech.B[1:])
-        assert broken(dataclasses.replace(mech, B=B))
+        weights = (mech.weights[0] * 1.1, *mech.weights[1:])
+        assert broken(dataclasses.replace(mech, weights=weights))
 
     @MODELS
     def test_a_wrong_gravity(self, robot):
         mech = load_robot(robot)
-        assert broken(dataclasses.replace(mech, gamma=mech.gamma * 1.1))
+        weights = tuple(weight * 1.1 for weight in mech.weights)
+        assert broken(dataclasses.replace(mech, weights=weights))
 
     @MODELS
     def test_a_wrong_height(self, robot):

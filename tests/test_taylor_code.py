@@ -147,7 +147,7 @@ class TestCoefficients:
         found = drawn(name)
         mech, tau = found.mechanism, torques(found.mechanism)
         text = ", ".join(f"{tau[k]!r} + 0*t" for k in mech.actuated)
-        pushed = TorqueSeries(expressions(mech, text, "test"), mech.n)
+        pushed = TorqueSeries(expressions(mech, text, "test"), mech)
         y = [*found.q, *found.qd]
         assert apart(straight(mech, y, tau=pushed)[0], straight(mech, y)[0]) < 1e-13
 
@@ -161,7 +161,7 @@ class TestPower:
         tau = np.array(given)
         if kind == "expression":
             text = ", ".join(f"{given[k]!r} + 0*t" for k in mech.actuated)
-            given = TorqueSeries(expressions(mech, text, "test"), mech.n)
+            given = TorqueSeries(expressions(mech, text, "test"), mech)
         z, power = straight(mech, [*found.q, *found.qd, 0.0], tau=given, work=True)
         if not len(power):  # constant torques without dampers: the work is tau times the way
             assert not any(mech.damping)

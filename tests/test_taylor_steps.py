@@ -24,7 +24,7 @@ def engine(kind, mech, tau="", rtol=1e-15, order=None, work=False):
     actuation = expressions(mech, tau, "test") if tau else Actuation((0.0,) * mech.n)
     torques = actuation.constants
     if torques is None:
-        torques = TorqueSeries(actuation, mech.n)
+        torques = TorqueSeries(actuation, mech)
     closing = float_closing(mech) if mech.rows else None
     return kind(mech, closing, order or default_order(rtol), rtol, rtol, torques, work)
 

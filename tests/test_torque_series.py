@@ -51,7 +51,7 @@ def series(text, mech=None):
     rates = np.array([coefficients(rate) for rate in RATES])
     with mp.workdps(50):
         y = [float(way(mpf(T0))) for way in (*WAYS, *RATES)]
-    push = TorqueSeries(expressions(mech, text, "test"), 2).begin(T0, y, 1.0)
+    push = TorqueSeries(expressions(mech, text, "test"), mech).begin(T0, y, 1.0)
     return np.array([push(rates[:, k].tolist()) for k in range(ORDER + 1)])
 
 
@@ -86,7 +86,7 @@ class TestFunctions:
 
     def test_begun_again_it_forgets(self):
         mech = scene("2r")
-        torques = TorqueSeries(expressions(mech, "sin(q1)*tanh(t), cos(q2)", "test"), 2)
+        torques = TorqueSeries(expressions(mech, "sin(q1)*tanh(t), cos(q2)", "test"), scene("2r"))
         first, second = ([], [])
         for found in (first, second):
             push = torques.begin(0.5, [0.1, 0.2, 0.3, 0.4], 1.0)
@@ -131,7 +131,7 @@ class TestTable:
         ],
     )
     def test_value_and_slope_of_the_piece_ahead(self, t, direction, piece):
-        torques = TorqueSeries(table(scene("2r"), TIMES, ROWS), 2)
+        torques = TorqueSeries(table(scene("2r"), TIMES, ROWS), scene("2r"))
         push = torques.begin(t, [0.1, 0.2, 0.3, 0.4], direction)
         begin, end = (np.array(ROWS[k]) for k in (piece, piece + 1))
         slope = (end - begin) / (TIMES[piece + 1] - TIMES[piece])
@@ -167,7 +167,7 @@ class TestAgrees:
     )
     def test_what_bends(self, text, smooth, bent):
         y = [0.1, 0.2, 0.0, 0.0]
-        torques = TorqueSeries(expressions(scene("2r"), text, "test"), 2)
+        torques = TorqueSeries(expressions(scene("2r"), text, "test"), scene("2r"))
         push = torques.begin(T0, y, 1.0)
         for _ in range(ORDER + 1):
             push([0.0, 0.0])

@@ -10,8 +10,8 @@ import typer
 from robodyn import assembly, closed_form
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import new_table, note, wants_tables, write_structure
+from robodyn.cli.scene_facts import force_facts, links, springs_and_loads
 from robodyn.cli.states import remarks
-from robodyn.description import Point
 from robodyn.errors import InputError
 from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
 from robodyn.loop_class import loop_class
@@ -51,7 +51,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     content = {
         "name": mechanism.name,
         "gravity": [mechanism.gamma.real, mechanism.gamma.imag],
-        "links": _links(mechanism),
+        "links": links(mechanism),
+        **springs_and_loads(mechanism),
         "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
         **_conditioning(mechanism, sample),
@@ -74,28 +75,6 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         note(f"Error: does not hold to {BOUND:g}: {'; '.join(failed)}")
     if failed or singular is not None:
         raise typer.Exit(1)
-
-
-def _links(mechanism: Mechanism) -> list[dict[str, object]]:
-    names = mechanism.link_names
-
-    def place(point: Point) -> str:
-        at = f"({point.at.real:g}, {point.at.imag:g})"
-        return f"ground {at}" if point.link is None else f"{names[point.link]} {at}"
-
-    return [
-        {
-            "name": link.name,
-            "m": link.m,
-            "l": link.l,
-            "r": [link.r.real, link.r.imag],
-            "I": link.I,
-            "from": place(link.hangs_from),
-            "payload": link.payload,
-            "damping": link.damping,
-        }
-        for link in mechanism.description.links
-    ]
 
 
 def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
@@ -130,21 +109,27 @@ def _tables(
     mechanism: Mechanism, content: dict[str, object], results: list[Identity]
 ) -> list[Group]:
     columns = ["link", "m [kg]", "l [m]", "r [m]", "I [kg m²]", "hangs from"]
-    links = mechanism.description.links
-    extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in links)]
+    described = mechanism.description.links
+    extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in described)]
     units = {"payload": "payload [kg]", "damping": "damping [N m s/rad]"}
+    columns += [units[key] for key in extras]
     rows = []
-    for k, (link, shown) in enumerate(zip(links, _links(mechanism), strict=True)):
+    for k, (link, shown) in enumerate(zip(described, links(mechanism), strict=True)):
         r = f"{link.r.real:g}" if link.r.imag == 0 else f"({link.r.real:g}, {link.r.imag:g})"
         values = [f"{link.m:g}", f"{link.l:g}", r, f"{link.I:g}", str(shown["from"])]
         values += [f"{getattr(link, key):g}" for key in extras]
         driven = "yes" if k in mechanism.actuated else ""
         rows.append([f"{k + 1} {link.name}", *values, driven])
-    read = new_table([*columns, *(units[key] for key in extras), "actuated"], rows, mechanism.name)
-
+    if any(link.friction for link in described):
+        columns.append("friction [N m]")
+        for row, link in zip(rows, described, strict=True):
+            rubbing = link.friction
+            above = "" if rubbing is None else f"{rubbing.torque:g} above {rubbing.speed:g} rad/s"
+            row.insert(-1, above)
     gravity = mechanism.gamma
     facts = [["gravity", f"({gravity.real:g}, {gravity.imag:g}) m/s²"]]
     facts.append(["mobility", str(content["mobility"])])
+    facts += force_facts(mechanism)
     loops = content["loops"]
     assert isinstance(loops, list)
     facts += [[f"loop {c + 1}", kind] for c, kind in enumerate(loops)]
@@ -157,6 +142,7 @@ def _tables(
     if content["closing"] is not None:
         facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
 
+    read = new_table([*columns, "actuated"], rows, mechanism.name)
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
     proof = [[item.name, *_verdict(item)] for item in results]
     return [read, new_table(["", ""], facts), new_table(["identity", "residual", ""], proof, title)]

@@ -20,8 +20,9 @@ def terms(
 ) -> None:
     """M, C, G, the closures' Psi, and the energies at a state.
 
-    They are the terms of M qdd + C qd + G = tau + Psi^T lambda, in SI units and radians.
-    JSON keys: q, qd, M, C, G, Psi, Psidot_qd, gap, KE, PE.
+    They are the terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians;
+    G holds springs too, Q what has no potential: dampers of springs, forces that turn, friction.
+    JSON keys: q, qd, M, C, G, Q (where there is any), Psi, Psidot_qd, gap, KE, PE.
 
     \b
     Examples:
@@ -38,7 +39,9 @@ def terms(
         "C": closed_form.coriolis_matrix(mechanism, q_, qd_),
         "G": closed_form.gravity_vector(mechanism, q_),
     }
-    units = {"q": "rad", "qd": "rad/s", "M": "kg m²", "C": "kg m²/s", "G": "N m"}
+    units = {"q": "rad", "qd": "rad/s", "M": "kg m²", "C": "kg m²/s", "G": "N m", "Q": "N m"}
+    if mechanism.has_forces:
+        content["Q"] = closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
         content["Psi"] = closed_form.closure_jacobian(mechanism, q_)
         content["Psidot_qd"] = closed_form.closure_bias(mechanism, q_, qd_)
