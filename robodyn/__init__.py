@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robodyn.closed_form import mass_matrix as mass_matrix
     from robodyn.closed_form import other_forces as other_forces
     from robodyn.closed_form import potential_energy as potential_energy
+    from robodyn.dynamics import coupling_torques as coupling_torques
     from robodyn.dynamics import forward_dynamics as forward_dynamics
     from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
     from robodyn.dynamics import inverse_dynamics as inverse_dynamics
@@ -55,6 +56,7 @@ _ROOMS = {
         "potential_energy",
     ],
     "dynamics": [
+        "coupling_torques",
         "forward_dynamics",
         "forward_dynamics_and_forces",
         "inverse_dynamics",

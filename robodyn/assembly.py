@@ -12,7 +12,8 @@ link reaches, by a circle and a line.  Each has two branches:
              /                        crossed: behind it
            A
 
-Dyads are solved one after another, each with what the earlier ones fixed.  (Where both unknown
+Joints that couplings tie to actuated ones are known like these.  Dyads are solved one after
+another, each with what the earlier ones fixed.  (Where both unknown
 links belong to one side, P is the joint between them.)  Loops that are no chain of dyads are
 closed by Newton's method along a path from the scene's `start` configuration.
 """
@@ -29,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.closed_form import closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.mechanism import Mechanism
+from robodyn.scene import Coupling
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -51,6 +53,7 @@ class Step:
 class Plan:
     """How a mechanism is assembled: dyads in order, then what only Newton's method closes."""
 
+    coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
     turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
     steps: tuple[Step, ...]
     rest: tuple[int, ...]  # links left unknown
@@ -94,7 +97,10 @@ def attempt(
     plan = assembly_plan(mechanism)
     q = np.zeros((*given.shape[:-1], mechanism.n))
     q[..., list(mechanism.actuated)] = given
-    alpha = _known_angles(mechanism, plan, q)
+    for joint, c in plan.coupled:
+        q[..., joint] = _coupled_angle(mechanism.description.couplings[c], joint, q)
+    known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
+    alpha = _known_angles(mechanism, known, q)
     missing = np.zeros(given.shape[:-1])
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
@@ -105,6 +111,8 @@ def attempt(
                 if root == link:
                     alpha[..., k] += angle
     for k in mechanism.passive:
+        if k in known:
+            continue
         above = mechanism.parent[k]
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
         q[..., k] = np.remainder(relative + np.pi, 2 * np.pi) - np.pi
@@ -118,15 +126,16 @@ def attempt(
 def assembly_plan(mechanism: Mechanism) -> Plan:
     """The order in which the closures can be solved; InputError where joints are left free."""
     turns_with: list[int | None] = [None] * mechanism.n
-    actuated = set(mechanism.actuated)
+    coupled, open_couplings = _resolve_couplings(mechanism)
+    given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
     for k in mechanism.order:
         above = mechanism.parent[k]
-        turns_with[k] = k if k not in actuated else None if above is None else turns_with[above]
+        turns_with[k] = k if k not in given else None if above is None else turns_with[above]
     loops = [_unknown_in_loop(mechanism, turns_with, c) for c in range(_closures(mechanism))]
     known: set[int] = set()
     steps: list[Step] = []
     waiting = set(range(len(loops)))
-    while waiting:
+    while waiting and not open_couplings:
         for c in sorted(waiting):
             unknown = tuple(k for k in loops[c] if k not in known)
             slider = mechanism.description.closures[c].along is not None
@@ -137,8 +146,9 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
                 break
         else:
             break
-    rest = tuple(k for k in mechanism.passive if k not in known)
-    free = [k for k in rest if not any(k in loops[c] for c in waiting)]
+    rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
+    held = set(open_couplings).union(*(loops[c] for c in waiting))
+    free = [k for k in rest if k not in held]
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) < freedoms and not free:
         limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
@@ -154,7 +164,39 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
             f"the scene, or give all {mechanism.n} joint angles"
         )
         raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
-    return Plan(tuple(turns_with), tuple(steps), rest)
+    return Plan(coupled, tuple(turns_with), tuple(steps), rest)
+
+
+def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
+    """The joints that follow one after another from actuated ones, each with its coupling.
+
+    And the joints of couplings that do not follow so.
+    """
+    known = set(mechanism.actuated)
+    found: list[tuple[int, int]] = []
+    waiting = dict(enumerate(mechanism.description.couplings))
+    while True:
+        unknown = {c: _joints(coupling) - known for c, coupling in waiting.items()}
+        follows = next((c for c, joints in unknown.items() if len(joints) <= 1), None)
+        if follows is None:
+            return tuple(found), set().union(*map(_joints, waiting.values()))
+        del waiting[follows]
+        found += [(joint, follows) for joint in unknown[follows]]
+        known |= unknown[follows]
+
+
+def _joints(coupling: Coupling) -> set[int]:
+    return {coupling.joint, *(k for k, _ in coupling.terms)}
+
+
+def _coupled_angle(coupling: Coupling, joint: int, q: Array) -> Array:
+    """q_joint (...) by a coupling whose other joints are known."""
+    ratios = {coupling.joint: -1.0, **dict(coupling.terms)}  # sum of ratio q = -angle
+    total = np.full(q.shape[:-1], coupling.angle)
+    for k, ratio in ratios.items():
+        if k != joint:
+            total = total + ratio * q[..., k]
+    return -total / ratios[joint]
 
 
 def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
@@ -177,7 +219,7 @@ def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (
 
 def loop_size(mechanism: Mechanism) -> float:
     """The largest sum of lengths in a closure, m: what a gap is measured against."""
-    sizes = [sum(abs(p) for _, p in row.P) + abs(row.offset) for row in mechanism.rows]
+    sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
     return max(sizes, default=0.0)
 
 
@@ -264,13 +306,12 @@ def _solve(
     return angles, np.where(missing > tolerance, missing, 0.0)
 
 
-def _known_angles(mechanism: Mechanism, plan: Plan, q: Array) -> Array:
+def _known_angles(mechanism: Mechanism, known: set[int], q: Array) -> Array:
     """Absolute angles of known links; of the others, what they turn ahead of their unknown."""
     alpha = np.zeros_like(q)
-    actuated = set(mechanism.actuated)
     for k in mechanism.order:
         above = mechanism.parent[k]
-        if k in actuated:
+        if k in known:
             alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
     return alpha
 
@@ -320,7 +361,10 @@ def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         if given[k] is None:
             begin[..., k] = target[..., place]
     held = actuated
-    way = np.remainder(target - begin[..., actuated] + np.pi, 2 * np.pi) - np.pi
+    way = target - begin[..., actuated]
+    geared = mechanism.description.couplings
+    if not geared:  # turns count where joints are coupled
+        way = np.remainder(way + np.pi, 2 * np.pi) - np.pi
     steps = int(np.ceil(np.abs(way).max(initial=0.0) / PATH_STEP))
     here = close_positions(mechanism, begin, held)
     lost = _open(mechanism, here)
@@ -336,7 +380,9 @@ def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         here = np.where(lost[..., None], here, there)
     here[..., actuated] = target
     gap = np.linalg.norm(closure_gap(mechanism, here), axis=-1)
-    here[..., passive] = np.remainder(here[..., passive] + np.pi, 2 * np.pi) - np.pi
+    counting = set().union(*map(_joints, geared))
+    turning = [k for k in passive if k not in counting]
+    here[..., turning] = np.remainder(here[..., turning] + np.pi, 2 * np.pi) - np.pi
     return here, np.where(lost, np.maximum(gap, CLOSED * loop_size(mechanism)), 0.0)
 
 

@@ -4,7 +4,8 @@ With E = exp(i alpha), alpha = J q, and W = conj(E)[:, None] * A * E[None, :],
 
     M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T (Im(w E) - moments)
     KE = 1/2 alphad^T Re(W) alphad      PE = -Re(w . E) - moments . alpha + const
-    gap = Re(P E) + offset      Psi = -Im(P * E) J      Psidot qd = -Re(P (E * alphad^2))
+    gap = Re(P E) + angles alpha + offset      Psi = (angles - Im(P * E)) J
+    Psidot qd = -Re(P (E * alphad^2))
 
 where A, J, P, the weights w (conj(gamma) B, but for constant forces) and the moments are the
 constants of `mechanism.py`.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
@@ -159,17 +160,25 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
     """How far the closures are from closing, first side minus second, (..., r), m.
 
-    Two components (x, y) for a pin, one (normal to the line) for a slider.
+    Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
+    what its joint is ahead, rad, times a length of the mechanism.
     """
     arrays = mechanism.arrays
     gap: Array = (phases(mechanism, q) @ arrays.P.T).real + arrays.offset
+    if mechanism.description.couplings:
+        gap = gap + absolute_rates(mechanism, q, "q") @ arrays.angles.T
     return gap
 
 
 def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
     """Psi = d gap/dq, (..., r, n), m/rad."""
-    arrays = mechanism.arrays
-    Psi: Array = -(arrays.P * phases(mechanism, q)[..., None, :]).imag @ arrays.J
+    Psi: Array = absolute_jacobian(mechanism, phases(mechanism, q)) @ mechanism.arrays.J
+    return Psi
+
+
+def absolute_jacobian(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
+    """Psi in alpha, (..., r, n), m/rad."""
+    Psi: Array = mechanism.arrays.angles - (mechanism.arrays.P * E[..., None, :]).imag
     return Psi
 
 

@@ -21,6 +21,7 @@ from robodyn.assembly import loop_size
 from robodyn.closed_form import (
     absolute_gravity,
     absolute_inertia,
+    absolute_jacobian,
     absolute_rates,
     closure_bias,
     closure_gap,
@@ -126,7 +127,7 @@ def forward(
         joint = joint + scene_torques(mechanism, q, qd, E)
     force = joint @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
     force = force + _times(W.imag, rates**2) - absolute_gravity(mechanism, E)
-    Psi = -(arrays.P * E[..., None, :]).imag
+    Psi = absolute_jacobian(mechanism, E)
     bend = closure_bias(mechanism, q, qd)
     if baumgarte:
         gapd = _times(Psi, rates)

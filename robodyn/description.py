@@ -1,118 +1,20 @@
 """YAML -> description: strict keys, numbers, physics; every fault of a file named at once.
 
-A description says what the scene file says, with names resolved to indices and points of the
-plane as complex numbers.  What the format allows is in `robots/` and the README.
+What a description holds is in `scene.py`; what the format allows is in `robots/` and the README.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from robodyn import yaml_tree
 from robodyn.errors import DescriptionError, Fault
 from robodyn.quantities import parse_angle, parse_number
+from robodyn.scene import BRANCHES, Closure, Description, Link, Point
+from robodyn.yaml_forces import ForceReader
 from robodyn.yaml_tree import Mapping, Node, Scalar, Sequence
-from robodyn.yaml_values import ValueReader, nearest
-
-BRANCHES = ("open", "crossed")
-FRAMES = ("ground", "link")  # in which a load's force stays
-
-
-@dataclass(frozen=True, slots=True)
-class Point:
-    """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
-
-    link: int | None
-    at: complex
-
-
-@dataclass(frozen=True, slots=True)
-class Friction:
-    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it."""
-
-    torque: float
-    speed: float
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs."""
-
-    name: str
-    m: float
-    l: float
-    r: complex
-    I: float
-    hangs_from: Point
-    payload: float = 0.0
-    damping: float = 0.0
-    friction: Friction | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Spring:
-    """A spring (N/m, free length m) and damper (N s/m) between two points."""
-
-    first: Point
-    second: Point
-    stiffness: float
-    length: float
-    damping: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class JointSpring:
-    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint."""
-
-    joint: int
-    stiffness: float
-    angle: float
-    damping: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Load:
-    """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
-
-    point: Point
-    force: complex
-    turns: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """A constant torque on a link, N m."""
-
-    link: int
-    torque: float
-
-
-@dataclass(frozen=True, slots=True)
-class Closure:
-    """Two points that coincide, or, with `along`, a point held on the line through `second`."""
-
-    first: Point
-    second: Point
-    along: complex | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Description:
-    """What a scene file says; `source` is the file's name for messages."""
-
-    source: str
-    name: str
-    gravity: complex
-    links: tuple[Link, ...]
-    closures: tuple[Closure, ...]
-    branches: tuple[str, ...]
-    actuated: tuple[int, ...] | None
-    start: tuple[float | None, ...] | None
-    springs: tuple[Spring | JointSpring, ...] = ()
-    loads: tuple[Load | Moment, ...] = ()
 
 
 def read(path: str | Path) -> Description:
@@ -136,13 +38,8 @@ def from_text(text: str, source: str) -> Description:
     return description
 
 
-class _Reader(ValueReader):
+class _Reader(ForceReader):
     """Walks the tree of a scene."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.index: dict[str, int] = {}  # link name -> index
-        self.lengths: dict[int, float] = {}
 
     # -- the scene ---------------------------------------------------------------------------
 
@@ -151,7 +48,17 @@ class _Reader(ValueReader):
             root,
             "",
             ["links"],
-            ["name", "gravity", "closures", "actuated", "assembly", "start", "springs", "loads"],
+            [
+                "name",
+                "gravity",
+                "closures",
+                "couplings",
+                "actuated",
+                "assembly",
+                "start",
+                "springs",
+                "loads",
+            ],
         )
         entries = self.items(keys.get("links"), "links")
         if "links" in keys and isinstance(keys["links"], Sequence) and not entries:
@@ -181,6 +88,7 @@ class _Reader(ValueReader):
                 self.load(f"loads[{k}]", entry)
                 for k, entry in enumerate(self.items(keys.get("loads"), "loads"))
             ),
+            couplings=self.couplings(keys.get("couplings"), len(links)),
         )
 
     def gravity(self, node: Node | None) -> complex:
@@ -280,18 +188,6 @@ class _Reader(ValueReader):
             friction=self.friction(keys.get("friction"), f"{place}.friction"),
         )
 
-    def friction(self, node: Node | None, place: str) -> Friction | None:
-        if node is None:
-            return None
-        keys = self.keys(node, place, ["torque", "speed"], [])
-        torque = self.amount(keys["torque"], f"{place}.torque") if "torque" in keys else 0.0
-        speed = self.number(keys["speed"], f"{place}.speed") if "speed" in keys else 1.0
-        if not speed > 0.0:
-            limit = "must be > 0: the friction is -torque tanh(qd/speed)"
-            self.fault(f"{place}.speed", keys["speed"], limit, self.shown(keys["speed"]))
-            return None
-        return Friction(torque, speed)
-
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
         grounded: set[int] = set()
@@ -307,21 +203,7 @@ class _Reader(ValueReader):
                 self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)
 
-    # -- points and closures -----------------------------------------------------------------
-
-    def tip(self, link: int) -> Point:
-        return Point(link, complex(self.lengths.get(link, 0.0)))
-
-    def point(self, node: Node, place: str) -> Point:
-        """A ground point [x, y], a link's tip NAME, or {link: NAME, at: [x, y]}."""
-        if isinstance(node, Sequence):
-            return Point(None, self.vector(node, place))
-        if isinstance(node, Scalar):
-            link = self.link_name(node, place)
-            return Point(None, 0j) if link is None else self.tip(link)
-        keys = self.keys(node, place, ["link", "at"], [])
-        link = self.link_name(keys["link"], f"{place}.link") if "link" in keys else None
-        return Point(link, self.vector(keys["at"], f"{place}.at") if "at" in keys else 0j)
+    # -- closures ----------------------------------------------------------------------------
 
     def closure(self, place: str, node: Node) -> Closure:
         if isinstance(node, Mapping):
@@ -355,62 +237,6 @@ class _Reader(ValueReader):
                     along = 1 + 0j
         along /= max(abs(along.real), abs(along.imag))  # first, so that no square overflows
         return Closure(first, Point(None, through), along / abs(along))
-
-    # -- springs and loads -------------------------------------------------------------------
-
-    def spring(self, place: str, node: Node) -> Spring | JointSpring:
-        if isinstance(node, Mapping) and any(key.text == "joint" for key, _ in node.pairs):
-            keys = self.keys(node, place, ["joint", "stiffness", "angle"], ["damping"])
-            joint = self.link_name(keys["joint"], f"{place}.joint") if "joint" in keys else None
-            angle = 0.0
-            if "angle" in keys:
-                angle = self.number(keys["angle"], f"{place}.angle", parse_angle)
-            stiffness, damping = self.amounts(keys, place, "stiffness", "damping")
-            return JointSpring(joint or 0, stiffness, angle, damping)
-        keys = self.keys(node, place, ["between", "stiffness", "length"], ["damping"])
-        ends = [Point(None, 0j)] * 2
-        if "between" in keys:
-            between = keys["between"]
-            sides = self.items(between, f"{place}.between")
-            if isinstance(between, Sequence) and len(sides) != 2:
-                limit = "must name two points, [POINT, POINT]"
-                self.fault(f"{place}.between", between, limit, f"{len(sides)} points")
-            elif sides:
-                ends = [self.point(side, f"{place}.between[{k}]") for k, side in enumerate(sides)]
-                if ends[0].link == ends[1].link:
-                    whole = "the ground" if ends[0].link is None else "one link"
-                    limit = f"joins two points of {whole}; its ends must move apart"
-                    self.fault(f"{place}.between", between, limit)
-        return Spring(
-            ends[0], ends[1], *self.amounts(keys, place, "stiffness", "length", "damping")
-        )
-
-    def amounts(self, keys: dict[str, Node], place: str, *names: str) -> list[float]:
-        return [
-            self.amount(keys[name], f"{place}.{name}") if name in keys else 0.0 for name in names
-        ]
-
-    def load(self, place: str, node: Node) -> Load | Moment:
-        turning = isinstance(node, Mapping) and any(key.text == "torque" for key, _ in node.pairs)
-        if turning:
-            keys = self.keys(node, place, ["link", "torque"], [])
-        else:
-            keys = self.keys(node, place, ["link", "at", "force"], ["frame"])
-        link = self.link_name(keys["link"], f"{place}.link") if "link" in keys else None
-        if turning:
-            return Moment(link or 0, self.number(keys["torque"], f"{place}.torque"))
-        at = self.vector(keys["at"], f"{place}.at") if "at" in keys else 0j
-        force = self.vector(keys["force"], f"{place}.force") if "force" in keys else 0j
-        frame = self.text(keys["frame"], f"{place}.frame") if "frame" in keys else FRAMES[0]
-        if frame not in FRAMES:
-            self.fault(f"{place}.frame", keys["frame"], "must be ground or link", frame)
-        return Load(Point(link or 0, at), force, frame == FRAMES[1])
-
-    def link_name(self, node: Node, place: str) -> int | None:
-        name = self.text(node, place)
-        if name and name not in self.index:
-            self.fault(place, node, f"names no link{nearest(name, list(self.index))}", name)
-        return self.index.get(name)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

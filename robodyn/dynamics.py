@@ -204,9 +204,30 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     lam = np.asarray(multipliers, float)
     forces = np.zeros((*lam.shape[:-1], len(mechanism.description.closures), 2))
     for row, entry in enumerate(mechanism.rows):
+        if entry.closure is None:
+            continue
         forces[..., entry.closure, 0] += lam[..., row] * entry.direction.real
         forces[..., entry.closure, 1] += lam[..., row] * entry.direction.imag
     return forces
+
+
+def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
+    """What each coupling puts on the joint that its equation gives, (..., couplings), N m.
+
+    `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  The joints on
+    the other side feel the opposite, times their ratios.
+    """
+    lam = np.asarray(multipliers, float)
+    first = len(mechanism.rows) - len(mechanism.description.couplings)
+    torques: Array = lam[..., first:] * np.array([row.arm for row in mechanism.rows[first:]])
+    return torques
+
+
+def loop_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
+    """Pin forces and torques of couplings side by side, (..., 2 closures + couplings)."""
+    pins = pin_forces(mechanism, multipliers)
+    torques = coupling_torques(mechanism, multipliers)
+    return np.concatenate([pins.reshape(*pins.shape[:-2], -1), torques], axis=-1)
 
 
 def _warned(solution: Solution) -> Solution:

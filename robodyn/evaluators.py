@@ -123,6 +123,8 @@ def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> lis
                 turned = mp.mpc(p) * E[k]
                 system[n + r, k] = system[k, n + r] = -turned.imag
                 right[n + r] += turned.real * w[k] ** 2
+            for k, turn in row.angles:
+                system[n + r, k] = system[k, n + r] = mp.mpf(turn)
         solution = mp.lu_solve(system, right)
         parents = mechanism.parent
         return [

@@ -188,6 +188,7 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
     J = arrays.J.astype(LONG)
     A = arrays.A.astype(COMPLEX)
     P = arrays.P.astype(COMPLEX)
+    angles = arrays.angles.astype(LONG)
     weight = np.asarray(mechanism.weights, COMPLEX)
     moments = np.asarray(mechanism.moments, LONG)
     own = _scene_torques(mechanism)
@@ -208,7 +209,7 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
         M = J.T @ W.real @ J
         if not len(P):
             return np.concatenate([qd, solve_columns(M, force[:, None])[:, 0]])
-        Psi = -(P * E).imag @ J
+        Psi = (angles - (P * E).imag) @ J
         bend = (P * E).real @ w**2  # -Psidot qd
         inverse = solve_columns(M, np.concatenate([force[:, None], Psi.T], axis=1))
         free, X = inverse[:, 0], inverse[:, 1:]
@@ -239,6 +240,7 @@ class _Closing:
         self.n = mechanism.n
         self.J = arrays.J.astype(LONG)
         self.P = arrays.P.astype(COMPLEX)
+        self.angles = arrays.angles.astype(LONG)
         self.offset = np.asarray(arrays.offset, LONG)
 
     def __call__(self, y: Long) -> Long:
@@ -247,9 +249,10 @@ class _Closing:
         n = self.n
         q, qd = y[:n], y[n:]
         for _ in range(4):
-            PE = self.P * np.exp(1j * (self.J @ q))
-            Psi = -PE.imag @ self.J
-            gap = PE.real.sum(axis=1) + self.offset
+            alpha = self.J @ q
+            PE = self.P * np.exp(1j * alpha)
+            Psi = (self.angles - PE.imag) @ self.J
+            gap = PE.real.sum(axis=1) + self.angles @ alpha + self.offset
             right = np.stack([gap, Psi @ qd], axis=1)
             normal = Psi @ Psi.T
             if float(np.abs(np.linalg.eigvalsh(normal.astype(float))).min()) < CUT:

@@ -80,7 +80,7 @@ def _inverse(mechanism: Mechanism, by_direction: bool) -> Formula:
     if len(Psi) == 1:
         det = columns[0][0]
         multipliers = [right[0] / det]
-        pivot = det / sum(abs(weight) for _, weight in mechanism.rows[0].P)
+        pivot = det / mechanism.rows[0].size
         pivots: tuple[Value, ...] = (pivot * pivot,)
     else:
         (a, b), (c, d) = columns
@@ -229,7 +229,7 @@ def _forward(
     ]
     diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
     pivots = tuple(
-        pivot / -sum(abs(weight) ** 2 / diagonal[k] for k, weight in row.P)
+        pivot / -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
         for pivot, row in zip(negative_pivots, mechanism.rows, strict=True)
     )
     return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
@@ -254,17 +254,19 @@ def projection_formula(mechanism: Mechanism) -> Formula:
         for k in range(n):
             column = [row[k] for row in Psi]
             outputs.append(state.relative[name][k] - _dot(column, multipliers))
-    sizes = [sum(abs(weight) for _, weight in row.P) ** 2 for row in mechanism.rows]
+    sizes = [row.size**2 for row in mechanism.rows]
     relative = tuple(pivot / size for pivot, size in zip(pivots, sizes, strict=True))
     return Formula(state.inputs, (*outputs, *gap), relative)
 
 
 def _gap(state: State, row: int) -> Value:
-    """Re(P E) + offset."""
+    """Re(P E) + angles alpha + offset."""
     entry = state.mechanism.rows[row]
     gap: Value = entry.offset
     for k, weight in entry.P:
         gap = gap + real(weight, state, k)
+    for k, turn in entry.angles:
+        gap = gap + turn * state.alpha[k]
     return gap
 
 
@@ -280,9 +282,10 @@ def _product(entries: dict[int, Value], values: Sequence[Value]) -> Value:
 
 
 def _jacobian(state: State) -> list[dict[int, Value]]:
-    """The rows of Psi in alpha, -Im(P_k E_k)."""
+    """The rows of Psi in alpha, angles_k - Im(P_k E_k): a row has one of the two."""
     return [
-        {k: imaginary(-weight, state, k) for k, weight in row.P} for row in state.mechanism.rows
+        {k: imaginary(-weight, state, k) for k, weight in row.P} | dict(row.angles)
+        for row in state.mechanism.rows
     ]
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import assembly, closed_form, dynamics, loop_rates
-from robodyn.description import Description, JointSpring, Load, Moment, Point, Spring
 from robodyn.errors import SingularError
 from robodyn.mechanism import Mechanism
+from robodyn.scene import Description, JointSpring, Load, Moment, Point, Spring
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -165,9 +165,11 @@ def _closure_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Ident
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
     gap = closed_form.closure_gap(mechanism, q)
-    bodies = _gap(mechanism.description, q)
+    arms = [row.arm for row in mechanism.rows if row.closure is None]
+    opened = partial(_gap, mechanism.description, arms)
+    bodies = opened(q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = _along(lambda s: _gap(mechanism.description, q + s * directions), directions)
+    slope = _along(lambda s: opened(q + s * directions), directions)
     moved = np.einsum("...ij,...j->...i", Psi, directions)
     bias = closed_form.closure_bias(mechanism, q, qd)
     turned = _along(
@@ -354,7 +356,7 @@ def _place(description: Description, q: Array, point: Point) -> Complex:
     return joints[point.link] + point.at * directions[point.link]
 
 
-def _gap(description: Description, q: Array) -> Array:
+def _gap(description: Description, arms: list[float], q: Array) -> Array:
     rows: list[Array] = []
     for closure in description.closures:
         apart = _place(description, q, closure.first) - _place(description, q, closure.second)
@@ -362,6 +364,9 @@ def _gap(description: Description, q: Array) -> Array:
             rows += [apart.real, apart.imag]
         else:
             rows.append((apart * closure.along.conjugate()).imag)
+    for coupling, arm in zip(description.couplings, arms, strict=True):
+        others = sum(ratio * q[..., k] for k, ratio in coupling.terms) + coupling.angle
+        rows.append(arm * (q[..., coupling.joint] - others))
     return np.stack(rows, axis=-1)
 
 

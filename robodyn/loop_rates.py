@@ -117,8 +117,7 @@ def check_closed(
     """The first of the states (..., n) that does not keep the closures, with the error to raise."""
     if not mechanism.rows or q.size == 0:
         return None
-    arrays = mechanism.arrays
-    sizes = np.abs(arrays.P).sum(axis=-1)
+    sizes = np.array([row.size for row in mechanism.rows])
     checks = [("position", "m", closure_gap(mechanism, q), loop_size(mechanism))]
     if qd is not None:
         Psi = closure_jacobian(mechanism, q)

@@ -29,7 +29,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robodyn import description as scene
-from robodyn.description import (
+from robodyn.errors import InputError
+from robodyn.scene import (
     Description,
     Friction,
     JointSpring,
@@ -38,7 +39,6 @@ from robodyn.description import (
     Point,
     Spring,
 )
-from robodyn.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,16 +57,25 @@ class PlanarPoint:
 
 @dataclass(frozen=True, slots=True)
 class ClosureRow:
-    """One real equation `Re(sum_k P_k E_k) + offset = 0` of a closure, m.
+    """One real equation `Re(sum_k P_k E_k) + sum_k angles_k alpha_k + offset = 0`, m.
 
-    `direction` is the unit vector along which the gap (first side minus second) is measured; a
-    multiplier lambda of this row is the force lambda * direction on the side named first, N.
+    Of a closure it has no `angles`.  `direction` is the unit vector along which the gap (first side
+    minus second) is measured; a multiplier lambda of this row is the force lambda * direction on
+    the side named first, N.  Of a coupling it has no P: the equation of angles is multiplied by
+    `arm` (m), so that gaps compare, and arm * lambda is the torque on the coupling's joint, N m.
     """
 
-    closure: int
+    closure: int | None  # None: of a coupling
     direction: complex
     P: Terms
     offset: float
+    angles: tuple[tuple[int, float], ...] = ()  # m
+    arm: float = 0.0
+
+    @property
+    def size(self) -> float:
+        """The sum of its terms' sizes, m."""
+        return sum(abs(p) for _, p in self.P) + sum(abs(a) for _, a in self.angles)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +171,8 @@ class Arrays:
     A: NDArray[np.complex128]  # (n, n) Hermitian, kg m^2
     B: NDArray[np.complex128]  # (n,) kg m
     J: NDArray[np.float64]  # (n, n), alpha = J q
-    P: NDArray[np.complex128]  # (r, n), gap = Re(P E) + offset
+    P: NDArray[np.complex128]  # (r, n), gap = Re(P E) + angles alpha + offset
+    angles: NDArray[np.float64]  # (r, n) m
     offset: NDArray[np.float64]  # (r,) m
     damping: NDArray[np.float64]  # (n,) N m s/rad
     weights: NDArray[np.complex128]  # (n,) N m
@@ -227,7 +237,8 @@ def _build(description: Description) -> Mechanism:
     joint_springs = [x for x in description.springs if isinstance(x, JointSpring)]
     for spring in joint_springs:
         damping[spring.joint] += spring.damping
-    rows = tuple(_rows(description, pivots))
+    rows = _rows(description, pivots)
+    rows += _coupling_rows(description, max((row.size for row in rows), default=0.0))
     numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
     numbers += weights
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
@@ -244,7 +255,7 @@ def _build(description: Description) -> Mechanism:
         gamma=description.gravity,
         energy_offset=offset,
         damping=tuple(damping),
-        rows=rows,
+        rows=tuple(rows),
         actuated=_actuated(description, pivots),
         pivots=tuple(pivots),
         tips=tuple(_point(pivots, Point(k, complex(link.l))) for k, link in enumerate(links)),
@@ -325,6 +336,23 @@ def _rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[Closu
     return rows
 
 
+def _coupling_rows(description: Description, size: float) -> list[ClosureRow]:
+    """Each coupling in absolute angles, as long as the closures' rows are."""
+    links = description.links
+    arm = size or max((link.l for link in links), default=0.0) or 1.0
+    found: list[ClosureRow] = []
+    for coupling in description.couplings:
+        angles: dict[int, float] = {}
+        for joint, ratio in ((coupling.joint, -1.0), *coupling.terms):
+            # q_k = alpha_k - alpha_above
+            for link, sign in ((joint, -1.0), (links[joint].hangs_from.link, 1.0)):
+                if link is not None:
+                    angles[link] = angles.get(link, 0.0) + sign * ratio * arm
+        kept = tuple((k, value) for k, value in angles.items() if value != 0.0)
+        found.append(ClosureRow(None, 0j, (), -arm * coupling.angle, kept, arm))
+    return found
+
+
 def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list[set[int]]:
     """For each closure the joints of its loop: those on the path to one side only."""
     loops: list[set[int]] = []
@@ -336,11 +364,15 @@ def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list
 
 
 def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[int, ...]:
-    """As the scene says; else every joint outside loops and the first of each group of loops."""
+    """As the scene says; else every joint that is free, and the first of each group of loops.
+
+    The joints of a coupling belong together as those of a loop do.
+    """
     if description.actuated is not None:
         return description.actuated
     groups: list[set[int]] = []
-    for loop in loop_joints(description, pivots):
+    coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
+    for loop in loop_joints(description, pivots) + coupled:
         apart = [group for group in groups if not group & loop]
         joined = loop.union(*(group for group in groups if group & loop))
         groups = [*apart, joined]
@@ -364,14 +396,18 @@ def _arrays(mechanism: Mechanism) -> Arrays:
             J[k] = J[above]
         J[k, k] = 1.0
     P = np.zeros((r, n), complex)
+    angles = np.zeros((r, n))
     for row, entry in enumerate(mechanism.rows):
         for k, coefficient in entry.P:
             P[row, k] = coefficient
+        for k, turn in entry.angles:
+            angles[row, k] = turn
     arrays = Arrays(
         A=A,
         B=np.array(mechanism.B, complex),
         J=J,
         P=P,
+        angles=angles,
         offset=np.array([row.offset for row in mechanism.rows], float),
         damping=np.array(mechanism.damping, float),
         weights=np.array(mechanism.weights, complex),

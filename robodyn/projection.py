@@ -79,7 +79,7 @@ def best_closing(mechanism: Mechanism) -> Closing:
 
 def loop_terms(mechanism: Mechanism) -> int:
     """Entries of A and P, which the cost of straight-line code grows with."""
-    return len(mechanism.A) + sum(len(row.P) for row in mechanism.rows)
+    return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)
 
 
 def float_closing(mechanism: Mechanism) -> FloatClosing:
@@ -138,7 +138,7 @@ def suspect_quality(mechanism: Mechanism) -> float:
     Loops of many links have small pivots everywhere, for their rows' sizes add up all links: what
     is usual at closed states at random counts.
     """
-    sizes = [sum(abs(value) for _, value in row.P) ** 2 for row in mechanism.rows]
+    sizes = [row.size**2 for row in mechanism.rows]
     # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
     found = [
         (np.asarray(np.linalg.qr(Psi.T, mode="r")).diagonal() ** 2 / sizes).min()

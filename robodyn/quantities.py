@@ -16,6 +16,11 @@ _ANGLE = re.compile(
     re.ASCII,
 )
 
+_JOINT = re.compile(
+    rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d+)", re.ASCII
+)
+_SIGNED = re.compile(r"(?<=[^eE])(?=[+-])")  # before every sign but that of an exponent
+
 
 def parse_number(text: str) -> float:
     """The finite number that `text` writes; ValueError with the reason if it is none."""
@@ -53,6 +58,38 @@ def parse_angle(text: str) -> float:
     if math.isinf(value):
         raise ValueError("is too large for a number")
     return -value if match["sign"] == "-" else value
+
+
+def parse_coupling(text: str) -> tuple[int, dict[int, float], float]:
+    """`q3 = -2 q1 + 0.1` as 3, {1: -2.0} and 0.1 (rad); ValueError with the reason if it is none.
+
+    Ratios are numbers or fractions (`-20/37 q1`, `2*q1`, `-q1`), the constant an angle (`30deg`).
+    """
+    sides = "".join(text.split()).split("=")
+    left = _JOINT.fullmatch(sides[0])
+    if len(sides) != 2 or left is None or left["ratio"] or left["sign"]:
+        raise ValueError("must be an equation such as q3 = -2 q1 + 0.1")
+    terms: dict[int, float] = {}
+    angle = 0.0
+    for part in _SIGNED.split(sides[1]):
+        joint = _JOINT.fullmatch(part)
+        if joint is None:
+            try:
+                angle += parse_angle(part)
+            except ValueError as error:
+                missing = part in ("", "+", "-")
+                reason = "a term is missing" if missing else f"{part} {error}"
+                raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {reason}") from None
+            continue
+        ratio, number = 1.0, int(joint["joint"])
+        if joint["ratio"]:
+            above, _, below = joint["ratio"].partition("/")
+            divisor = parse_number(below or "1")
+            if divisor == 0.0:
+                raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {part} divides by zero")
+            ratio = parse_number(above) / divisor
+        terms[number] = terms.get(number, 0.0) + (-ratio if joint["sign"] == "-" else ratio)
+    return int(left["joint"]), terms, angle
 
 
 def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:

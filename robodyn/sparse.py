@@ -52,9 +52,13 @@ class SparseMechanism:
         self.j, self.k = (np.array([entry[i] for entry in mechanism.A]) for i in (0, 1))
         self.A = np.array([entry[2] for entry in mechanism.A])
         self.off = np.flatnonzero(self.j != self.k)
-        entries = [(row, k, p) for row, x in enumerate(mechanism.rows) for k, p in x.P]
+        entries = [
+            (row, k, p, a)
+            for row, x in enumerate(mechanism.rows)
+            for k, p, a in (*((k, p, 0.0) for k, p in x.P), *((k, 0j, a) for k, a in x.angles))
+        ]
         self.row, self.link = (np.array([e[i] for e in entries], dtype=int) for i in (0, 1))
-        self.P = np.array([e[2] for e in entries])
+        self.P, self.angles = (np.array([e[i] for e in entries]) for i in (2, 3))
         self.offset = np.array([x.offset for x in mechanism.rows])
         paths = [(k, ancestor) for k in range(n) for ancestor in _path(mechanism, k)]
         self.J = csr_matrix((np.ones(len(paths)), tuple(np.array(paths).T)), shape=(n, n))
@@ -82,18 +86,19 @@ class SparseMechanism:
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_forces:
             joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E)
-        force = joint - np.bincount(self.above, joint[self.child], minlength=n)
-        force -= (self.weight * E).imag - self.moments
+        force: Array = joint - np.bincount(self.above, joint[self.child], minlength=n)
+        force = force - (self.weight * E).imag + self.moments
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]
-        force += np.bincount(j, turning * squares[k], minlength=n)
-        force -= np.bincount(k, turning * squares[j], minlength=n)
+        force = force + np.bincount(j, turning * squares[k], minlength=n)
+        force = force - np.bincount(k, turning * squares[j], minlength=n)
         PE = self.P * E[self.link]
+        slope = self.angles - PE.imag  # Psi
         bend = np.bincount(self.row, PE.real * squares[self.link], minlength=self.r)
         if baumgarte:
-            gapd = np.bincount(self.row, -PE.imag * rates[self.link], minlength=self.r)
-            gap = np.bincount(self.row, PE.real, minlength=self.r) + self.offset
-            bend -= 2 * baumgarte * gapd + baumgarte**2 * gap
-        values = np.concatenate([w.real, w.real[self.off], -PE.imag, -PE.imag])
+            gapd = np.bincount(self.row, slope * rates[self.link], minlength=self.r)
+            gap = self.gap(PE, self.J @ y[:n])
+            bend = bend - 2 * baumgarte * gapd - baumgarte**2 * gap
+        values = np.concatenate([w.real, w.real[self.off], slope, slope])
         factors = self._system.factorise(values)
         absolute = factors.solve(np.concatenate([force, bend]))[:n]
         pivots = np.abs(factors.U.diagonal())
@@ -101,12 +106,19 @@ class SparseMechanism:
         qdd[self.child] -= absolute[self.above]
         return qdd, float(pivots.min() / pivots.max())
 
+    def gap(self, PE: NDArray[np.complex128], alpha: Array) -> Array:
+        """Re(P E) + angles alpha + offset, (r,)."""
+        terms = PE.real + self.angles * alpha[self.link]
+        gap: Array = np.bincount(self.row, terms, minlength=self.r) + self.offset
+        return gap
+
     def newton_step(self, q: Array, qd: Array) -> tuple[Array, Array, float]:
         """q and qd after one Newton step of least norm towards closing; ratio of pivots."""
         E = self.directions(q)
         PE = self.P * E[self.link]
-        gap = np.bincount(self.row, PE.real, minlength=self.r) + self.offset
-        Psi = csr_matrix((-PE.imag, (self.row, self.link)), shape=(self.r, self.n)) @ self.J
+        gap = self.gap(PE, self.J @ q)
+        slope = self.angles - PE.imag
+        Psi = csr_matrix((slope, (self.row, self.link)), shape=(self.r, self.n)) @ self.J
         # unscaled and with pivots from the diagonal, which are small where a loop hardly closes
         symmetric = {"Equil": False, "SymmetricMode": True}
         factors = splu(csc_matrix(Psi @ Psi.T), diag_pivot_thresh=0.0, options=symmetric)

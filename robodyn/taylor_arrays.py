@@ -29,6 +29,7 @@ class ArraySeries:
         self.J: Array = arrays.J.astype(dtype)
         self.A = np.asarray(arrays.A, self.complex)
         self.P = np.asarray(arrays.P, self.complex)
+        self.angles: Array = arrays.angles.astype(dtype)
         self.weight = -np.asarray(mechanism.weights, self.complex).conj()
         self.moments: Array = np.asarray(mechanism.moments, dtype)
         self.damping: Array = np.asarray(mechanism.damping, dtype)
@@ -51,10 +52,11 @@ class ArraySeries:
         w = self.J @ qd
         W = E.conj()[:, None] * self.A * E
         PE = self.P * E
+        geared = bool(self.angles.any())
         system: Array = np.zeros((n + r, n + r), dtype)
         system[:n, :n] = W.real
-        system[n:, :n] = -PE.imag
-        system[:n, n:] = -PE.imag.T
+        system[n:, :n] = self.angles - PE.imag
+        system[:n, n:] = system[n:, :n].T
         inverse = _inverse(system)
         weight = E.conj() * self.weight
         z = np.zeros((n, p + 2), self.complex)
@@ -76,7 +78,10 @@ class ArraySeries:
             b = T - W.imag @ N
             if k == 0:
                 b = b - weight.imag + self.moments
-            solution = inverse @ np.concatenate([b, -PE.real @ N])
+            held = -PE.real @ N
+            if geared:  # what the rates of order k + 1 are without what is unknown of z
+                held -= dtype(k + 1) * (self.angles @ link_rates(z, k + 1))
+            solution = inverse @ np.concatenate([b, held])
             P = N + 1j * solution[:n]
             F[:, k] = W @ P + PE.conj().T @ solution[n:]
             if k == 0:

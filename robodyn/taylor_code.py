@@ -14,6 +14,9 @@ t_{k+2} and lambda_k, enters through the same symmetric matrix [M Psi^T; Psi 0] 
 order: it is factored once a step.  The equation of joint j at order k gives Im F_j,k besides.  An
 order costs three convolutions of real series a link (N is two halves); rates cost two more where
 dampers or torques ask for their series.
+
+A coupling holds sum_l angles_l w_l = 0 instead, where w_l of order k + 1 is (k+2) t_{k+2} and what
+is known; its multiplier is a torque on the joints.
 """
 
 from __future__ import annotations
@@ -118,6 +121,8 @@ class _Writer:
                 terms = [*_term(-p.real, f"C{k}"), *_term(p.imag, f"S{k}")]
                 self.add(f"k{n + r}_{k} = {_sum(terms)}")
                 matrix[k][n + r] = f"m{k}_{n + r}"
+            for k, turn in row.angles:
+                matrix[k][n + r] = repr(turn)
         self.columns: list[list[int]] = []
         for i in range(n + len(self.rows)):
             pivot = matrix[i].pop(i, None)
@@ -172,8 +177,13 @@ class _Writer:
                 terms += [*_term(-0.5 * y, f"C{j}"), *_term(0.5 * x, f"S{j}")]
             right.append(_sum(terms))
         for r, row in enumerate(self.rows):
-            right.append(_sum([f"k{n + r}_{j}*r{j}_{k + 2}" for j, _ in row.P]))
+            terms = [f"k{n + r}_{j}*r{j}_{k + 2}" for j, _ in row.P]
+            terms += [f"{-a / (k + 2)!r}*({_rate(j, k + 1, k)})" for j, a in row.angles]
+            right.append(_sum(terms))
         self.solve(right, [f"t{j}_{k + 2}" for j in range(n)])
+        for r, row in enumerate(self.rows):
+            for j, a in row.angles:
+                self.add(f"Fy{j}_{k} -= {a * scale!r}*l{r}")
         if k + 1 < self.order:
             for j in range(n):
                 self.force(j, k, scale)
@@ -183,11 +193,7 @@ class _Writer:
     def rates(self, k: int) -> None:
         """w = r t' - t r' of order k, and the joints' own rates."""
         for j in range(self.n):
-            terms = [
-                f"{m + 1.0!r}*(r{j}_{k - m}*t{j}_{m + 1} - t{j}_{k - m}*r{j}_{m + 1})"
-                for m in range(k + 1)
-            ]
-            self.add(f"w{j}_{k} = {_sum(terms)}")
+            self.add(f"w{j}_{k} = {_rate(j, k, k)}")
         for j, above in enumerate(self.mechanism.parent):
             self.add(f"v{j}_{k} = w{j}_{k}" + ("" if above is None else f" - w{above}_{k}"))
 
@@ -316,6 +322,15 @@ class _Writer:
                     square = _convolution(f"v{j}_", f"v{j}_", 0, k, k)
                     terms.append(f"{-self.damping[j]!r}*({square})")
             self.add(f"p_{k} = {_sum(terms)}")
+
+
+def _rate(j: int, k: int, last: int) -> str:
+    """The terms m up to `last` of w_j of order k, of r t' - t r'."""
+    terms = [
+        f"{m + 1.0!r}*(r{j}_{k - m}*t{j}_{m + 1} - t{j}_{k - m}*r{j}_{m + 1})"
+        for m in range(last + 1)
+    ]
+    return _sum(terms)
 
 
 def _convolution(a: str, b: str, first: int, last: int, total: int) -> str:

@@ -51,6 +51,8 @@ class CompiledEngine:
         """Whether this engine can: constant torques, M and Psi regular but at single states."""
         if actuation.constants is None or mechanism.has_forces:
             return False
+        if mechanism.description.couplings:
+            return False
         if not elimination_is_safe(mechanism):
             return False
         return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)

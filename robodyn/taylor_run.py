@@ -117,8 +117,8 @@ def taylor_run(
         stepping = fast()
         if stepping is None and engine == "compiled":
             limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, no "
-            limit += "springs, friction or forces that turn, and closures that do not depend on "
-            limit += "one another: take auto or python"
+            limit += "springs, friction, forces that turn or couplings, and closures that do not "
+            limit += "depend on one another: take auto or python"
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None
     if stepping is None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
-from robodyn.cli.states import Quantity, evaluate
-from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
+from robodyn.cli.states import Quantity, evaluate, loop_columns
+from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.loop_rates import check_way_on
 from robodyn.mechanism import load
 
@@ -33,14 +33,13 @@ def accel(
     """
     mechanism = load(model)
     columns = [f"qdd{k + 1}" for k in range(mechanism.n)]
-    for c in range(len(mechanism.description.closures)):
-        columns += [f"fx{c + 1}", f"fy{c + 1}"]
+    columns += loop_columns(mechanism)
 
     def compute(state: list[np.ndarray]) -> np.ndarray:
         check_way_on(mechanism, state[0], state[1])
         solution = forward_dynamics_and_forces(mechanism, *state)
-        forces = pin_forces(mechanism, solution.multipliers)
-        return np.concatenate([solution.qdd, forces.reshape(len(forces), -1)], axis=-1)
+        forces = loop_forces(mechanism, solution.multipliers)
+        return np.concatenate([solution.qdd, forces], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]
     evaluate(mechanism, states, quantities, columns, compute, format, out)

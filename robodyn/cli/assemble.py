@@ -12,9 +12,9 @@ from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import default_format, new_table, note, render, row_writer, write_structure
 from robodyn.cli.states import Quantity, complete_from, option_source, overflow
 from robodyn.closed_form import point_motion
-from robodyn.description import BRANCHES
 from robodyn.mechanism import Mechanism, load
 from robodyn.output_file import open_output
+from robodyn.scene import BRANCHES
 
 if TYPE_CHECKING:
     from rich.console import Group

@@ -25,6 +25,7 @@ UNITS = {
     "tau": "N m",
     "fx": "N",
     "fy": "N",
+    "tc": "N m",
     "rx": "N",
     "ry": "N",
     "shake_fx": "N",

@@ -10,12 +10,12 @@ import numpy as np
 import typer
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
-from robodyn.cli.states import Quantity, evaluate, overflow
+from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
 from robodyn.dynamics import (
     RobodynWarning,
     forward_dynamics_and_forces,
     inverse_dynamics_and_forces,
-    pin_forces,
+    loop_forces,
 )
 from robodyn.errors import InputError
 from robodyn.loop_rates import check_way_on
@@ -72,9 +72,7 @@ def reactions(
         raise InputError("--qdd and --tau are both given", limit=limit)
     mechanism = load(model)
     columns = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
-    for c in range(len(mechanism.description.closures)):
-        columns += [f"fx{c + 1}", f"fy{c + 1}"]
-    columns += ["shake_fx", "shake_fy", "shake_m"]
+    columns += [*loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
     motion = _Motion(mechanism)
     offered = [Quantity("qdd", qdd), Quantity("tau", tau)]
 
@@ -87,10 +85,9 @@ def reactions(
         accelerations, multipliers = motion.solve(state)
         moving = state[0], state[1], accelerations
         joints = joint_forces(mechanism, *moving, multipliers)
-        pins = pin_forces(mechanism, multipliers)
+        loops = loop_forces(mechanism, multipliers)
         shake = shaking_force(mechanism, *moving)
-        rows = len(shake)
-        return np.concatenate([joints.reshape(rows, -1), pins.reshape(rows, -1), shake], axis=-1)
+        return np.concatenate([joints.reshape(len(shake), -1), loops, shake], axis=-1)
 
     evaluate(mechanism, states, quantities, columns, compute, format, out)
 

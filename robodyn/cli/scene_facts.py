@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from robodyn.description import FRAMES, JointSpring, Moment, Point
 from robodyn.mechanism import Mechanism
+from robodyn.scene import FRAMES, Coupling, JointSpring, Moment, Point
 
 
 def _place(mechanism: Mechanism, point: Point) -> str:
@@ -32,7 +32,7 @@ def links(mechanism: Mechanism) -> list[dict[str, object]]:
 
 
 def springs_and_loads(mechanism: Mechanism) -> dict[str, object]:
-    """The springs and loads of a scene, as it writes them; nothing where it has none."""
+    """Springs, loads and couplings as the scene writes them; nothing where it has none."""
     names, found = mechanism.link_names, mechanism.description
     springs: list[dict[str, object]] = []
     for spring in found.springs:
@@ -50,12 +50,16 @@ def springs_and_loads(mechanism: Mechanism) -> dict[str, object]:
             place, force = _place(mechanism, item.point), [item.force.real, item.force.imag]
             frame = FRAMES[1] if item.turns else FRAMES[0]
             loads.append({"at": place, "force": force, "frame": frame})
-    lists: dict[str, object] = {"springs": springs, "loads": loads}
+    lists: dict[str, object] = {
+        "springs": springs,
+        "loads": loads,
+        "couplings": [_equation(coupling) for coupling in found.couplings],
+    }
     return {key: entries for key, entries in lists.items() if entries}
 
 
 def force_facts(mechanism: Mechanism) -> list[list[str]]:
-    """A label and a text for each spring and load."""
+    """A label and a text for each spring, load and coupling."""
     found, names = mechanism.description, mechanism.link_names
     facts = []
     for k, spring in enumerate(found.springs, start=1):
@@ -75,4 +79,15 @@ def force_facts(mechanism: Mechanism) -> list[list[str]]:
             text = f"({item.force.real:g}, {item.force.imag:g}) N at "
             text += _place(mechanism, item.point) + (", turning with it" if item.turns else "")
         facts.append([f"load {k}", text])
+    for k, coupling in enumerate(found.couplings, start=1):
+        facts.append([f"coupling {k}", _equation(coupling)])
     return facts
+
+
+def _equation(coupling: Coupling) -> str:
+    """q3 = -2 q1 + 0.1"""
+    parts = [f"{ratio:+.17g} q{k + 1}" for k, ratio in coupling.terms]
+    if coupling.angle or not parts:
+        parts.append(f"{coupling.angle:+.17g}")
+    later = "".join(f" {part[0]} {part[1:]}" for part in parts[1:])
+    return f"q{coupling.joint + 1} = {parts[0].removeprefix('+')}{later}"

@@ -21,8 +21,15 @@ from robodyn import actuation, closed_form
 from robodyn.actuation import Actuation
 from robodyn.cli.options import Model, Out, Q, Qd, named
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, assembled_state, open_input, remarks, single_state
-from robodyn.dynamics import forward_dynamics_and_forces, pin_forces
+from robodyn.cli.states import (
+    Quantity,
+    assembled_state,
+    loop_columns,
+    open_input,
+    remarks,
+    single_state,
+)
+from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
 from robodyn.output_file import open_output, same_file
@@ -265,8 +272,7 @@ def _columns(mechanism: Mechanism) -> list[str]:
     joints = range(1, mechanism.n + 1)
     names = ["t", *(f"{name}{k}" for name in ("q", "qd", "qdd") for k in joints)]
     names += [f"tau{k + 1}" for k in mechanism.actuated]
-    for c in range(1, len(mechanism.description.closures) + 1):
-        names += [f"fx{c}", f"fy{c}"]
+    names += loop_columns(mechanism)
     return [*names, "energy", *(["gap"] if mechanism.rows else [])]
 
 
@@ -276,7 +282,7 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
     q, qd = y[:, :n], y[:, n:]
     tau = applied_torques(mechanism, torques, t, y)
     solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
-    forces = pin_forces(mechanism, solution.multipliers).reshape(len(t), -1)
+    forces = loop_forces(mechanism, solution.multipliers)
     energy = closed_form.kinetic_energy(mechanism, q, qd)
     energy = energy + closed_form.potential_energy(mechanism, q)
     parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]

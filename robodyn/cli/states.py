@@ -49,6 +49,13 @@ class Source:
     whole: bool  # all joints, or the actuated ones
 
 
+def loop_columns(mechanism: Mechanism) -> list[str]:
+    """The columns of `dynamics.loop_forces`: pin forces of closures, torques of couplings."""
+    described = mechanism.description
+    pins = [f"f{axis}{c + 1}" for c in range(len(described.closures)) for axis in "xy"]
+    return [*pins, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
+
+
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero where there is none."""
     if quantity.option is None:

@@ -6,7 +6,7 @@ import math
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
-from robodyn.cli.states import Quantity, evaluate, option_source, overflow
+from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
 from robodyn.formulas import MAX_GENERATED
 from robodyn.mechanism import Mechanism, load
 
@@ -48,16 +48,15 @@ def torque(
 
     import numpy as np
 
-    from robodyn.dynamics import inverse_dynamics_and_forces, pin_forces
+    from robodyn.dynamics import inverse_dynamics_and_forces, loop_forces
 
-    for c in range(len(mechanism.description.closures)):
-        columns += [f"fx{c + 1}", f"fy{c + 1}"]
+    columns += loop_columns(mechanism)
 
     def compute(motion: list[np.ndarray]) -> np.ndarray:
         solution = inverse_dynamics_and_forces(mechanism, *motion)
-        forces = pin_forces(mechanism, solution.multipliers)
+        forces = loop_forces(mechanism, solution.multipliers)
         torques = solution.tau[..., list(mechanism.actuated)]
-        return np.concatenate([torques, forces.reshape(len(forces), -1)], axis=-1)
+        return np.concatenate([torques, forces], axis=-1)
 
     evaluate(mechanism, states, quantities, columns, compute, format, out)
 

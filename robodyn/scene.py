@@ -1,0 +1,116 @@
+"""What a scene consists of, as its file says it: links, closures, springs, loads, couplings.
+
+Names are resolved to indices, points of the plane are complex numbers; SI units and radians.
+`description.py` reads it, `mechanism.py` makes numbers of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+BRANCHES = ("open", "crossed")
+FRAMES = ("ground", "link")  # in which a load's force stays
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
+
+    link: int | None
+    at: complex
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it."""
+
+    torque: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs."""
+
+    name: str
+    m: float
+    l: float
+    r: complex
+    I: float
+    hangs_from: Point
+    payload: float = 0.0
+    damping: float = 0.0
+    friction: Friction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Spring:
+    """A spring (N/m, free length m) and damper (N s/m) between two points."""
+
+    first: Point
+    second: Point
+    stiffness: float
+    length: float
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class JointSpring:
+    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint."""
+
+    joint: int
+    stiffness: float
+    angle: float
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
+
+    point: Point
+    force: complex
+    turns: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A constant torque on a link, N m."""
+
+    link: int
+    torque: float
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """Two points that coincide, or, with `along`, a point held on the line through `second`."""
+
+    first: Point
+    second: Point
+    along: complex | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """A gear or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`, rad."""
+
+    joint: int
+    terms: tuple[tuple[int, float], ...]
+    angle: float
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a scene file says; `source` is the file's name for messages."""
+
+    source: str
+    name: str
+    gravity: complex
+    links: tuple[Link, ...]
+    closures: tuple[Closure, ...]
+    branches: tuple[str, ...]
+    actuated: tuple[int, ...] | None
+    start: tuple[float | None, ...] | None
+    springs: tuple[Spring | JointSpring, ...] = ()
+    loads: tuple[Load | Moment, ...] = ()
+    couplings: tuple[Coupling, ...] = ()

@@ -1,0 +1,295 @@
+"""Gears and belts between joints: reduced by hand, and in every evaluator."""
+
+import math
+
+import numpy as np
+import pytest
+
+from random_mechanisms import mechanism, seeded_tree
+from robodyn import (
+    assemble,
+    closure_gap,
+    coriolis_matrix,
+    coupling_torques,
+    forward_dynamics,
+    gravity_vector,
+    identities,
+    inverse_dynamics,
+    loop_velocities,
+    mass_matrix,
+    simulate,
+)
+from robodyn.actuation import Actuation
+from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.errors import InputError
+from robodyn.evaluators import _accelerations
+from robodyn.extended import reference
+from robodyn.quantities import parse_coupling
+from robodyn.right_hand_side import right_hand_side
+from robodyn.taylor_arrays import ArraySeries
+from robodyn.taylor_code import compile_expansion
+
+FIVE_BAR = """
+gravity: 9.81
+links:
+  - {name: left crank,  m: 0.5,  l: 0.30, r: 0.13, I: 0.0044}
+  - {name: left rod,    m: 0.85, l: 0.68, r: 0.33, I: 0.037, damping: 0.01}
+  - {name: right crank, m: 0.4,  l: 0.26, r: 0.12, I: 0.0028, from: [0.7, 0.0]}
+  - {name: right rod,   m: 0.75, l: 0.64, r: 0.31, I: 0.029}
+closures: [[left rod, right rod]]
+couplings: ["q3 = -2 q1 + 20deg"]
+"""
+ARM = """
+gravity: 9.81
+links:
+  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082}
+  - {name: b, m: 0.9, l: 0.6, r: [0.25, 0.05], I: 0.031, damping: 0.2}
+  - {name: c, m: 0.4, l: 0.3, r: 0.15, I: 0.004}
+"""
+COUPLED = [
+    pytest.param("q2 = -2 q1 + 0.1", (0, 2), id="one"),
+    pytest.param("q1 = 0.5 q2 - 0.05", (1, 2), id="a joint before"),
+    pytest.param("q3 = q1 - 1/3 q2", (0, 1), id="a difference"),
+    pytest.param('["q2 = -q1", "q3 = 20/37 q2 + 30deg"]', (0,), id="a chain"),
+    pytest.param("q3 = 30deg", (0, 1), id="locked"),
+]
+EACH_KIND = pytest.mark.parametrize("kind", ["straight-line", "sparse", "dense"])
+
+
+def geared(couplings, actuated):
+    names = ", ".join("abc"[k] for k in actuated)
+    return mechanism(f"{ARM}couplings: {couplings}\nactuated: [{names}]\n")
+
+
+def reduction(mech, actuated):
+    """T (n, freedoms) and the constant: q = T q_actuated + constant."""
+    zero = assemble(mech, np.zeros(len(actuated)))
+    units = assemble(mech, np.eye(len(actuated)))
+    return (units - zero).T, zero
+
+
+class TestReduction:
+    """With q = T u + constant: T^T M T udd = T^T (tau - C qd - D qd - G)."""
+
+    @pytest.mark.parametrize(("couplings", "actuated"), COUPLED)
+    @pytest.mark.parametrize("seed", range(3))
+    def test_forward_and_inverse(self, couplings, actuated, seed):
+        mech = geared(couplings, actuated)
+        T, constant = reduction(mech, actuated)
+        rng = np.random.default_rng(seed)
+        u, ud = rng.normal(size=(2, len(actuated)))
+        q, qd = T @ u + constant, T @ ud
+        assert np.abs(closure_gap(mech, q)).max() < 1e-14
+        assert loop_velocities(mech, q, ud) == pytest.approx(qd, abs=1e-12)
+        tau = np.zeros(3)
+        tau[list(actuated)] = rng.normal(size=len(actuated))
+        rest = coriolis_matrix(mech, q, qd) @ qd + np.array(mech.damping) * qd
+        rest += gravity_vector(mech, q)
+        M = mass_matrix(mech, q)
+        udd = np.linalg.solve(T.T @ M @ T, T.T @ (tau - rest))
+        found = forward_dynamics_and_forces(mech, q, qd, tau)
+        assert found.qdd == pytest.approx(T @ udd, rel=1e-10, abs=1e-10)
+        # each coupling's torque is what its own joint is short of, through all that hold it
+        short = M @ found.qdd + rest - tau
+        torques = coupling_torques(mech, found.multipliers)
+        acting = np.zeros(3)
+        for coupling, torque in zip(mech.description.couplings, torques, strict=True):
+            acting[coupling.joint] += torque
+            for k, ratio in coupling.terms:
+                acting[k] -= ratio * torque
+        assert acting == pytest.approx(short, abs=1e-10)
+        again = inverse_dynamics_and_forces(mech, q, qd, found.qdd)
+        assert again.tau == pytest.approx(tau, abs=1e-10)
+        assert coupling_torques(mech, again.multipliers) == pytest.approx(torques, abs=1e-9)
+
+    def test_the_default_actuated_joints(self):
+        assert mechanism(ARM + "couplings: q2 = -2 q1").actuated == (0, 2)
+        assert mechanism(FIVE_BAR).actuated == (0,)
+
+
+class TestEvaluators:
+    @staticmethod
+    def state(mech, angle=1.0, rate=2.0):
+        q = assemble(mech, [angle])
+        return q, loop_velocities(mech, q, [rate])
+
+    @EACH_KIND
+    def test_rates(self, kind):
+        mech = mechanism(FIVE_BAR)
+        q, qd = self.state(mech)
+        side = right_hand_side(mech, Actuation((0.4, 0.0, 0.0, 0.0)), kind=kind)
+        found = np.asarray(side.rates(0.0, np.concatenate([q, qd])))[4:]
+        exact = [float(x) for x in _accelerations(mech, q, qd, np.array([0.4, 0.0, 0.0, 0.0]))]
+        assert found == pytest.approx(exact, rel=1e-11, abs=1e-11)
+        y = np.concatenate([q, qd]) + 1e-4
+        closed = side.projection(side.projection(y))
+        assert np.abs(closure_gap(mech, closed[:4])).max() < 1e-14
+
+    @EACH_KIND
+    def test_baumgarte(self, kind):
+        """gapdd + 2 b gapd + b^2 gap = 0, of the coupling too."""
+        mech = mechanism(FIVE_BAR)
+        y = np.concatenate(self.state(mech)) + 1e-3 * np.arange(8)
+        b = 20.0
+        actuation = Actuation((0.4, 0.0, 0.0, 0.0))
+        side = right_hand_side(mech, actuation, baumgarte=b, kind=kind)
+        expected = right_hand_side(mech, actuation, baumgarte=b, kind="dense")
+        found = np.asarray(side.rates(0.0, y))
+        assert found == pytest.approx(np.asarray(expected.rates(0.0, y)), rel=1e-9)
+        ahead = y[2] + 2 * y[0] - math.radians(20)
+        faster = y[6] + 2 * y[4]
+        assert found[6] + 2 * found[4] == pytest.approx(-2 * b * faster - b**2 * ahead, rel=1e-9)
+
+    def test_batches(self):
+        mech = mechanism(FIVE_BAR)
+        q, qd = self.state(mech)
+        tau = np.array([0.4, 0.0, 0.0, 0.0])
+        many = forward_dynamics(mech, *(np.broadcast_to(x, (40_000, 4)) for x in (q, qd, tau)))
+        assert many[-1] == pytest.approx(forward_dynamics(mech, q, qd, tau), rel=1e-10)
+
+    def test_the_series_in_code_and_in_arrays(self):
+        mech = mechanism(FIVE_BAR)
+        q, qd = self.state(mech)
+        torques = (0.4, 0.0, 0.0, 0.0)
+        z, _ = ArraySeries(mech, 12, np.array(torques)).expand(q, qd)
+        expand = compile_expansion(mech, 12, torques, False)
+        _, _, series = expand([*q, *qd], 0.01, 1.0, 1e-9, 1e-9, None)
+        size = np.abs(z).max(axis=0)
+        assert np.abs(np.array(series[:4]) - z.real).max(axis=0) == pytest.approx(
+            0, abs=1e-13 * size.max()
+        )
+        assert np.array(series[4:]) / size == pytest.approx(z.imag / size, abs=1e-12)
+
+    def test_the_identities_of_check(self):
+        for mech in (mechanism(FIVE_BAR), geared("q3 = q1 - 1/3 q2", (0, 1))):
+            sample = identities.sample_states(mech, 20)
+            assert len(sample.q) == 20
+            assert [x.name for x in identities.identities(mech, sample) if not x.holds] == []
+
+
+class TestMotions:
+    def test_every_method_agrees_with_extended_precision(self):
+        mech = mechanism(FIVE_BAR)
+        q = assemble(mech, [1.0])
+        tau = Actuation((0.4, 0.0, 0.0, 0.0))
+        exact = reference(mech, np.concatenate([q, np.zeros(4)]), np.array([1.0]), tau)
+        assert exact.uncertainty < 1e-12
+        for method, error in (("DOP853", 1e-9), ("taylor", 1e-9), ("Radau", 1e-6)):
+            motion = simulate(
+                mech,
+                q,
+                np.zeros(4),
+                1.0,
+                tau=tau,
+                method=method,
+                rtol=1e-10,
+                atol=1e-10,
+                t_eval=[1.0],
+            )
+            assert motion.q[0] == pytest.approx(exact.y[0, :4], abs=error)
+            assert motion.report.largest_gap < 1e-14
+
+    def test_a_gear_of_many_turns(self):
+        """A flywheel behind 1 : 40 is 1600 times its inertia."""
+        mech = mechanism(
+            "links: [{name: arm, m: 0, l: 1, r: 0, I: 0.5}, {name: wheel, m: 0, l: 0, r: 0, "
+            "I: 0.001, from: [2, 0]}]\ncouplings: q2 = 40 q1 + 1\n"
+        )
+        motion = simulate(mech, [0.0, 1.0], [0.0, 0.0], 10.0, tau=[3.0], t_eval=[10.0])
+        angle = 0.5 * 3.0 / (0.5 + 1600 * 0.001) * 100.0
+        assert motion.q[0] == pytest.approx([angle, 40 * angle + 1], rel=1e-12)
+
+    def test_a_start_that_breaks_it_is_refused(self):
+        mech = mechanism(FIVE_BAR)
+        q = assemble(mech, [1.0])
+        with pytest.raises(InputError, match="loops are open"):
+            simulate(mech, q + np.array([0, 0, 0.1, 0]), np.zeros(4), 1.0)
+
+
+class TestAssembly:
+    def test_a_loop_behind_a_gear(self):
+        mech = mechanism(FIVE_BAR)
+        q1 = np.linspace(-3.0, 9.0, 50)
+        q = assemble(mech, q1[:, None])
+        assert q[:, 2] == pytest.approx(-2 * q1 + math.radians(20))
+        assert np.abs(closure_gap(mech, q)).max() < 1e-14
+
+    def test_passive_joints_coupled_to_one_another_need_a_start(self):
+        """The rods are coupled, not the cranks: Newton's method from the start configuration."""
+        q = assemble(mechanism(FIVE_BAR), [1.0])
+        ahead = float(q[3] - 0.5 * q[1])
+        text = FIVE_BAR.replace("q3 = -2 q1 + 20deg", f"q4 = 0.5 q2 + {ahead!r}")
+        with pytest.raises(InputError, match="add a `start`"):
+            assemble(mechanism(text), [1.0])
+        names = ["left crank", "left rod", "right crank", "right rod"]
+        start = ", ".join(
+            f"{name}: {angle!r}" for name, angle in zip(names, q.tolist(), strict=True)
+        )
+        mech = mechanism(f"{text}start: {{{start}}}\n")
+        assert assemble(mech, [1.0]) == pytest.approx(q, abs=1e-9)
+        moved = assemble(mech, [1.2])
+        assert np.abs(closure_gap(mech, moved)).max() < 1e-12
+        assert moved[3] - 0.5 * moved[1] == pytest.approx(ahead)
+
+    def test_a_tree_at_random(self):
+        plain = seeded_tree(3, 5)
+        mech = mechanism(plain.text + 'couplings: ["q4 = 0.3 q2 - q1", "q5 = -1.5 q4 + 1"]\n')
+        assert mech.actuated == (0, 2)
+        q = mechanism(
+            plain.text + "couplings: q4 = 0.3 q2 - q1\nactuated: [link0, link1, link2, link4]\n"
+        )
+        full = assemble(q, [0.1, 0.2, 0.3, 0.4])
+        assert full[3] == pytest.approx(0.3 * 0.2 - 0.1)
+        tau = inverse_dynamics(q, full, np.zeros(5), np.zeros(5))
+        assert tau[3] == 0.0
+
+
+class TestFaults:
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("q2 = q4", "names q4; the joints are q1 to q3"),
+            ("q0 = q1", "names q0"),
+            ("q2 = q2", "has q2 on both sides"),
+            ("2 q2 = q1", "must be an equation such as"),
+            ("q2 + q1", "must be an equation such as"),
+            ("q2 = q1 +", "a term is missing"),
+            ("q2 = 1/0 q1", "divides by zero"),
+            ("q2 = x q1", "xq1 is not a number"),
+            ("q2 = nan", "must be a finite number"),
+            ('["q2 = q1", "q2 = q3"]', "gives q2 a second time"),
+            ("[[q1, q2]]", "couplings[0]"),
+            ("{q1: q2}", "must be a list"),
+        ],
+    )
+    def test_each_is_named(self, text, words):
+        with pytest.raises(InputError) as caught:
+            mechanism(f"{ARM}couplings: {text}\n")
+        assert words in str(caught.value)
+
+    def test_the_compiled_series_refuse_them(self):
+        mech = mechanism(FIVE_BAR)
+        q = assemble(mech, [1.0])
+        with pytest.raises(InputError, match="couplings"):
+            simulate(mech, q, np.zeros(4), 1.0, method="taylor", engine="compiled")
+
+    @pytest.mark.parametrize(
+        ("text", "expected"),
+        [
+            ("q3 = -2 q1 + 0.1", (3, {1: -2.0}, 0.1)),
+            ("q2=q1", (2, {1: 1.0}, 0.0)),
+            ("q3 = 20/37 q1 - 1e-3*q2 - 180deg", (3, {1: 20 / 37, 2: -1e-3}, -math.pi)),
+            ("q1 = -pi/2", (1, {}, -math.pi / 2)),
+            ("q12 = q1 + q1 - 1e+1", (12, {1: 2.0}, -10.0)),
+        ],
+    )
+    def test_what_an_equation_says(self, text, expected):
+        assert parse_coupling(text) == expected
+
+
+def test_the_columns_of_the_command_line(robodyn, scene):
+    path = scene(FIVE_BAR)
+    names = robodyn("torque", path, "--q", "1", "--qd", "2").out.splitlines()[0]
+    assert names == "tau1,fx1,fy1,tc1"
+    shown = robodyn("check", path, "--format", "table").out
+    assert "q3 = -2 q1 + 0.349" in shown
