@@ -86,14 +86,16 @@ class SparseMechanism:
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_forces:
             joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E)
-        force: Array = joint - np.bincount(self.above, joint[self.child], minlength=n)
-        force = force - (self.weight * E).imag + self.moments
+        force: Array = joint - (self.weight * E).imag + self.moments
+        force = force - np.bincount(self.above, joint[self.child], minlength=n)
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]
         force = force + np.bincount(j, turning * squares[k], minlength=n)
         force = force - np.bincount(k, turning * squares[j], minlength=n)
         PE = self.P * E[self.link]
         slope = self.angles - PE.imag  # Psi
-        bend = np.bincount(self.row, PE.real * squares[self.link], minlength=self.r)
+        bend = np.asarray(
+            np.bincount(self.row, PE.real * squares[self.link], minlength=self.r), float
+        )
         if baumgarte:
             gapd = np.bincount(self.row, slope * rates[self.link], minlength=self.r)
             gap = self.gap(PE, self.J @ y[:n])

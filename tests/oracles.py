@@ -579,3 +579,108 @@ def n_four_bar_exact(N, t, g=9.81, digits=30):
         turns = mpmath.nint(u / (2 * K))  # am(u + 2K) = am(u) + pi
         sn, cn, dn = (mpmath.ellipfun(kind, u - 2 * K * turns, m=m) for kind in ("sn", "cn", "dn"))
         return -mp.pi / 2 - 2 * (mp.pi * turns + mpmath.atan2(sn, cn)), -W * dn
+
+
+# ---------------------------------------------------------------------------------------------
+# The seven-body mechanism, as Hairer and Wanner write it (Solving ODEs II, section VII.7)
+# ---------------------------------------------------------------------------------------------
+
+# start: beta, Theta, gamma, Phi, delta, Omega, epsilon; accelerations of the first two there
+SEVEN_BODY_START = (
+    -0.0617138900142764496358948458001,
+    0.0,
+    0.455279819163070380255912382449,
+    0.222668390165885884674473185609,
+    0.487364979543842550225598953530,
+    -0.222668390165885884674473185609,
+    1.23054744454982119249735015568,
+)
+SEVEN_BODY_ACCELERATIONS = (14222.4439199541138705911625887, -10666.8329399655854029433719415)
+
+
+def seven_body_terms(q, qd, torque=0.033):
+    """M (7, 7), the forces f (7,), the constraints' Jacobian (6, 7) and -d/dt(Jacobian) qd."""
+    _, theta, gamma, phi, _, omega, _ = q
+    bd, td, _, pd, dd, od, ed = qd
+    m = (None, 0.04325, 0.00365, 0.02373, 0.00706, 0.07050, 0.00706, 0.05498)
+    I = (None, 2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5)
+    rr, ra, d, da, ss, sa, sb, sc, sd = (
+        0.007,
+        0.00092,
+        0.028,
+        0.0115,
+        0.035,
+        0.01874,
+        0.01043,
+        0.018,
+        0.02,
+    )
+    e, ea, zt, ta, tb, zf, fa, u, ua, ub = (
+        0.02,
+        0.01421,
+        0.04,
+        0.02308,
+        0.00916,
+        0.02,
+        0.01421,
+        0.04,
+        0.01228,
+        0.00449,
+    )
+    xb, yb, xc, yc, c0, free = -0.03635, 0.03273, 0.014, 0.072, 4530.0, 0.07785
+    M = np.zeros((7, 7))
+    M[0, 0] = m[1] * ra**2 + m[2] * (rr**2 - 2 * da * rr * np.cos(theta) + da**2) + I[1] + I[2]
+    M[1, 0] = M[0, 1] = m[2] * (da**2 - da * rr * np.cos(theta)) + I[2]
+    M[1, 1] = m[2] * da**2 + I[2]
+    M[2, 2] = m[3] * (sa**2 + sb**2) + I[3]
+    M[3, 3] = m[4] * (e - ea) ** 2 + I[4]
+    M[4, 3] = M[3, 4] = m[4] * ((e - ea) ** 2 + zt * (e - ea) * np.sin(phi)) + I[4]
+    M[4, 4] = m[4] * (zt**2 + 2 * zt * (e - ea) * np.sin(phi) + (e - ea) ** 2)
+    M[4, 4] += m[5] * (ta**2 + tb**2) + I[4] + I[5]
+    M[5, 5] = m[6] * (zf - fa) ** 2 + I[6]
+    M[6, 5] = M[5, 6] = m[6] * ((zf - fa) ** 2 - u * (zf - fa) * np.sin(omega)) + I[6]
+    M[6, 6] = m[6] * ((zf - fa) ** 2 - 2 * u * (zf - fa) * np.sin(omega) + u**2)
+    M[6, 6] += m[7] * (ua**2 + ub**2) + I[6] + I[7]
+    xd = sd * np.cos(gamma) + sc * np.sin(gamma) + xb
+    yd = sd * np.sin(gamma) - sc * np.cos(gamma) + yb
+    length = np.hypot(xd - xc, yd - yc)
+    force = -c0 * (length - free) / length
+    fx, fy = force * (xd - xc), force * (yd - yc)
+    f = np.array(
+        [
+            torque - m[2] * da * rr * td * (td + 2 * bd) * np.sin(theta),
+            m[2] * da * rr * bd**2 * np.sin(theta),
+            fx * (sc * np.cos(gamma) - sd * np.sin(gamma))
+            + fy * (sd * np.cos(gamma) + sc * np.sin(gamma)),
+            m[4] * zt * (e - ea) * dd**2 * np.cos(phi),
+            -m[4] * zt * (e - ea) * pd * (pd + 2 * dd) * np.cos(phi),
+            -m[6] * u * (zf - fa) * ed**2 * np.cos(omega),
+            m[6] * u * (zf - fa) * od * (od + 2 * ed) * np.cos(omega),
+        ]
+    )
+    # every term of the constraints is a length times the cosine or sine of a sum of angles
+    turns = [
+        (rr, (0,), 0.0), (-d, (0, 1), 0.0),  # to F, by K1 and K2
+        (ss, (2,), -np.pi / 2), (e, (3, 4), -np.pi / 2), (zt, (4,), 0.0),
+        (zf, (5, 6), 0.0), (u, (6,), -np.pi / 2),
+    ]  # fmt: skip
+    sides = ((2,), (3, 4), (5, 6))
+    Psi, bend = np.zeros((6, 7)), np.zeros(6)
+    for c, side in enumerate(sides):
+        for k in (0, 1, *side):
+            length, angles, ahead = turns[k]
+            sign = 1.0 if k < 2 else -1.0
+            angle, rate = q[list(angles)].sum() + ahead, qd[list(angles)].sum()
+            point = sign * length * np.exp(1j * angle)
+            Psi[2 * c, list(angles)] -= point.imag
+            Psi[2 * c + 1, list(angles)] += point.real
+            bend[2 * c : 2 * c + 2] += np.array([point.real, point.imag]) * rate**2
+    return M, f, Psi, bend
+
+
+def seven_body_rates(t, y):
+    """dy/dt of (q, qd), the constraints differentiated twice."""
+    q, qd = y[:7], y[7:]
+    M, f, Psi, bend = seven_body_terms(q, qd)
+    system = np.block([[M, Psi.T], [Psi, np.zeros((6, 6))]])
+    return np.concatenate([qd, np.linalg.solve(system, np.concatenate([f, bend]))[:7]])

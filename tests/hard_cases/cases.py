@@ -11,6 +11,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
@@ -413,6 +414,28 @@ def scales_and_edges() -> Iterator[Row]:
         yield Row(f"backwards, {method}", "edge", "start not regained, rad", 1e-8, error)
 
 
+# -- 10: seven bodies ----------------------------------------------------------------------------
+
+
+def seven_body() -> Iterator[Row]:
+    """Against the book's own equations, integrated by scipy to the last digits it gives."""
+    mechanism = scene("seven-body")
+    start = np.concatenate([oracles.SEVEN_BODY_START, np.zeros(7)])
+    tight = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13}
+    exact = solve_ivp(oracles.seven_body_rates, (0.0, 0.03), start, **tight).y[:, -1]
+    hard = "1e-6 kg m^2, three loops"
+    for method in METHODS:
+        for rtol in (1e-6, 1e-9, 1e-12):
+            motion = simulate(
+                mechanism, start[:7], start[7:], 0.03, [0.033], method, rtol, rtol, t_eval=[0.03]
+            )
+            case = f"seven bodies, {method} {rtol:g}"
+            error = float(np.abs(motion.q[-1] - exact[:7]).max())
+            yield Row(case, hard, "error of angles after 30 ms", max(100.0 * rtol, 1e-10), error)
+            yield Row(case, hard, "largest gap, m", 1e-15, motion.report.largest_gap)
+            yield Row(case, hard, "energy balance", 10.0 * rtol, motion.report.energy_drift)
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -424,4 +447,5 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     stiff,
     long_run,
     scales_and_edges,
+    seven_body,
 ]
