@@ -140,9 +140,16 @@ def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> l
             _relative(convective - christoffel, _top(M) * _top(qd) ** 2),
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
-        Identity("G = dPE/dq", _relative(slope - work, max(_top(G), _top(slope)))),
+        Identity(
+            "G = dPE/dq", _relative(slope - work, max(_top(slope), _largest_term(mechanism, G)))
+        ),
         *_force_identities(mechanism, q, qd, directions),
     ]
+
+
+def _largest_term(mechanism: Mechanism, G: Array) -> float:
+    """Of G, in which weights and springs may balance."""
+    return max(_top(G), max(map(abs, mechanism.weights)))
 
 
 def _force_identities(
@@ -402,10 +409,11 @@ def _rate(function: Callable[[Array], Any], q: Array, speed: Array, sharp: Array
 def _sharpness(description: Description, q: Array) -> Array:
     """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
     sharp = np.ones(len(q))
+    reach = sum(link.l for link in description.links)
     for spring in description.springs:
         if isinstance(spring, Spring):
             length = _length(description, q, spring)
-            sharp = np.maximum(sharp, 0.5 * length.max(initial=0.0) / np.maximum(length, 1e-300))
+            sharp = np.maximum(sharp, 2.0 * reach / np.maximum(length, 1e-300))
     return sharp[:, None]
 
 
