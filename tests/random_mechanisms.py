@@ -16,8 +16,9 @@ import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
-from robodyn.description import Description, from_text
+from robodyn.description import from_text
 from robodyn.mechanism import Mechanism, build
+from robodyn.scene import Description
 
 # ---------------------------------------------------------------------------------------------
 # Where the numbers come from

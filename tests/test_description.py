@@ -16,9 +16,10 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robodyn.description import Closure, Description, Link, Point, from_text, read
+from robodyn.description import from_text, read
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanism import build
+from robodyn.scene import Closure, Description, Link, Point
 
 ROBOTS = ROOT / "robots"
 NAMES = ["2r", "3r", "pendulum", "four-bar", "parallelogram", "slider-crank", "five-bar"]

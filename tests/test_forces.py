@@ -33,11 +33,11 @@ from robodyn import (
 )
 from robodyn.actuation import Actuation, expressions, table
 from robodyn.closed_form import scene_torques
-from robodyn.description import Description, JointSpring, Load, Moment, Point
 from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.errors import InputError, SingularError
 from robodyn.extended import reference
 from robodyn.right_hand_side import right_hand_side
+from robodyn.scene import Description, JointSpring, Load, Moment, Point
 from robodyn.straightline import compile_forces
 
 SEEDS = range(4)

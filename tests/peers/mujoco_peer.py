@@ -15,7 +15,7 @@ import numpy as np
 from bench_frontier import Array, Case, Run
 
 from robodyn import Mechanism
-from robodyn.description import Description
+from robodyn.scene import Description
 
 STEPS = [round(250 * 2 ** (k / 2)) for k in range(20)]  # fewer are unstable
 

@@ -13,7 +13,7 @@ import pinocchio as pin
 from bench_frontier import Array, Run
 
 from robodyn import Mechanism
-from robodyn.description import Description
+from robodyn.scene import Description
 
 
 class Model:

@@ -11,7 +11,7 @@ import sympy as sp
 from bench_frontier import Array, Run
 
 from robodyn import Mechanism
-from robodyn.description import Point
+from robodyn.scene import Point
 
 
 class Lagrangian:
