@@ -7,6 +7,7 @@ offers what it can of
                                      "qdd": f(q, qd)} of one state
     batches(tree, q, qd, qdd)       {how: Run} inverse dynamics of all rows
     runs(case, tolerances)          {how: [Run, ...]} of the motion of a Case, from loose to tight
+    exported(mechanism)             what `robodyn export` writes, loaded; its terms() as above
 
 and raises NotImplementedError where it does not serve.  M, G and bias = C qd + G are those of the
 tree that opened closures leave; "tau" and "qdd" (without torques) are those of the mechanism.

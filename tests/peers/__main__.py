@@ -1,9 +1,11 @@
 """Compares robodyn with other engines: `make peers`.
 
-Three parts, one table, the same in bench/peers.json:
+Parts of one table, the same in bench/peers.json:
 
 agreement  the largest difference over random states, relative to the size of the terms that are
            added up in what is compared (at most ROUNDING)
+export     the same of the models that `robodyn export` writes, and of the constraints that close
+           loops there; what these allow, as the README tells it
 batch      inverse dynamics of the same states, closures opened; states a second, medians, in turn
 ready      milliseconds before the first motion
 motion     milliseconds for an error at the end, read off curves over tolerances as in `make bench`;
@@ -28,7 +30,7 @@ from statistics import median
 from time import perf_counter
 from timeit import timeit
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from bench_frontier import ROOT, Array, Curve, case, taylor
@@ -37,6 +39,8 @@ from rich.progress import track
 from rich.table import Table
 
 import robodyn
+from robodyn.assembly import loop_size
+from robodyn.closed_form import closure_bias
 from robodyn.description import from_text
 from robodyn.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanism import Mechanism, build
@@ -52,6 +56,21 @@ ROUNDING = 1e-13
 BOUND = 3.0
 WIDTH = 160
 STATES, BATCH, TURNS, REPEATS = 200, 100_000, 5, 9
+EXPORTED = (
+    *("pendulum", "2r", "3r", "four-bar", "parallelogram", "slider-crank", "five-bar"),
+    *("watt-six-bar", "stephenson-six-bar"),
+)
+RIG = """
+gravity: [1.3, -9.6]
+links:
+  - {name: plate, m: 2.0, l: 0.5, r: [0.21, 0.13], I: 0.05, payload: 0.4, damping: 0.02}
+  - {name: left, m: 0.5, l: 0.3, r: 0.14, I: 0.004, from: {link: plate, at: [0.3, 0.2]}}
+  - {name: far hand, m: 0.6, l: 0.4, r: [-0.1, 0], I: 0.007, from: slide, damping: 0.3}
+  - {name: slide, m: 0.7, l: 0.9, r: 0.4, I: 0.06, from: [0.4, -0.2], payload: 0.1}
+"""
+SOFT = 2e-5  # relative, of the accelerations that MuJoCo's constraints allow, sliders left out
+PIN_MOTION, SLIDER_MOTION = (2e-5, 1e-6), (6e-3, 1e-4)  # rad and m, see ran in mujoco_peer
+SOLVED = 1e-12  # relative, what the solver of its constraints leaves
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
 MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
 TARGETS = (1e-6, 1e-9, 1e-12)
@@ -96,32 +115,48 @@ def opened(mechanism: Mechanism) -> Mechanism:
     return build(parts)
 
 
+class Compared(NamedTuple):
+    """What is compared: robodyn's values, what they are functions of, the size of their terms."""
+
+    ours: Array
+    arguments: tuple[Array, ...]
+    terms: Array
+
+
+def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str, Compared]:
+    M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
+    G = robodyn.gravity_vector(mechanism, q)
+    rates, accelerations = qd[..., None], qdd[..., None]
+    arrays = mechanism.arrays
+    weight = arrays.J.T @ np.abs(mechanism.gamma * arrays.B)  # the largest that G can be
+    passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight + np.abs(arrays.damping * qd)
+    return {
+        "M": Compared(M, (q,), M),
+        "G": Compared(G, (q,), weight + 0 * q),
+        "bias": Compared((C @ rates)[..., 0] + G, (q, qd), passing),
+        "tau": Compared(
+            robodyn.inverse_dynamics(mechanism, q, qd, qdd),
+            (q, qd, qdd),
+            passing + (np.abs(M) @ np.abs(accelerations))[..., 0],
+        ),
+        "qdd": Compared(
+            robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
+            (q, qd),
+            (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
+        ),
+    }
+
+
+def apart(known: Compared, function: Callable[..., Array]) -> float:
+    """The largest difference of their values from ours, relative to the size of the terms."""
+    theirs = np.array([np.array(function(*x)) for x in zip(*known.arguments, strict=True)])
+    return worst(theirs - known.ours, known.terms)
+
+
 def agreement(engines: dict[str, ModuleType]) -> Iterator[Row]:
     for scene in ("2r", "3r", "four-bar"):
         mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
-        q, qd, qdd = motion_states(mechanism, STATES)
-        M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
-        G = robodyn.gravity_vector(mechanism, q)
-        rates, accelerations = qd[..., None], qdd[..., None]
-        arrays = mechanism.arrays
-        weight = arrays.J.T @ np.abs(mechanism.gamma * arrays.B)  # the largest that G can be
-        passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight
-        # what is compared, the arguments of it, and the size of its terms at each state
-        compared = {
-            "M": (M, (q,), M),
-            "G": (G, (q,), weight + 0 * q),
-            "bias": ((C @ rates)[..., 0] + G, (q, qd), passing),
-            "tau": (
-                robodyn.inverse_dynamics(mechanism, q, qd, qdd),
-                (q, qd, qdd),
-                passing + (np.abs(M) @ np.abs(accelerations))[..., 0],
-            ),
-            "qdd": (
-                robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
-                (q, qd),
-                (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
-            ),
-        }
+        known = compared(mechanism, *motion_states(mechanism, STATES))
         rows = []
         for name, engine in engines.items():
             try:
@@ -130,15 +165,93 @@ def agreement(engines: dict[str, ModuleType]) -> Iterator[Row]:
                 continue
             for term, function in terms.items():
                 kind, _, remark = term.partition(", ")
-                ours, arguments, terms_of = compared[kind]
-                theirs = np.array([np.array(function(*x)) for x in zip(*arguments, strict=True)])
-                apart = np.abs(theirs - ours).reshape(STATES, -1).max(axis=1)
-                size = np.abs(terms_of).reshape(STATES, -1).max(axis=1)
                 bound = None if remark else ROUNDING
-                what = f"{scene}, {term}"
-                worst = float((apart / size).max())
-                rows.append(Row("agreement", what, name, worst, "", bound=bound))
-        yield from sorted(rows, key=lambda row: list(compared).index(row.what.split(", ")[1]))
+                value = apart(known[kind], function)
+                rows.append(Row("agreement", f"{scene}, {term}", name, value, "", bound=bound))
+        yield from sorted(rows, key=lambda row: list(known).index(row.what.split(", ")[1]))
+
+
+def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
+    """The written models, loaded; closed ones in MuJoCo only."""
+    mechanisms = {name: robodyn.load(ROOT / f"robots/{name}.yaml") for name in EXPORTED}
+    mechanisms["rig"] = build(from_text(RIG, "rig"))
+    for scene, mechanism in mechanisms.items():
+        q, qd, qdd = motion_states(mechanism, STATES)
+        known = compared(mechanism, q, qd, qdd)
+        for name, engine in engines.items():
+            if not hasattr(engine, "exported") or (mechanism.rows and name != "mujoco"):
+                continue
+            model = engine.exported(mechanism)
+            terms = model.terms()
+            value = max(apart(known[term], function) for term, function in terms.items())
+            what = f"{scene}, {' '.join(terms)}"
+            yield Row("export", what, f"{name}, exported", value, "", bound=ROUNDING)
+            if mechanism.rows:
+                yield from closed_exports(scene, mechanism, model, known)
+
+
+def closed_exports(
+    scene: str, mechanism: Mechanism, model: Any, known: dict[str, Compared]
+) -> Iterator[Row]:
+    """Constraints of a model against the closures, their forces, and what softness does.
+
+    The forces f of the constraints obey, with the matrix R of MuJoCo's softness and the gains
+    k and b with which it closes gaps,
+
+        M qdd + C qd + D qd + G = Psi^T f        Psi qdd + Psidot qd + R f = -k gap - b Psi qd
+
+    where Psidot qd is left out for tendons.  Near change points any softness shows.
+    """
+    q, qd = known["bias"].arguments
+    found = [model.constraints(*state) for state in zip(q, qd, strict=True)]
+    J, gap, force, R, closing, qdd = (np.array(part) for part in zip(*found, strict=True))
+    closures = mechanism.description.closures
+    slider = [closures[row.closure].along is not None for row in mechanism.rows]
+    Psi, bias = robodyn.closure_jacobian(mechanism, q), closure_bias(mechanism, q, qd)
+    bias[..., slider] = 0.0
+    M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
+    damping = np.diag(mechanism.arrays.damping)
+    motion = [product(M, qdd), product(C + damping, qd), robodyn.gravity_vector(mechanism, q)]
+    forces = -product(np.swapaxes(Psi, -1, -2), force)
+    size = np.full(len(q), loop_size(mechanism))
+    hard = known["qdd"].ours
+    rows = {
+        "Psi and gap": (max(worst(J - Psi, Psi), worst(gap, size)), ROUNDING),
+        "qdd and forces": (worst(sum(motion) + forces, *motion, forces), SOLVED),
+        "softness": (
+            worst(
+                product(Psi, qdd) + bias + R * force - closing,
+                product(np.abs(Psi), np.abs(qdd)),
+                bias,
+            ),
+            SOLVED,
+        ),
+        "qdd of hard closures": (
+            worst(qdd - hard, known["qdd"].terms),
+            None if any(slider) or scene == "parallelogram" else SOFT,
+        ),
+    }
+    for term, (value, bound) in rows.items():
+        yield Row("export", f"{scene}, {term}", "mujoco, exported", value, "", bound=bound)
+    for timestep, part in ((1e-3, 1.0), (1e-4, 0.02)):
+        what = f"{scene}, 1 s in steps of {timestep:g} s"
+        limits = SLIDER_MOTION if any(slider) else PIN_MOTION
+        for value, unit, limit in zip(model.ran(timestep), ("rad", "m"), limits, strict=True):
+            name = f"{what}, {'q' if unit == 'rad' else 'gap'}"
+            yield Row("export", name, "mujoco, exported", value, unit, bound=limit * part)
+
+
+def product(matrices: Array, vectors: Array) -> Array:
+    return (matrices @ vectors[..., None])[..., 0]
+
+
+def worst(differences: Array, *terms: Array) -> float:
+    """The largest difference at a state (the first axis), relative to the size of the terms."""
+
+    def largest(values: Array) -> Array:
+        return np.abs(values).reshape(len(values), -1).max(axis=1)
+
+    return float((largest(differences) / sum(largest(term) for term in terms)).max())
 
 
 def batch(engines: dict[str, ModuleType]) -> Iterator[Row]:
@@ -269,7 +382,7 @@ def main() -> int:
             engines[name], versions[name] = engine, number
     rows: list[Row] = []
     console = Console(stderr=True)
-    parts = agreement, batch, making_ready, motions
+    parts = agreement, exports, batch, making_ready, motions
     for part in track(parts, "comparing", console=console, transient=True):
         rows += part(engines)
     Console(width=WIDTH).print(drawn(rows, versions))

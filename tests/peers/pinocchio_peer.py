@@ -14,6 +14,8 @@ from bench_frontier import Array, Run
 
 from robodyn import Mechanism
 from robodyn.description import Description
+from robodyn.model_xml import Names, link_names
+from robodyn.urdf import urdf
 
 
 class Model:
@@ -103,6 +105,61 @@ class Model:
             return tau
 
         return torques
+
+
+class Exported:
+    """The URDF that `robodyn export` writes, joints found by their names.
+
+    Its angles are stored as cosine and sine; gravity is set, and damping is added, which its
+    algorithms leave out.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.model = pin.buildModelFromXML(urdf(mechanism))
+        gravity = mechanism.gamma
+        self.model.gravity.linear = np.array([gravity.real, gravity.imag, 0.0])
+        self.data = self.model.createData()
+        names = link_names(mechanism, Names())
+        joints = [self.model.joints[self.model.getJointId(name)] for name in names]
+        self.places = np.array([joint.idx_q for joint in joints])
+        self.joints = np.array([joint.idx_v for joint in joints])
+        self.back = np.argsort(self.joints)
+        self.damping = np.array(self.model.damping)[self.joints]
+
+    def configuration(self, q: Array) -> Array:
+        found = np.empty(self.model.nq)
+        found[self.places], found[self.places + 1] = np.cos(q), np.sin(q)
+        return found
+
+    def M(self, q: Array) -> Array:
+        full = np.triu(pin.crba(self.model, self.data, self.configuration(q)))
+        full = full + np.triu(full, 1).T
+        return full[np.ix_(self.joints, self.joints)]
+
+    def bias(self, q: Array, qd: Array) -> Array:
+        state = self.configuration(q), qd[self.back]
+        return pin.nonLinearEffects(self.model, self.data, *state)[self.joints]
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        state = self.configuration(q), qd[self.back], qdd[self.back]
+        return pin.rnea(self.model, self.data, *state)[self.joints] + self.damping * qd
+
+    def accelerations(self, q: Array, qd: Array) -> Array:
+        state = self.configuration(q), qd[self.back], (-self.damping * qd)[self.back]
+        return pin.aba(self.model, self.data, *state)[self.joints]
+
+    def terms(self) -> dict[str, Callable[..., Array]]:
+        return {
+            "M": self.M,
+            "G": lambda q: self.bias(q, np.zeros_like(q)),
+            "bias": self.bias,
+            "tau": self.torques,
+            "qdd": self.accelerations,
+        }
+
+
+def exported(mechanism: Mechanism) -> Exported:
+    return Exported(mechanism)
 
 
 def _placed(point: complex) -> pin.SE3:
