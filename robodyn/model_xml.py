@@ -114,7 +114,7 @@ def _refuse(
     description: Description, holder: Description | Link, key: str, place: str, limit: str
 ) -> None:
     value = getattr(holder, key)
-    if value:
+    if value and getattr(value, "torque", True):  # friction without torque is none
         shown = value if isinstance(value, (int, float, str)) else None
         raise InputError(f"{place}{key}", where=description.source, value=shown, limit=limit)
 

@@ -24,7 +24,12 @@ from robodyn.model_xml import (
     vector,
 )
 
-REASONS = {"closures": "URDF describes trees, it has no closed loops; MJCF has"}
+REASONS = {
+    "closures": "URDF describes trees, it has no closed loops; MJCF has",
+    "springs": "URDF has no springs; MJCF has",
+    "loads": "URDF has no loads; MJCF has",
+    "friction": "URDF has no friction by tanh(qd/speed), only the bare torque",
+}
 REMARKS = (
     "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an",
     "unlimited (continuous) joint as its cosine and sine.",

@@ -30,6 +30,8 @@ class Body:
     joint: str | None = None  # None: fixed
     axis: Array | None = None
     damping: float = 0.0
+    stiffness: float = 0.0
+    springref: float = 0.0
     mass: float = 0.0
     centre: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the centre
@@ -49,6 +51,10 @@ class Model:
     equal_tendons: list[tuple[tuple[str, str], tuple[str, str], list[float]]] = field(
         default_factory=list
     )
+    # springs along tendons: the sites, stiffness, length, damping
+    springs: list[tuple[tuple[str, str], float, float, float]] = field(default_factory=list)
+    # constant wrenches on a site, in the frame of it or of another
+    wrenches: list[tuple[str, str | None, Array]] = field(default_factory=list)
     motors: list[str] = field(default_factory=list)
     keys: dict[str, dict[str, float]] = field(default_factory=dict)
 
@@ -104,6 +110,25 @@ class Model:
             M += body.mass * Jv.T @ Jv + Jw.T @ turn @ body.inertia @ turn.T @ Jw
             G -= body.mass * Jv.T @ gravity
         return M, G
+
+    def forces(self, q: Mapping[str, float], qd: Mapping[str, float]) -> Array:
+        """Joint torques (n,) of springs, dampers and constant wrenches."""
+        Q, frames = np.zeros(len(self.joints)), self.frames(q)
+        rates = np.array([qd[name] for name in self.joints])
+        for body in self.bodies:
+            if body.joint is not None:
+                j = self.joints.index(body.joint)
+                Q[j] -= body.stiffness * (q[body.joint] - body.springref) + body.damping * rates[j]
+        for ends, stiffness, length, damping in self.springs:
+            stretched, slope = self.length(q, ends)
+            Q -= (stiffness * (stretched - length) + damping * slope @ rates) * slope
+        for site, frame, wrench in self.wrenches:
+            body, at = self.sites[site]
+            _, Jv, Jw = self.slopes(q, body, at)
+            turn = frames[body if frame is None else self.sites[frame][0]][1]
+            assert frame is None or self.sites[frame][0] == "world"
+            Q += Jv.T @ turn @ wrench[:3] + Jw.T @ turn @ wrench[3:]
+        return Q
 
 
 def rotation(axis: Array, angle: float) -> Array:
@@ -196,9 +221,11 @@ def read_mjcf(text: str) -> Model:
             body = Body(child.get("name"), name, numbers(child.get("pos"), 3), np.eye(3))
             for joint in child.findall("joint"):
                 assert joint.get("type") == "hinge"
-                assert not {"range", "ref", "pos", "stiffness", "armature"} & set(joint.keys())
+                assert not {"range", "ref", "pos", "armature"} & set(joint.keys())
                 body.joint, body.axis = joint.get("name"), unit(joint.get("axis"))
-                body.damping = float(joint.get("damping", "0"))
+                body.damping, body.stiffness, body.springref = (
+                    float(joint.get(key, "0")) for key in ("damping", "stiffness", "springref")
+                )
             inertial = one(child, "inertial")
             body.mass = float(inertial.get("mass"))
             body.centre = numbers(inertial.get("pos"), 3)
@@ -219,6 +246,17 @@ def read_mjcf(text: str) -> Model:
     for equal in root.findall("equality/tendon"):
         pair = (tendons[equal.get(key)] for key in ("tendon1", "tendon2"))
         model.equal_tendons.append((*pair, numbers(equal.get("polycoef"), 5).tolist()))
+    for tendon in root.findall("tendon/spatial"):
+        if "stiffness" in tendon.attrib:
+            values = (float(tendon.get(key)) for key in ("stiffness", "springlength", "damping"))
+            model.springs.append((tendons[tendon.get("name")], *values))
+    for general in root.findall("actuator/general"):
+        constant = {"gainprm": "0", "biastype": "affine", "biasprm": "1 0 0"}
+        assert constant.items() <= general.attrib.items()
+        wrench = numbers(general.get("gear"), 6)
+        model.wrenches.append((general.get("site"), general.get("refsite"), wrench))
+    actuators = [actuator.get("name") for actuator in root.findall("actuator/*")]
+    assert len(set(actuators)) == len(actuators)
     for motor in root.findall("actuator/motor"):
         assert motor.get("gear") == "1"
         model.motors.append(motor.get("joint"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,6 +15,7 @@ from model_readers import read_mjcf
 from random_mechanisms import (
     LOOPS,
     assert_close,
+    forced,
     loops,
     mechanism,
     seeded_scene,
@@ -23,7 +25,8 @@ from random_mechanisms import (
 )
 from robodyn.errors import InputError
 from robodyn.mechanism import build, load
-from robodyn.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
+from robodyn.mjcf import MINIMUM, TIMESTEP, mjcf
+from robodyn.mjcf_elements import DEEPEST
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
@@ -126,6 +129,69 @@ class TestTerms:
             gap = robodyn.closure_gap(mech, q)[-1]
             assert error * gap > 0.0
             assert abs(error) <= 2.0 * abs(gap) * (1 + 1e-12)
+
+
+class TestForces:
+    """Springs, dampers, loads: -G + Q - D qd of the scene, without friction, which is refused."""
+
+    def assert_same_forces(self, mech, q, qd, rtol=1e-13):
+        model, there = read(mech)
+        at, rates = angles(model, there, q), angles(model, there, qd)
+        _, G = model.terms(at, model.gravity)
+        theirs = (model.forces(at, rates) - G)[there]
+        G, Q = robodyn.gravity_vector(mech, q), robodyn.other_forces(mech, q, qd)
+        resisted = mech.arrays.damping * qd
+        size = max(np.abs(part).max() for part in (G, Q, resisted, 1.0))
+        assert_close(theirs, Q - G - resisted, size, rtol)
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_of_trees(self, seed):
+        scene = forced(seed, seeded_tree(seed, 4))
+        text = re.sub(r" friction: \{.*?\},", "", scene.text)
+        assert text != scene.text
+        self.assert_same_forces(mechanism(text), scene.q, scene.qd)
+
+    @pytest.mark.parametrize("name", LOOPS)
+    def test_of_loops(self, name):
+        scene = forced(3, seeded_scene(3, LOOPS[name]))
+        text = re.sub(r" friction: \{.*?\},", "", scene.text)
+        mech = mechanism(text)
+        self.assert_same_forces(mech, scene.q, scene.qd)
+        assert_same_closures(mech, scene.q)
+
+    def test_springs_at_one_joint_act_as_one(self):
+        mech = mechanism(
+            "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, damping: 0.25}]\n"
+            "springs:\n"
+            "  - {joint: a, stiffness: 5, angle: 0.4, damping: 0.5}\n"
+            "  - {joint: a, stiffness: 2, angle: -3, damping: 0.125}\n"
+            "  - {joint: a, stiffness: 0, angle: 9, damping: 1}\n"
+        )
+        (body,) = read(mech)[0].bodies
+        assert (body.damping, body.stiffness) == (1.875, 7.0)
+        assert body.springref == pytest.approx(-4 / 7, rel=1e-15)
+        self.assert_same_forces(mech, np.array([7.5]), np.array([-2.0]))
+
+    def test_one_spring_is_written_as_it_is(self):
+        mech = mechanism(
+            "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+            "springs: [{joint: a, stiffness: 0.3, angle: 0.1},"
+            " {between: [[0.1, 0.7], a], stiffness: 4, length: 0.3, damping: 0.2}]\n"
+        )
+        model, _ = read(mech)
+        assert (model.bodies[0].stiffness, model.bodies[0].springref) == (0.3, 0.1)
+        assert model.springs == [(("spring2_first", "spring2_second"), 4.0, 0.3, 0.2)]
+        assert model.sites["spring2_first"][0] == "world"
+
+    def test_a_load_may_be_called_as_a_link(self):
+        mech = mechanism(
+            "links: [{name: load1, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+            "loads: [{link: load1, torque: 2}, {link: load1, at: [1, 0], force: [0, 3]}]\n"
+        )
+        model, _ = read(mech)
+        assert model.motors == ["load1"]
+        assert len(model.wrenches) == 2
+        self.assert_same_forces(mech, np.array([0.4]), np.array([0.0]))
 
 
 class TestModel:

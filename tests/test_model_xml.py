@@ -96,38 +96,45 @@ def test_numbers_read_back_exactly(value):
 
 @dataclass(frozen=True, slots=True)
 class LaterLink(Link):
-    friction: float = 0.0
+    backlash: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class LaterDescription(Description):
-    springs: tuple[str, ...] = ()
+    magnets: tuple[str, ...] = ()
 
 
-def later(springs=(), friction=0.0):
+def later(magnets=(), backlash=0.0):
     """A description with keys that a later scene format may add."""
     arm = robodyn.load(ROOT / "robots/2r.yaml").description
     values = {field.name: getattr(arm, field.name) for field in fields(arm)}
     first = {field.name: getattr(arm.links[0], field.name) for field in fields(Link)}
-    values["links"] = (LaterLink(**first, friction=friction), *arm.links[1:])
-    return LaterDescription(**values, springs=springs)
+    values["links"] = (LaterLink(**first, backlash=backlash), *arm.links[1:])
+    return LaterDescription(**values, magnets=magnets)
 
 
 def test_keys_that_are_not_said_are_refused_where_they_hold_something():
     refuse_unsaid(later(), "XYZ", {})
-    with pytest.raises(InputError, match=r"2r\.yaml: springs: XYZ cannot say it"):
-        refuse_unsaid(later(springs=("one",)), "XYZ", {})
-    with pytest.raises(InputError, match=r"springs: for a reason"):
-        refuse_unsaid(later(springs=("one",)), "XYZ", {"springs": "for a reason"})
-    with pytest.raises(InputError, match=r"links\[0\] \(upper arm\)\.friction = 0\.2: XYZ"):
-        refuse_unsaid(later(friction=0.2), "XYZ", {})
-    refuse_unsaid(later(("one",), 0.2), "XYZ", {}, ["springs", "friction"])
+    with pytest.raises(InputError, match=r"2r\.yaml: magnets: XYZ cannot say it"):
+        refuse_unsaid(later(magnets=("one",)), "XYZ", {})
+    with pytest.raises(InputError, match=r"magnets: for a reason"):
+        refuse_unsaid(later(magnets=("one",)), "XYZ", {"magnets": "for a reason"})
+    with pytest.raises(InputError, match=r"links\[0\] \(upper arm\)\.backlash = 0\.2: XYZ"):
+        refuse_unsaid(later(backlash=0.2), "XYZ", {})
+    refuse_unsaid(later(("one",), 0.2), "XYZ", {}, ["magnets", "backlash"])
 
 
 @FORMATS
 def test_the_writers_refuse_what_they_do_not_know(write):
-    mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]")
-    write(mech)
-    for scene, key in ((later(springs=("one",)), "springs"), (later(friction=0.2), "friction")):
-        with pytest.raises(InputError, match=key):
+    write(build(later()))
+    for scene, key in ((later(magnets=("one",)), "magnets"), (later(backlash=0.2), "backlash")):
+        with pytest.raises(InputError, match=f"{key}.*cannot say it"):
             write(build(scene))
+
+
+@FORMATS
+def test_friction_by_speed_is_refused(write):
+    text = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, friction: {torque: %s, speed: 0.1}}]"
+    write(mechanism(text % 0))
+    with pytest.raises(InputError, match=r"links\[0\] \(a\)\.friction: .*tanh"):
+        write(mechanism(text % 0.5))

@@ -123,6 +123,21 @@ def test_loops_are_refused(name):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("key", "entry"),
+    [
+        ("springs", "{joint: a, stiffness: 5, angle: 0.4}"),
+        ("springs", "{between: [a, [1, 1]], stiffness: 5, length: 0.4}"),
+        ("loads", "{link: a, torque: 1.5}"),
+    ],
+)
+def test_springs_and_loads_are_refused(key, entry):
+    mech = mechanism(f"links: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1}}]\n{key}: [{entry}]\n")
+    with pytest.raises(InputError, match=f"{key}: URDF has no {key}; MJCF has") as caught:
+        urdf(mech)
+    assert caught.value.exit_code == 2
+
+
 def test_the_comment_tells_what_urdf_cannot():
     mech = robodyn.load(ROOT / "robots/2r.yaml")
     text = urdf(mech)

@@ -114,10 +114,20 @@ class Exported(Model):
         self.joints = np.array([self.model.joint(name).dofadr[0] for name in names])
 
     def terms(self) -> dict[str, Callable[..., Array]]:
-        found = {"M": self.M, "G": lambda q: self.bias(q, np.zeros_like(q)), "bias": self.bias}
-        if self.mechanism.rows:
-            return found
-        return found | {"tau": self.torques, "qdd": self.accelerations}
+        found: dict[str, Callable[..., Array]] = {"M": self.M}
+        description = self.mechanism.description
+        if not (description.springs or description.loads):  # which are not in its bias
+            found |= {"G": lambda q: self.bias(q, np.zeros_like(q)), "bias": self.bias}
+        if not self.mechanism.rows:
+            found |= {"tau": self.torques, "qdd": self.accelerations}
+        return found
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Its inverse dynamics leaves out actuators, as which loads are written."""
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        loads = self.data.qfrc_actuator[self.joints].copy()
+        return super().torques(q, qd, qdd) - loads
 
     def constraints(self, q: Array, qd: Array) -> tuple[Array, ...]:
         """J, residual, force, R and what closes gaps, of the rows of closures; and qdd.
