@@ -143,6 +143,8 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
     weight = np.maximum(weight, np.abs(G))  # springs may make it larger
     passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight + np.abs(arrays.damping * qd)
     passing += np.abs(robodyn.other_forces(mechanism, q, qd))
+    torques = np.zeros_like(q)
+    torques[..., list(mechanism.actuated)] = qdd[..., list(mechanism.actuated)]
     return {
         "M": Compared(M, (q,), M),
         "G": Compared(G, (q,), weight),
@@ -156,6 +158,11 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
             robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
             (q, qd),
             (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
+        ),
+        "driven": Compared(  # qdd by torques of the actuated joints, of any size
+            robodyn.forward_dynamics(mechanism, q, qd, torques),
+            (q, qd, torques),
+            (np.abs(np.linalg.inv(M)) @ (passing + np.abs(torques))[..., None])[..., 0],
         ),
     }
 

@@ -110,8 +110,8 @@ class Exported(Model):
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.model.opt.tolerance = 0.0  # of its solver: as far as it gets
         self.data = mujoco.MjData(self.model)
-        names = link_names(mechanism, Names())
-        self.joints = np.array([self.model.joint(name).dofadr[0] for name in names])
+        self.names = link_names(mechanism, Names())
+        self.joints = np.array([self.model.joint(name).dofadr[0] for name in self.names])
 
     def terms(self) -> dict[str, Callable[..., Array]]:
         found: dict[str, Callable[..., Array]] = {"M": self.M}
@@ -119,8 +119,16 @@ class Exported(Model):
         if not (description.springs or description.loads):  # which are not in its bias
             found |= {"G": lambda q: self.bias(q, np.zeros_like(q)), "bias": self.bias}
         if not self.mechanism.rows:
-            found |= {"tau": self.torques, "qdd": self.accelerations}
+            found |= {"tau": self.torques, "qdd": self.accelerations, "driven": self.driven}
         return found
+
+    def driven(self, q: Array, qd: Array, tau: Array) -> Array:
+        """Accelerations by the controls of its motors."""
+        for k in self.mechanism.actuated:
+            self.data.actuator(self.names[k]).ctrl = tau[k]
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qacc[self.joints].copy()
 
     def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Its inverse dynamics leaves out actuators, as which loads are written."""

@@ -145,7 +145,10 @@ class Exported:
         return pin.rnea(self.model, self.data, *state)[self.joints] + self.damping * qd
 
     def accelerations(self, q: Array, qd: Array) -> Array:
-        state = self.configuration(q), qd[self.back], (-self.damping * qd)[self.back]
+        return self.driven(q, qd, np.zeros_like(q))
+
+    def driven(self, q: Array, qd: Array, tau: Array) -> Array:
+        state = self.configuration(q), qd[self.back], (tau - self.damping * qd)[self.back]
         return pin.aba(self.model, self.data, *state)[self.joints]
 
     def terms(self) -> dict[str, Callable[..., Array]]:
@@ -155,6 +158,7 @@ class Exported:
             "bias": self.bias,
             "tau": self.torques,
             "qdd": self.accelerations,
+            "driven": self.driven,
         }
 
 
