@@ -2,8 +2,8 @@
 
     https://mujoco.readthedocs.io/en/stable/XMLreference.html
 
-A closure is an equality constraint, which MuJoCo keeps softly: its force is what brings the error
-to nothing in a few time steps.  The elements of a model are in `mjcf_elements.py`.
+A closure or coupling is an equality constraint, which MuJoCo keeps softly: its force is what brings
+the error to nothing in a few time steps.  The elements of a model are in `mjcf_elements.py`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
-from robodyn.description import Description
 from robodyn.errors import InputError, printable
 from robodyn.mechanism import Mechanism
 from robodyn.mjcf_elements import Elements
@@ -23,15 +22,16 @@ from robodyn.model_xml import (
     refuse_unsaid,
     vector,
 )
+from robodyn.scene import Description
 
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
 REASONS = {"friction": "MuJoCo has no friction by tanh(qd/speed); its frictionloss is another law"}
-SAID = ("closures", "springs", "loads")
+SAID = ("closures", "springs", "loads", "couplings")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
-LOOP_REMARKS = (
-    "Loops are closed by equality constraints, as stiff as the time step allows.  They are open",
-    "where all joints are zero: start from a closed configuration, such as a keyframe.",
+SOFT_REMARKS = (
+    "Loops and couplings are held by equality constraints, as stiff as the time step allows.  They",
+    "are open where all joints are zero: start where they hold, such as from a keyframe.",
 )
 LOAD_REMARKS = ("A load is an actuator of constant force: its control does nothing.",)
 SLIDER_REMARKS = (
@@ -57,7 +57,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     option = SubElement(root, "option", timestep=number(timestep), integrator="RK4")
     option.set("gravity", vector(mechanism.gamma))
     SubElement(option, "flag", contact="disable")
-    if description.closures:
+    if len(model.equality):
         default = SubElement(root, "default")
         # the shortest time constant that is stable, and the least softness that MuJoCo takes
         stiff = {"solref": f"{number(2.0 * timestep)} 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
@@ -76,7 +76,7 @@ def _remarks(description: Description) -> list[str]:
     for there, more in (
         (any(link.payload for link in description.links), PAYLOAD_REMARKS),
         (description.loads, LOAD_REMARKS),
-        (description.closures, LOOP_REMARKS),
+        (description.closures or description.couplings, SOFT_REMARKS),
         (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
     ):
         remarks += more if there else ()

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from robodyn.description import Closure, Load, Moment, Point, Spring
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
 from robodyn.model_xml import Names, link_names, number, vector
+from robodyn.scene import Closure, Coupling, Load, Moment, Point, Spring
 
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
 
@@ -42,6 +42,8 @@ class Elements:
         self._sites: dict[int | None, list[dict[str, str]]] = {}
         for c, closure in enumerate(mechanism.description.closures):
             self.close(f"closure{c + 1}", closure)
+        for c, coupling in enumerate(mechanism.description.couplings):
+            self.couple(f"coupling{c + 1}", coupling)
         for p, spring in enumerate(mechanism.description.springs):
             if isinstance(spring, Spring):
                 self.stretch(f"spring{p + 1}", spring)
@@ -126,6 +128,21 @@ class Elements:
         first = self.site(f"{name}_first", closure.first)
         second = self.site(f"{name}_second", closure.second)
         SubElement(self.equality, "connect", name=name, site1=first, site2=second)
+
+    def couple(self, name: str, coupling: Coupling) -> None:
+        """An equation between joints; of more than two the sum of all is a tendon's length."""
+        terms, ratio = coupling.terms, 0.0
+        if len(terms) < 2:
+            found = SubElement(self.equality, "joint", name=name, joint1=self.names[coupling.joint])
+            if terms:
+                found.set("joint2", self.names[terms[0][0]])
+                ratio = terms[0][1]
+        else:
+            tendon = SubElement(self.tendon, "fixed", name=name)
+            for k, factor in ((coupling.joint, 1.0), *((k, -ratio) for k, ratio in terms)):
+                SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
+            found = SubElement(self.equality, "tendon", name=name, tendon1=name)
+        found.set("polycoef", f"{number(coupling.angle)} {number(ratio)} 0 0 0")
 
     def slider(self, name: str, closure: Closure, along: complex) -> None:
         """Two tendons to the point, from ground sites on both sides of the line; gap > 0: left.

@@ -12,9 +12,9 @@ from dataclasses import fields
 from xml.etree import ElementTree
 
 from robodyn import __version__
-from robodyn.description import Description, Link
 from robodyn.errors import InputError, printable
 from robodyn.mechanism import Mechanism
+from robodyn.scene import Description, Link
 
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})

@@ -3,15 +3,15 @@
     https://wiki.ros.org/urdf/XML
 
 URDF describes trees, without gravity and without a choice of driven joints; both are told in the
-comment of the file.  A joint has the name of its link, a link that name and `_link`, as is the
-custom: some readers want all names of a model to differ.
+comment of the file.  A coupled joint is one that mimics another.  A joint has the name of its link,
+a link that name and `_link`, as is the custom: some readers want all names of a model to differ.
 """
 
 from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from robodyn.errors import printable
+from robodyn.errors import InputError, printable
 from robodyn.mechanism import Mechanism
 from robodyn.model_xml import (
     INERTIA_REMARKS,
@@ -35,6 +35,10 @@ REMARKS = (
     "unlimited (continuous) joint as its cosine and sine.",
     *INERTIA_REMARKS,
 )
+MIMIC_REMARKS = (
+    "A joint with `mimic` follows another.  Pinocchio leaves it free without mimic=True, and",
+    "counts the angle that it follows from -pi to pi.",
+)
 PAYLOAD_REMARKS = ("A payload is a point mass on a fixed joint.",)
 
 
@@ -42,9 +46,14 @@ def urdf(mechanism: Mechanism) -> str:
     """The mechanism as URDF text.
 
     Joint i, named after link i, has the coordinate q_i.  Raises InputError for what URDF
-    cannot say: closures.
+    cannot say: closures, springs, loads, friction, and couplings of more than two joints.
     """
-    refuse_unsaid(mechanism.description, "URDF", REASONS)
+    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings"])
+    couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}
+    for c, coupling in enumerate(mechanism.description.couplings):
+        if len(coupling.terms) != 1 or coupling.terms[0][0] in couplings:
+            limit = "URDF's joints follow one joint (`mimic`) that follows none; MJCF has others"
+            raise InputError(f"couplings[{c}]", where=mechanism.source, limit=limit)
     names = Names()
     joints = link_names(mechanism, names)
     ground = names.new("ground")
@@ -60,12 +69,18 @@ def urdf(mechanism: Mechanism) -> str:
         SubElement(joint, "axis", xyz="0 0 1")
         if link.damping:
             SubElement(joint, "dynamics", damping=number(link.damping), friction="0.0")
+        if k in couplings:
+            ((other, ratio),) = couplings[k].terms
+            mimic = {"multiplier": number(ratio), "offset": number(couplings[k].angle)}
+            SubElement(joint, "mimic", {"joint": joints[other]} | mimic)
         if link.payload:
             payload = names.new(f"{joints[k]}_payload")
             body = names.new(f"{payload}_link")
             _link(root, body, link.payload, 0j, 0.0)
             _joint(root, payload, "fixed", (bodies[k], body), complex(link.l))
     remarks = [*REMARKS]
+    if couplings:
+        remarks += MIMIC_REMARKS
     if any(link.payload for link in mechanism.description.links):
         remarks += PAYLOAD_REMARKS
     return document(root, comment(mechanism, joints, remarks))

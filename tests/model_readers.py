@@ -51,6 +51,8 @@ class Model:
     equal_tendons: list[tuple[tuple[str, str], tuple[str, str], list[float]]] = field(
         default_factory=list
     )
+    # sums of joints that are constant: {joint: factor}, and the constant
+    sums: list[tuple[dict[str, float], float]] = field(default_factory=list)
     # springs along tendons: the sites, stiffness, length, damping
     springs: list[tuple[tuple[str, str], float, float, float]] = field(default_factory=list)
     # constant wrenches on a site, in the frame of it or of another
@@ -163,6 +165,7 @@ def read_urdf(text: str) -> Model:
     assert len(joints) == len({joint.get("name") for joint in robot.findall("joint")})
     (root,) = links.keys() - joints.keys()
     bodies: list[Body] = []
+    sums: list[tuple[dict[str, float], float]] = []
 
     def add(parent: str) -> None:
         for name, joint in joints.items():
@@ -174,6 +177,9 @@ def read_urdf(text: str) -> Model:
                 body.joint, body.axis = joint.get("name"), unit(one(joint, "axis").get("xyz"))
             else:
                 assert joint.get("type") == "fixed"
+            for mimic in joint.findall("mimic"):
+                ratios = {body.joint: 1.0, mimic.get("joint"): -float(mimic.get("multiplier"))}
+                sums.append((ratios, float(mimic.get("offset"))))
             for dynamics in joint.findall("dynamics"):
                 body.damping = float(dynamics.get("damping", "0"))
                 assert float(dynamics.get("friction", "0")) == 0.0
@@ -187,7 +193,7 @@ def read_urdf(text: str) -> Model:
 
     add(root)
     assert len(bodies) == len(joints)
-    return Model(robot.get("name"), root, bodies)
+    return Model(robot.get("name"), root, bodies, sums=sums)
 
 
 def _urdf_origin(element: Element) -> tuple[Array, Array]:
@@ -243,7 +249,23 @@ def read_mjcf(text: str) -> Model:
     }
     for connect in root.findall("equality/connect"):
         model.connects.append((connect.get("site1"), connect.get("site2")))
+    fixed = {
+        tendon.get("name"): {x.get("joint"): float(x.get("coef")) for x in tendon.findall("joint")}
+        for tendon in root.findall("tendon/fixed")
+    }
+    for equal in root.findall("equality/joint"):
+        a0, a1, *others = numbers(equal.get("polycoef"), 5).tolist()
+        assert others == [0, 0, 0]
+        ratios = {equal.get("joint1"): 1.0}
+        if "joint2" in equal.attrib:
+            ratios[equal.get("joint2")] = -a1
+        model.sums.append((ratios, a0))
     for equal in root.findall("equality/tendon"):
+        if "tendon2" not in equal.attrib:
+            a0, *others = numbers(equal.get("polycoef"), 5).tolist()
+            assert others == [0, 0, 0, 0]
+            model.sums.append((fixed[equal.get("tendon1")], a0))
+            continue
         pair = (tendons[equal.get(key)] for key in ("tendon1", "tendon2"))
         model.equal_tendons.append((*pair, numbers(equal.get("polycoef"), 5).tolist()))
     for tendon in root.findall("tendon/spatial"):

@@ -80,8 +80,26 @@ def assert_same_closures(mech, q):
             assert_close(error, scale * gap[row], apart, 1e-13)
             assert_close(slope[there], scale * Psi[row], apart, 1e-13)
             row += 1
+    for coupling in mech.rows[row:]:
+        (ratios, angle) = next(
+            (ratios, angle)
+            for ratios, angle in model.sums
+            if next(iter(ratios)) == model.joints[there[coupling_joint(mech, row)]]
+        )
+        error = sum(ratio * at[joint] for joint, ratio in ratios.items()) - angle
+        slope = np.array([ratios.get(joint, 0.0) for joint in model.joints])
+        assert_close(coupling.arm * error, gap[row], coupling.arm * np.abs(q).max(), 1e-14)
+        assert_close(coupling.arm * slope[there], Psi[row], coupling.size, 1e-14)
+        row += 1
     assert row == len(mech.rows)
+    assert len(model.sums) == len(mech.description.couplings)
     assert next(connects, None) is next(tendons, None) is None
+
+
+def coupling_joint(mech, row):
+    """The joint that a coupling's row gives."""
+    closures = sum(row.closure is not None for row in mech.rows)
+    return mech.description.couplings[row - closures].joint
 
 
 def tendon_error(model, at, right, left, polynomial):
@@ -129,6 +147,41 @@ class TestTerms:
             gap = robodyn.closure_gap(mech, q)[-1]
             assert error * gap > 0.0
             assert abs(error) <= 2.0 * abs(gap) * (1 + 1e-12)
+
+
+class TestCouplings:
+    @pytest.mark.parametrize(
+        "couplings",
+        [
+            *("q2 = -2 q1 + 0.1", "q1 = 0.5 q2 - 30deg", "q3 = 30deg", "q3 = q1 - 1/3 q2"),
+            *('["q2 = -q1", "q3 = 20/37 q2 + 30deg"]', '["q1 = 1", "q4 = q3 + q2 - q1 - 0.25"]'),
+        ],
+    )
+    @pytest.mark.parametrize("seed", range(3))
+    def test_of_trees(self, seed, couplings):
+        scene = seeded_tree(seed, 4)
+        mech = mechanism(f"{scene.text}couplings: {couplings}\n")
+        assert_same_terms(mech, scene.q)
+        assert_same_closures(mech, scene.q)
+
+    def test_of_a_loop(self):
+        scene = seeded_scene(2, LOOPS["five-bar"])
+        text = re.sub("actuated.*", "actuated: [link0]", scene.text)
+        mech = mechanism(text + 'couplings: ["q3 = -2 q1 + 20deg"]\n')
+        for q in np.random.default_rng(1).uniform(-3, 3, (5, mech.n)):
+            assert_same_closures(mech, q)
+        assert len(mech.rows) == 3
+
+    def test_a_coupling_of_two_joints_is_written_as_it_is(self):
+        arm = (ROOT / "robots/2r.yaml").read_text()
+        root = ElementTree.fromstring(mjcf(mechanism(arm + "couplings: q2 = -0.3 q1 + 0.1\n")))
+        assert root.find("equality/joint").attrib == {
+            "name": "coupling1",
+            "joint1": "forearm",
+            "joint2": "upper_arm",
+            "polycoef": "0.1 -0.3 0 0 0",
+        }
+        assert root.find("default/equality") is not None
 
 
 class TestForces:

@@ -123,6 +123,31 @@ def test_loops_are_refused(name):
     assert caught.value.exit_code == 2
 
 
+def test_a_coupled_joint_mimics_another():
+    arm = (ROOT / "robots/3r.yaml").read_text()
+    mech = mechanism(arm + 'couplings: ["q2 = -0.3 q1 + 0.1", "q3 = q1"]\n')
+    model = assert_same_terms(mech, np.array([0.1, 0.2, 0.3]))
+    assert model.sums == [
+        ({"forearm": 1.0, "upper_arm": 0.3}, 0.1),
+        ({"hand": 1.0, "upper_arm": -1.0}, 0.0),
+    ]
+    assert "mimic=True" in urdf(mech)
+
+
+@pytest.mark.parametrize(
+    ("couplings", "place"),
+    [
+        ("q2 = 30deg", r"couplings\[0\]"),
+        ("q3 = q1 - q2", r"couplings\[0\]"),
+        ('["q2 = -q1", "q3 = q2"]', r"couplings\[1\]"),
+    ],
+)
+def test_other_couplings_are_refused(couplings, place):
+    arm = (ROOT / "robots/3r.yaml").read_text()
+    with pytest.raises(InputError, match=f"{place}: .*mimic"):
+        urdf(mechanism(f"{arm}couplings: {couplings}\n"))
+
+
 @pytest.mark.parametrize(
     ("key", "entry"),
     [

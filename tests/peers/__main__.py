@@ -79,7 +79,21 @@ loads:
   - {link: left, at: [0.2, 0], force: [1, 4], frame: link}
   - {link: far hand, torque: 1.5}
 """
-SOFT = 1e-5  # relative, of the accelerations that MuJoCo's constraints allow, sliders left out
+GEARS = {
+    "rig, geared": """
+couplings: ["q3 = -2 q1 + 0.1", "q2 = q4 - 1/3 q1"]
+actuated: [plate, slide]
+""",
+    "rig, locked": """
+couplings: q3 = 30deg
+actuated: [plate, left, slide]
+""",
+    "rig, one gear": """
+couplings: q2 = -2 q1 + 0.1  # Pinocchio forgets turns, which a fraction would not
+actuated: [plate, far hand, slide]
+""",
+}
+SOFT, SOFT_GEARS = 1e-5, 2e-4  # relative, of the accelerations that MuJoCo's constraints allow
 PIN_MOTION, SLIDER_MOTION = (2e-5, 1e-6), (6e-3, 1e-4)  # rad and m, see ran in mujoco_peer
 SOLVED = 1e-12  # relative, what the solver of its constraints leaves
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
@@ -143,12 +157,13 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
     weight = np.maximum(weight, np.abs(G))  # springs may make it larger
     passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight + np.abs(arrays.damping * qd)
     passing += np.abs(robodyn.other_forces(mechanism, q, qd))
+    bias, T = (C @ rates)[..., 0] + G, freedoms(mechanism)
     torques = np.zeros_like(q)
     torques[..., list(mechanism.actuated)] = qdd[..., list(mechanism.actuated)]
     return {
         "M": Compared(M, (q,), M),
         "G": Compared(G, (q,), weight),
-        "bias": Compared((C @ rates)[..., 0] + G, (q, qd), passing),
+        "bias": Compared(bias, (q, qd), passing),
         "tau": Compared(
             robodyn.inverse_dynamics(mechanism, q, qd, qdd),
             (q, qd, qdd),
@@ -159,12 +174,25 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
             (q, qd),
             (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
         ),
+        "M reduced": Compared(T.T @ M @ T, (q,), np.abs(T.T) @ np.abs(M) @ np.abs(T)),
+        "bias reduced": Compared(bias @ T, (q, qd), passing @ np.abs(T)),
         "driven": Compared(  # qdd by torques of the actuated joints, of any size
             robodyn.forward_dynamics(mechanism, q, qd, torques),
             (q, qd, torques),
             (np.abs(np.linalg.inv(M)) @ (passing + np.abs(torques))[..., None])[..., 0],
         ),
     }
+
+
+def freedoms(mechanism: Mechanism) -> Array:
+    """T of qd = T ud, u the joints that no coupling gives, where couplings follow only those."""
+    couplings = mechanism.description.couplings
+    T = np.eye(mechanism.n)
+    for coupling in couplings:
+        T[coupling.joint, coupling.joint] = 0.0
+        for k, ratio in coupling.terms:
+            T[coupling.joint, k] = ratio
+    return np.delete(T, [coupling.joint for coupling in couplings], axis=1)
 
 
 def apart(known: Compared, function: Callable[..., Array]) -> float:
@@ -196,6 +224,9 @@ def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
     mechanisms = {name: robodyn.load(ROOT / f"robots/{name}.yaml") for name in EXPORTED}
     mechanisms["rig"] = build(from_text(RIG, "rig"))
     mechanisms["rig with springs and loads"] = build(from_text(RIG + FORCES, "rig"))
+    mechanisms |= {name: build(from_text(RIG + text, name)) for name, text in GEARS.items()}
+    geared = (ROOT / "robots/five-bar.yaml").read_text().replace(", right crank]", "]")
+    mechanisms["five-bar, geared"] = build(from_text(geared + "couplings: q3 = -2 q1 + 0.1", ""))
     for scene, mechanism in mechanisms.items():
         q, qd, qdd = motion_states(mechanism, STATES)
         known = compared(mechanism, q, qd, qdd)
@@ -210,7 +241,7 @@ def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
             value = max(apart(known[term], function) for term, function in terms.items())
             what = f"{scene}, {' '.join(terms)}"
             yield Row("export", what, f"{name}, exported", value, "", bound=ROUNDING)
-            if mechanism.rows:
+            if mechanism.rows and name == "mujoco":
                 yield from closed_exports(scene, mechanism, model, known)
 
 
@@ -229,8 +260,7 @@ def closed_exports(
     q, qd = known["bias"].arguments
     found = [model.constraints(*state) for state in zip(q, qd, strict=True)]
     J, gap, force, R, closing, qdd = (np.array(part) for part in zip(*found, strict=True))
-    closures = mechanism.description.closures
-    slider = [closures[row.closure].along is not None for row in mechanism.rows]
+    slider = [row.closure in sliders(mechanism) for row in mechanism.rows]
     Psi, bias = robodyn.closure_jacobian(mechanism, q), closure_bias(mechanism, q, qd)
     bias[..., slider] = 0.0
     M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
@@ -239,6 +269,7 @@ def closed_exports(
     forces = -product(np.swapaxes(Psi, -1, -2), force)
     size = np.full(len(q), loop_size(mechanism))
     hard = known["qdd"].ours
+    soft = SOFT_GEARS if mechanism.description.couplings else SOFT
     rows = {
         "Psi and gap": (max(worst(J - Psi, Psi), worst(gap, size)), ROUNDING),
         "qdd and forces": (worst(sum(motion) + forces, *motion, forces), SOLVED),
@@ -252,7 +283,7 @@ def closed_exports(
         ),
         "qdd of hard closures": (
             worst(qdd - hard, known["qdd"].terms),
-            None if any(slider) or scene == "parallelogram" else SOFT,
+            None if any(slider) or scene == "parallelogram" else soft,
         ),
     }
     for term, (value, bound) in rows.items():
@@ -263,6 +294,11 @@ def closed_exports(
         for value, unit, limit in zip(model.ran(timestep), ("rad", "m"), limits, strict=True):
             name = f"{what}, {'q' if unit == 'rad' else 'gap'}"
             yield Row("export", name, "mujoco, exported", value, unit, bound=limit * part)
+
+
+def sliders(mechanism: Mechanism) -> set[int]:
+    closures = enumerate(mechanism.description.closures)
+    return {c for c, closure in closures if closure.along is not None}
 
 
 def product(matrices: Array, vectors: Array) -> Array:

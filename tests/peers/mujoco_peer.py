@@ -141,17 +141,17 @@ class Exported(Model):
         """J, residual, force, R and what closes gaps, of the rows of closures; and qdd.
 
         A connect has a third row, normal to the plane, which is empty.  A slider's row counts
-        lengths: a unit of its gap is `scale` of them.
+        lengths, a coupling's angles: a unit of its gap is `scale` of them.
         """
         qdd = self.accelerations(q, qd)
         data, rows, scales = self.data, [], []
         for k, kind in enumerate(self.model.eq_type):
             found = np.flatnonzero(data.efc_id == k)[:2].tolist()
-            scale = 1.0
-            if kind == mujoco.mjtEq.mjEQ_TENDON:
-                ends = (
-                    f"{self.model.equality(k).name}_{end}" for end in ("point", "left", "right")
-                )
+            scale, name = 1.0, self.model.equality(k).name
+            if name.startswith("coupling"):
+                scale = 1.0 / self.mechanism.rows[len(rows)].arm
+            elif kind == mujoco.mjtEq.mjEQ_TENDON:
+                ends = (f"{name}_{end}" for end in ("point", "left", "right"))
                 point, left, right = (data.site(end).xpos for end in ends)
                 scale = np.linalg.norm(left - right) / np.linalg.norm(point - right)
             rows += found
