@@ -1,7 +1,7 @@
 """The same scenes in engines that others wrote: `make peers`.
 
-One module an engine.  Each builds its own model from a scene's description, by its own means, and
-offers what it can of
+One module an engine, `*_peer.py`.  Each builds its own model from a scene's description, by its own
+means, and offers what it can of
 
     terms(mechanism)                {"M": f(q), "G": f(q), "bias": f(q, qd), "tau": f(q, qd, qdd),
                                      "qdd": f(q, qd)} of one state

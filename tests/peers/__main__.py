@@ -22,7 +22,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -30,7 +30,7 @@ from statistics import median
 from time import perf_counter
 from timeit import timeit
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from bench_frontier import ROOT, Array, Curve, case, taylor
@@ -39,11 +39,9 @@ from rich.progress import track
 from rich.table import Table
 
 import robodyn
-from robodyn.assembly import loop_size
-from robodyn.closed_form import closure_bias
+from peers.agreement import Row, agreement, motion_states
+from peers.exported import exports
 from robodyn.description import from_text
-from robodyn.errors import InputError
-from robodyn.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanism import Mechanism, build
 
 PEERS = {  # and their names on PyPI
@@ -53,265 +51,18 @@ PEERS = {  # and their names on PyPI
     "sympy": "sympy",
     "scipy": "scipy",
 }
-ROUNDING = 1e-13
 BOUND = 3.0
 WIDTH = 160
-STATES, BATCH, TURNS, REPEATS = 200, 100_000, 5, 9
-EXPORTED = (
-    *("pendulum", "2r", "3r", "four-bar", "parallelogram", "slider-crank", "five-bar"),
-    *("watt-six-bar", "stephenson-six-bar"),
-)
-RIG = """
-gravity: [1.3, -9.6]
-links:
-  - {name: plate, m: 2.0, l: 0.5, r: [0.21, 0.13], I: 0.05, payload: 0.4, damping: 0.02}
-  - {name: left, m: 0.5, l: 0.3, r: 0.14, I: 0.004, from: {link: plate, at: [0.3, 0.2]}}
-  - {name: far hand, m: 0.6, l: 0.4, r: [-0.1, 0], I: 0.007, from: slide, damping: 0.3}
-  - {name: slide, m: 0.7, l: 0.9, r: 0.4, I: 0.06, from: [0.4, -0.2], payload: 0.1}
-"""
-FORCES = """
-springs:
-  - {between: [far hand, [0.9, 0.5]], stiffness: 40, length: 0.3, damping: 2}
-  - {between: [left, {link: slide, at: [0.1, 0.2]}], stiffness: 25, length: 0}
-  - {joint: plate, stiffness: 5, angle: 0.4, damping: 0.3}
-loads:
-  - {link: slide, at: [0.5, 0.1], force: [3, -2]}
-  - {link: left, at: [0.2, 0], force: [1, 4], frame: link}
-  - {link: far hand, torque: 1.5}
-"""
-GEARS = {
-    "rig, geared": """
-couplings: ["q3 = -2 q1 + 0.1", "q2 = q4 - 1/3 q1"]
-actuated: [plate, slide]
-""",
-    "rig, locked": """
-couplings: q3 = 30deg
-actuated: [plate, left, slide]
-""",
-    "rig, one gear": """
-couplings: q2 = -2 q1 + 0.1  # Pinocchio forgets turns, which a fraction would not
-actuated: [plate, far hand, slide]
-""",
-}
-SOFT, SOFT_GEARS = 1e-5, 2e-4  # relative, of the accelerations that MuJoCo's constraints allow
-PIN_MOTION, SLIDER_MOTION = (2e-5, 1e-6), (6e-3, 1e-4)  # rad and m, see ran in mujoco_peer
-SOLVED = 1e-12  # relative, what the solver of its constraints leaves
+BATCH, TURNS, REPEATS = 100_000, 5, 9
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
 MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
 TARGETS = (1e-6, 1e-9, 1e-12)
-
-States = tuple[Array, Array, Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One line: what an engine needs or reaches, and robodyn; ratio: of seconds, ours / theirs."""
-
-    part: str
-    what: str
-    engine: str
-    theirs: float
-    unit: str
-    ours: float | None = None
-    ratio: float | None = None
-    bound: float | None = None
-
-    @property
-    def ok(self) -> bool | None:
-        if self.bound is None:
-            return None
-        value = self.theirs if self.ratio is None else self.ratio
-        return bool(value <= self.bound)
-
-
-def motion_states(mechanism: Mechanism, count: int) -> States:
-    """Random q, qd, qdd that keep the closures, of any size there."""
-    free = np.random.default_rng(mechanism.n).normal(size=(3, count, len(mechanism.actuated)))
-    if not mechanism.rows:
-        return free[0] * 2.0, free[1], free[2]
-    q = robodyn.assemble(mechanism, free[0] * 2.0)
-    qd = loop_velocities(mechanism, q, free[1])
-    return q, qd, loop_accelerations(mechanism, q, qd, free[2])
 
 
 def opened(mechanism: Mechanism) -> Mechanism:
     """The tree of a mechanism, every joint actuated."""
     parts = replace(mechanism.description, closures=(), branches=(), actuated=None)
     return build(parts)
-
-
-class Compared(NamedTuple):
-    """What is compared: robodyn's values, what they are functions of, the size of their terms."""
-
-    ours: Array
-    arguments: tuple[Array, ...]
-    terms: Array
-
-
-def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str, Compared]:
-    M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
-    G = robodyn.gravity_vector(mechanism, q)
-    rates, accelerations = qd[..., None], qdd[..., None]
-    arrays = mechanism.arrays
-    weight = arrays.J.T @ np.abs(mechanism.gamma * arrays.B)  # the largest that gravity makes G
-    weight = np.maximum(weight, np.abs(G))  # springs may make it larger
-    passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight + np.abs(arrays.damping * qd)
-    passing += np.abs(robodyn.other_forces(mechanism, q, qd))
-    bias, T = (C @ rates)[..., 0] + G, freedoms(mechanism)
-    torques = np.zeros_like(q)
-    torques[..., list(mechanism.actuated)] = qdd[..., list(mechanism.actuated)]
-    return {
-        "M": Compared(M, (q,), M),
-        "G": Compared(G, (q,), weight),
-        "bias": Compared(bias, (q, qd), passing),
-        "tau": Compared(
-            robodyn.inverse_dynamics(mechanism, q, qd, qdd),
-            (q, qd, qdd),
-            passing + (np.abs(M) @ np.abs(accelerations))[..., 0],
-        ),
-        "qdd": Compared(
-            robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
-            (q, qd),
-            (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
-        ),
-        "M reduced": Compared(T.T @ M @ T, (q,), np.abs(T.T) @ np.abs(M) @ np.abs(T)),
-        "bias reduced": Compared(bias @ T, (q, qd), passing @ np.abs(T)),
-        "driven": Compared(  # qdd by torques of the actuated joints, of any size
-            robodyn.forward_dynamics(mechanism, q, qd, torques),
-            (q, qd, torques),
-            (np.abs(np.linalg.inv(M)) @ (passing + np.abs(torques))[..., None])[..., 0],
-        ),
-    }
-
-
-def freedoms(mechanism: Mechanism) -> Array:
-    """T of qd = T ud, u the joints that no coupling gives, where couplings follow only those."""
-    couplings = mechanism.description.couplings
-    T = np.eye(mechanism.n)
-    for coupling in couplings:
-        T[coupling.joint, coupling.joint] = 0.0
-        for k, ratio in coupling.terms:
-            T[coupling.joint, k] = ratio
-    return np.delete(T, [coupling.joint for coupling in couplings], axis=1)
-
-
-def apart(known: Compared, function: Callable[..., Array]) -> float:
-    """The largest difference of their values from ours, relative to the size of the terms."""
-    theirs = np.array([np.array(function(*x)) for x in zip(*known.arguments, strict=True)])
-    return worst(theirs - known.ours, known.terms)
-
-
-def agreement(engines: dict[str, ModuleType]) -> Iterator[Row]:
-    for scene in ("2r", "3r", "four-bar"):
-        mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
-        known = compared(mechanism, *motion_states(mechanism, STATES))
-        rows = []
-        for name, engine in engines.items():
-            try:
-                terms = engine.terms(mechanism)
-            except NotImplementedError:
-                continue
-            for term, function in terms.items():
-                kind, _, remark = term.partition(", ")
-                bound = None if remark else ROUNDING
-                value = apart(known[kind], function)
-                rows.append(Row("agreement", f"{scene}, {term}", name, value, "", bound=bound))
-        yield from sorted(rows, key=lambda row: list(known).index(row.what.split(", ")[1]))
-
-
-def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
-    """The written models, loaded."""
-    mechanisms = {name: robodyn.load(ROOT / f"robots/{name}.yaml") for name in EXPORTED}
-    mechanisms["rig"] = build(from_text(RIG, "rig"))
-    mechanisms["rig with springs and loads"] = build(from_text(RIG + FORCES, "rig"))
-    mechanisms |= {name: build(from_text(RIG + text, name)) for name, text in GEARS.items()}
-    geared = (ROOT / "robots/five-bar.yaml").read_text().replace(", right crank]", "]")
-    mechanisms["five-bar, geared"] = build(from_text(geared + "couplings: q3 = -2 q1 + 0.1", ""))
-    for scene, mechanism in mechanisms.items():
-        q, qd, qdd = motion_states(mechanism, STATES)
-        known = compared(mechanism, q, qd, qdd)
-        for name, engine in engines.items():
-            if not hasattr(engine, "exported"):
-                continue
-            try:
-                model = engine.exported(mechanism)
-            except InputError:  # what URDF cannot say
-                continue
-            terms = model.terms()
-            value = max(apart(known[term], function) for term, function in terms.items())
-            what = f"{scene}, {' '.join(terms)}"
-            yield Row("export", what, f"{name}, exported", value, "", bound=ROUNDING)
-            if mechanism.rows and name == "mujoco":
-                yield from closed_exports(scene, mechanism, model, known)
-
-
-def closed_exports(
-    scene: str, mechanism: Mechanism, model: Any, known: dict[str, Compared]
-) -> Iterator[Row]:
-    """Constraints of a model against the closures, their forces, and what softness does.
-
-    The forces f of the constraints obey, with the matrix R of MuJoCo's softness and the gains
-    k and b with which it closes gaps,
-
-        M qdd + C qd + D qd + G = Psi^T f        Psi qdd + Psidot qd + R f = -k gap - b Psi qd
-
-    where Psidot qd is left out for tendons.  Near change points any softness shows.
-    """
-    q, qd = known["bias"].arguments
-    found = [model.constraints(*state) for state in zip(q, qd, strict=True)]
-    J, gap, force, R, closing, qdd = (np.array(part) for part in zip(*found, strict=True))
-    slider = [row.closure in sliders(mechanism) for row in mechanism.rows]
-    Psi, bias = robodyn.closure_jacobian(mechanism, q), closure_bias(mechanism, q, qd)
-    bias[..., slider] = 0.0
-    M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
-    damping = np.diag(mechanism.arrays.damping)
-    motion = [product(M, qdd), product(C + damping, qd), robodyn.gravity_vector(mechanism, q)]
-    forces = -product(np.swapaxes(Psi, -1, -2), force)
-    size = np.full(len(q), loop_size(mechanism))
-    hard = known["qdd"].ours
-    soft = SOFT_GEARS if mechanism.description.couplings else SOFT
-    rows = {
-        "Psi and gap": (max(worst(J - Psi, Psi), worst(gap, size)), ROUNDING),
-        "qdd and forces": (worst(sum(motion) + forces, *motion, forces), SOLVED),
-        "softness": (
-            worst(
-                product(Psi, qdd) + bias + R * force - closing,
-                product(np.abs(Psi), np.abs(qdd)),
-                bias,
-            ),
-            SOLVED,
-        ),
-        "qdd of hard closures": (
-            worst(qdd - hard, known["qdd"].terms),
-            None if any(slider) or scene == "parallelogram" else soft,
-        ),
-    }
-    for term, (value, bound) in rows.items():
-        yield Row("export", f"{scene}, {term}", "mujoco, exported", value, "", bound=bound)
-    for timestep, part in ((1e-3, 1.0), (1e-4, 0.02)):
-        what = f"{scene}, 1 s in steps of {timestep:g} s"
-        limits = SLIDER_MOTION if any(slider) else PIN_MOTION
-        for value, unit, limit in zip(model.ran(timestep), ("rad", "m"), limits, strict=True):
-            name = f"{what}, {'q' if unit == 'rad' else 'gap'}"
-            yield Row("export", name, "mujoco, exported", value, unit, bound=limit * part)
-
-
-def sliders(mechanism: Mechanism) -> set[int]:
-    closures = enumerate(mechanism.description.closures)
-    return {c for c, closure in closures if closure.along is not None}
-
-
-def product(matrices: Array, vectors: Array) -> Array:
-    return (matrices @ vectors[..., None])[..., 0]
-
-
-def worst(differences: Array, *terms: Array) -> float:
-    """The largest difference at a state (the first axis), relative to the size of the terms."""
-
-    def largest(values: Array) -> Array:
-        return np.abs(values).reshape(len(values), -1).max(axis=1)
-
-    return float((largest(differences) / sum(largest(term) for term in terms)).max())
 
 
 def batch(engines: dict[str, ModuleType]) -> Iterator[Row]:
