@@ -38,6 +38,8 @@ def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
         ("parallelogram", 1, ["crank"], ["change point"]),
         ("slider-crank", 1, ["crank"], ["slider-crank"]),
         ("five-bar", 2, ["left crank", "right crank"], ["5"]),
+        ("watt-six-bar", 1, ["crank"], ["crank-rocker", "6"]),
+        ("stephenson-six-bar", 1, ["crank"], ["crank-rocker", "5"]),
     ],
 )
 def test_mobility_and_loops(

@@ -91,6 +91,8 @@ SENSITIVITY = {
     "four-bar-driven": 30,
     "slider-crank": 5e4,
     "five-bar": 2e3,
+    "watt-six-bar": 300,
+    "stephenson-six-bar": 1e3,
 }
 # What each method makes of that, and a tolerance at which it is exact and still quick.
 METHOD_ERROR = {"DOP853": 1, "RK45": 2, "RK23": 5, "Radau": 0.1, "BDF": 20, "LSODA": 5}
@@ -209,6 +211,26 @@ TREES = {
             link(0.75, 0.64, 0.31, 0.029, 2, 0.26),
         ],
         lambda tips: [tips[1] - tips[3]],
+    ),
+    "robots/watt-six-bar.yaml": (
+        [
+            link(0.5, 0.22, 0.10, 0.0024),
+            link(1.7, 0.72, 0.31 + 0.09j, 0.052, 0, 0.22),
+            link(1.4, 0.58, 0.44 - 0.06j, 0.043, None, 0.85),
+            link(0.8, 0.66, 0.32, 0.034, 1, 0.2 + 0.3j),
+            link(0.6, 0.45, 0.21, 0.0115, 2, 0.75 - 0.2j),
+        ],
+        lambda tips: [tips[1] - tips[2], tips[3] - tips[4]],
+    ),
+    "robots/stephenson-six-bar.yaml": (
+        [
+            link(0.45, 0.24, 0.11, 0.0025),
+            link(1.5, 0.66, 0.35 + 0.09j, 0.039, 0, 0.24),
+            link(0.95, 0.58, 0.27, 0.0305, None, 0.82),
+            link(1.1, 0.90, 0.43, 0.085, 1, 0.38 + 0.3j),
+            link(0.7, 0.62, 0.30, 0.026, None, 1.25 + 0.15j),
+        ],
+        lambda tips: [tips[1] - tips[2], tips[3] - tips[4]],
     ),
 }
 

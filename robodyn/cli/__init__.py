@@ -22,6 +22,7 @@ from robodyn.errors import RobodynError
 
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "terms", "assemble", "energy", "check", "bench"),
+    "export",
 )
 
 

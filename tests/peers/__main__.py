@@ -1,9 +1,11 @@
 """Compares robodyn with other engines: `make peers`.
 
-Three parts, one table, the same in bench/peers.json:
+Parts of one table, the same in bench/peers.json:
 
 agreement  the largest difference over random states, relative to the size of the terms that are
            added up in what is compared (at most ROUNDING)
+export     the same of the models that `robodyn export` writes, and of the constraints that close
+           loops there; what these allow, as the README tells it
 batch      inverse dynamics of the same states, closures opened; states a second, medians, in turn
 ready      milliseconds before the first motion
 motion     milliseconds for an error at the end, read off curves over tolerances as in `make bench`;
@@ -20,7 +22,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -37,8 +39,9 @@ from rich.progress import track
 from rich.table import Table
 
 import robodyn
+from peers.agreement import Row, agreement, motion_states
+from peers.exported import exports
 from robodyn.description import from_text
-from robodyn.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanism import Mechanism, build
 
 PEERS = {  # and their names on PyPI
@@ -48,97 +51,18 @@ PEERS = {  # and their names on PyPI
     "sympy": "sympy",
     "scipy": "scipy",
 }
-ROUNDING = 1e-13
 BOUND = 3.0
 WIDTH = 160
-STATES, BATCH, TURNS, REPEATS = 200, 100_000, 5, 9
+BATCH, TURNS, REPEATS = 100_000, 5, 9
 TOLERANCES = (10.0 ** -np.arange(3.0, 15.01, 0.5)).tolist()
 MOTIONS = (("2r-regular", 10.0), ("2r-chaotic", 10.0), ("four-bar", 5.0))
 TARGETS = (1e-6, 1e-9, 1e-12)
-
-States = tuple[Array, Array, Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One line: what an engine needs or reaches, and robodyn; ratio: of seconds, ours / theirs."""
-
-    part: str
-    what: str
-    engine: str
-    theirs: float
-    unit: str
-    ours: float | None = None
-    ratio: float | None = None
-    bound: float | None = None
-
-    @property
-    def ok(self) -> bool | None:
-        if self.bound is None:
-            return None
-        value = self.theirs if self.ratio is None else self.ratio
-        return bool(value <= self.bound)
-
-
-def motion_states(mechanism: Mechanism, count: int) -> States:
-    """Random q, qd, qdd that keep the closures, of any size there."""
-    free = np.random.default_rng(mechanism.n).normal(size=(3, count, len(mechanism.actuated)))
-    if not mechanism.rows:
-        return free[0] * 2.0, free[1], free[2]
-    q = robodyn.assemble(mechanism, free[0] * 2.0)
-    qd = loop_velocities(mechanism, q, free[1])
-    return q, qd, loop_accelerations(mechanism, q, qd, free[2])
 
 
 def opened(mechanism: Mechanism) -> Mechanism:
     """The tree of a mechanism, every joint actuated."""
     parts = replace(mechanism.description, closures=(), branches=(), actuated=None)
     return build(parts)
-
-
-def agreement(engines: dict[str, ModuleType]) -> Iterator[Row]:
-    for scene in ("2r", "3r", "four-bar"):
-        mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
-        q, qd, qdd = motion_states(mechanism, STATES)
-        M, C = robodyn.mass_matrix(mechanism, q), robodyn.coriolis_matrix(mechanism, q, qd)
-        G = robodyn.gravity_vector(mechanism, q)
-        rates, accelerations = qd[..., None], qdd[..., None]
-        arrays = mechanism.arrays
-        weight = arrays.J.T @ np.abs(mechanism.gamma * arrays.B)  # the largest that G can be
-        passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight
-        # what is compared, the arguments of it, and the size of its terms at each state
-        compared = {
-            "M": (M, (q,), M),
-            "G": (G, (q,), weight + 0 * q),
-            "bias": ((C @ rates)[..., 0] + G, (q, qd), passing),
-            "tau": (
-                robodyn.inverse_dynamics(mechanism, q, qd, qdd),
-                (q, qd, qdd),
-                passing + (np.abs(M) @ np.abs(accelerations))[..., 0],
-            ),
-            "qdd": (
-                robodyn.forward_dynamics(mechanism, q, qd, np.zeros_like(q)),
-                (q, qd),
-                (np.abs(np.linalg.inv(M)) @ passing[..., None])[..., 0],
-            ),
-        }
-        rows = []
-        for name, engine in engines.items():
-            try:
-                terms = engine.terms(mechanism)
-            except NotImplementedError:
-                continue
-            for term, function in terms.items():
-                kind, _, remark = term.partition(", ")
-                ours, arguments, terms_of = compared[kind]
-                theirs = np.array([np.array(function(*x)) for x in zip(*arguments, strict=True)])
-                apart = np.abs(theirs - ours).reshape(STATES, -1).max(axis=1)
-                size = np.abs(terms_of).reshape(STATES, -1).max(axis=1)
-                bound = None if remark else ROUNDING
-                what = f"{scene}, {term}"
-                worst = float((apart / size).max())
-                rows.append(Row("agreement", what, name, worst, "", bound=bound))
-        yield from sorted(rows, key=lambda row: list(compared).index(row.what.split(", ")[1]))
 
 
 def batch(engines: dict[str, ModuleType]) -> Iterator[Row]:
@@ -269,7 +193,7 @@ def main() -> int:
             engines[name], versions[name] = engine, number
     rows: list[Row] = []
     console = Console(stderr=True)
-    parts = agreement, batch, making_ready, motions
+    parts = agreement, exports, batch, making_ready, motions
     for part in track(parts, "comparing", console=console, transient=True):
         rows += part(engines)
     Console(width=WIDTH).print(drawn(rows, versions))

@@ -14,7 +14,10 @@ import mujoco
 import numpy as np
 from bench_frontier import Array, Case, Run
 
+import robodyn
 from robodyn import Mechanism
+from robodyn.mjcf import mjcf as exported_text
+from robodyn.model_xml import Names, link_names
 from robodyn.scene import Description
 
 STEPS = [round(250 * 2 ** (k / 2)) for k in range(20)]  # fewer are unstable
@@ -95,6 +98,96 @@ class Model:
         self.data.qacc[self.joints] = qdd
         mujoco.mj_inverse(self.model, self.data)
         return self.data.qfrc_inverse[self.joints]
+
+
+class Exported(Model):
+    """The model that `robodyn export` writes, joints found by their names."""
+
+    def __init__(self, mechanism: Mechanism, timestep: float = 0.001) -> None:
+        self.mechanism = mechanism
+        text = exported_text(mechanism, timestep)
+        self.model = mujoco.MjModel.from_xml_string(text)
+        self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        self.model.opt.tolerance = 0.0  # of its solver: as far as it gets
+        self.data = mujoco.MjData(self.model)
+        self.names = link_names(mechanism, Names())
+        self.joints = np.array([self.model.joint(name).dofadr[0] for name in self.names])
+
+    def terms(self) -> dict[str, Callable[..., Array]]:
+        found: dict[str, Callable[..., Array]] = {"M": self.M}
+        description = self.mechanism.description
+        if not (description.springs or description.loads):  # which are not in its bias
+            found |= {"G": lambda q: self.bias(q, np.zeros_like(q)), "bias": self.bias}
+        if not self.mechanism.rows:
+            found |= {"tau": self.torques, "qdd": self.accelerations, "driven": self.driven}
+        return found
+
+    def driven(self, q: Array, qd: Array, tau: Array) -> Array:
+        """Accelerations by the controls of its motors."""
+        for k in self.mechanism.actuated:
+            self.data.actuator(self.names[k]).ctrl = tau[k]
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qacc[self.joints].copy()
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Its inverse dynamics leaves out actuators, as which loads are written."""
+        self.put(q, qd)
+        mujoco.mj_forward(self.model, self.data)
+        loads = self.data.qfrc_actuator[self.joints].copy()
+        return super().torques(q, qd, qdd) - loads
+
+    def constraints(self, q: Array, qd: Array) -> tuple[Array, ...]:
+        """J, residual, force, R and what closes gaps, of the rows of closures; and qdd.
+
+        A connect has a third row, normal to the plane, which is empty.  A slider's row counts
+        lengths, a coupling's angles: a unit of its gap is `scale` of them.
+        """
+        qdd = self.accelerations(q, qd)
+        data, rows, scales = self.data, [], []
+        for k, kind in enumerate(self.model.eq_type):
+            found = np.flatnonzero(data.efc_id == k)[:2].tolist()
+            scale, name = 1.0, self.model.equality(k).name
+            if name.startswith("coupling"):
+                scale = 1.0 / self.mechanism.rows[len(rows)].arm
+            elif kind == mujoco.mjtEq.mjEQ_TENDON:
+                ends = (f"{name}_{end}" for end in ("point", "left", "right"))
+                point, left, right = (data.site(end).xpos for end in ends)
+                scale = np.linalg.norm(left - right) / np.linalg.norm(point - right)
+            rows += found
+            scales += [scale] * len(found)
+        J = data.efc_J.reshape(data.nefc, -1)[:, self.joints]
+        assert not np.delete(J, rows, axis=0).any()
+        scale = np.array(scales)
+        k, b, impedance, _ = data.efc_KBIP.reshape(-1, 4).T
+        closing = -k * impedance * data.efc_pos - b * data.efc_vel
+        return (
+            J[rows] / scale[:, None],
+            data.efc_pos[rows] / scale,
+            data.efc_force[rows] * scale,
+            data.efc_R[rows] / scale**2,
+            closing[rows] / scale,
+            qdd,
+        )
+
+    def ran(self, timestep: float) -> tuple[float, float]:
+        """A second from the angles 1 at rates 5 (of actuated joints): error of q, largest gap."""
+        mechanism, driven = self.mechanism, len(self.mechanism.actuated)
+        q = robodyn.assemble(mechanism, np.ones(driven))
+        qd = robodyn.loop_velocities(mechanism, q, np.full(driven, 5.0))
+        exact = robodyn.simulate(mechanism, q, qd, 1.0, rtol=1e-12, atol=1e-12).q[-1]
+        model = Exported(mechanism, timestep)
+        model.put(q, qd)
+        gap = 0.0
+        for _ in range(round(1.0 / timestep)):
+            mujoco.mj_step(model.model, model.data)
+            now = model.data.qpos[model.joints]
+            gap = max(gap, float(np.abs(robodyn.closure_gap(mechanism, now)).max()))
+        return float(np.abs(model.data.qpos[model.joints] - exact).max()), gap
+
+
+def exported(mechanism: Mechanism) -> Exported:
+    return Exported(mechanism)
 
 
 def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:

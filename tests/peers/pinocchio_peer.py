@@ -13,7 +13,9 @@ import pinocchio as pin
 from bench_frontier import Array, Run
 
 from robodyn import Mechanism
+from robodyn.model_xml import Names, link_names
 from robodyn.scene import Description
+from robodyn.urdf import urdf
 
 
 class Model:
@@ -103,6 +105,72 @@ class Model:
             return tau
 
         return torques
+
+
+class Exported:
+    """The URDF that `robodyn export` writes, joints found by their names.
+
+    Its angles are stored as cosine and sine; gravity is set, and damping is added, which its
+    algorithms leave out.  Joints that mimic others have no coordinates.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        text, names = urdf(mechanism), link_names(mechanism, Names())
+        following = {coupling.joint for coupling in mechanism.description.couplings}
+        self.model = pin.buildModelFromXML(text, mimic=bool(following))
+        gravity = mechanism.gamma
+        self.model.gravity.linear = np.array([gravity.real, gravity.imag, 0.0])
+        self.data = self.model.createData()
+        self.free = [k for k in range(mechanism.n) if k not in following]
+        joints = [self.model.joints[self.model.getJointId(names[k])] for k in self.free]
+        self.places = np.array([joint.idx_q for joint in joints])
+        self.joints = np.array([joint.idx_v for joint in joints])
+        self.back = np.argsort(self.joints)
+        self.damping = np.array(self.model.damping)[self.joints]
+
+    def configuration(self, q: Array) -> Array:
+        found = np.empty(self.model.nq)
+        found[self.places], found[self.places + 1] = np.cos(q[self.free]), np.sin(q[self.free])
+        return found
+
+    def rates(self, qd: Array) -> Array:
+        return qd[self.free][self.back]
+
+    def M(self, q: Array) -> Array:
+        full = np.triu(pin.crba(self.model, self.data, self.configuration(q)))
+        full = full + np.triu(full, 1).T
+        return full[np.ix_(self.joints, self.joints)]
+
+    def bias(self, q: Array, qd: Array) -> Array:
+        state = self.configuration(q), self.rates(qd)
+        return pin.nonLinearEffects(self.model, self.data, *state)[self.joints]
+
+    def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
+        state = self.configuration(q), self.rates(qd), self.rates(qdd)
+        return pin.rnea(self.model, self.data, *state)[self.joints] + self.damping * qd
+
+    def accelerations(self, q: Array, qd: Array) -> Array:
+        return self.driven(q, qd, np.zeros_like(q))
+
+    def driven(self, q: Array, qd: Array, tau: Array) -> Array:
+        state = self.configuration(q), self.rates(qd), self.rates(tau - self.damping * qd)
+        return pin.aba(self.model, self.data, *state)[self.joints]
+
+    def terms(self) -> dict[str, Callable[..., Array]]:
+        if self.model.njoints > self.model.nv + 1:
+            return {"M reduced": self.M, "bias reduced": self.bias}
+        return {
+            "M": self.M,
+            "G": lambda q: self.bias(q, np.zeros_like(q)),
+            "bias": self.bias,
+            "tau": self.torques,
+            "qdd": self.accelerations,
+            "driven": self.driven,
+        }
+
+
+def exported(mechanism: Mechanism) -> Exported:
+    return Exported(mechanism)
 
 
 def _placed(point: complex) -> pin.SE3:

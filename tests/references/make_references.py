@@ -1,6 +1,6 @@
 """Reference motions of the example scenes, in extended precision: writes the *.json beside it.
 
-    python tests/references/make_references.py             # all, about 3 minutes
+    python tests/references/make_references.py             # all, about 4 minutes
     python tests/references/make_references.py 2r-chaotic  # some, by name
 
 Shares no code and no method with the program.  Every mechanism is reduced to its freedoms u: the
@@ -85,6 +85,10 @@ CASES = {
     ),
     "slider-crank": Case("slider-crank", (0.9,), (8.0,), (0.5, 2.0, 5.0), "the crank turns over"),
     "five-bar": Case("five-bar", (2.1, 1.0), (0.5, -0.4), (0.5, 1.0, 2.0), "falls freely"),
+    "watt-six-bar": Case("watt-six-bar", (1.0,), (5.0,), (0.5, 1.0, 2.0), "the crank turns over"),
+    "stephenson-six-bar": Case(
+        "stephenson-six-bar", (1.0,), (5.0,), (0.5, 1.0, 2.0), "the crank turns over"
+    ),
 }
 
 
@@ -112,7 +116,7 @@ class Point:
         self.z, self.slope, self.bias = z, slope, bias
 
     def plus(self, link, at):
-        """The point `at` along a link whose origin this point is."""
+        """The point `at` (complex off the axis) of a link whose origin this point is."""
         arm = at * link.e
         across = turned(arm)
         return Point(
@@ -193,12 +197,14 @@ class Scene:
         self.gamma = mpc(0, -mpf(data["gravity"]))
         self.links = data["links"]
         for link in self.links:
-            for key in ("m", "l", "r", "I"):
+            for key in ("m", "l", "I"):
                 link[key] = mpf(link[key])
+            link["r"] = mpc(*link["r"]) if isinstance(link["r"], list) else mpf(link["r"])
         if name == "slider-crank":
             line = data["closures"][0][True]  # YAML 1.1 reads the key `on` so
             self.height = mpf(line["through"][1])
         freedoms = {"four-bar": 1, "slider-crank": 1, "five-bar": 2}
+        freedoms |= {"watt-six-bar": 1, "stephenson-six-bar": 1}
         self.freedoms = freedoms.get(name, len(self.links))
 
     def unit(self, i):
@@ -226,6 +232,16 @@ class Scene:
         if self.name == "four-bar":
             coupler, rocker = dyad(tip, pivot, l[1], l[2], ud)
             return [crank, coupler, rocker], [ground, tip, pivot]
+        if self.name.endswith("six-bar"):
+            coupler, rocker = dyad(tip, pivot, l[1], l[2], ud)
+            at = [mpc(*link["from"]["at"]) for link in self.links[3:] if "at" in link["from"]]
+            begin = tip.plus(coupler, at[0])
+            if self.name == "watt-six-bar":
+                end = pivot.plus(rocker, at[1])
+            else:
+                end = fixed(*self.links[4]["from"], n)
+            rods = dyad(begin, end, l[3], l[4], ud)
+            return [crank, coupler, rocker, *rods], [ground, tip, pivot, begin, end]
         assert self.name == "five-bar"
         right = free(u[1], self.unit(1))
         far = pivot.plus(right, l[2])
@@ -239,6 +255,8 @@ class Scene:
             "four-bar": [None, 0, None],
             "slider-crank": [None, 0],
             "five-bar": [None, 0, None, 2],
+            "watt-six-bar": [None, 0, None, 1, 2],
+            "stephenson-six-bar": [None, 0, None, 1, None],
         }.get(self.name, [None, *range(self.freedoms - 1)])
 
     def slopes(self, links):

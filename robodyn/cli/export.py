@@ -1,0 +1,80 @@
+"""`robodyn export`: the mechanism as a model file of other tools."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Optional
+
+import typer
+
+from robodyn.cli.options import Model, Out, Q
+from robodyn.cli.output import note
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism, load
+from robodyn.output_file import open_output
+
+
+class ModelFormat(StrEnum):
+    """The language of a model file."""
+
+    urdf = "urdf"
+    mjcf = "mjcf"
+
+
+def export(
+    model: Model,
+    format: Annotated[
+        ModelFormat,
+        typer.Option(
+            "--format", help="urdf (ROS, Pinocchio) or mjcf (MuJoCo).", show_default=False
+        ),
+    ],
+    q: Q = None,
+    timestep: Annotated[
+        Optional[float],  # noqa: UP045 (typer reads the annotation at run time)
+        typer.Option(
+            "--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.", show_default=False
+        ),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """The same mechanism as URDF or MJCF, for other tools.
+
+    Each joint of the model is named after its link and has the coordinate q_i; the plane is X-Y.
+    URDF holds open chains only, and no gravity: set it where the file is loaded.  MJCF closes
+    loops by equality constraints; with --q it has that configuration as the keyframe `start`.
+
+    \b
+    Examples:
+      robodyn export robots/2r.yaml --format urdf --out 2r.urdf
+      robodyn export robots/four-bar.yaml --format mjcf --q 60deg > four-bar.xml
+    """
+    mechanism = load(model)
+    if format is ModelFormat.urdf:
+        for option, value in (("--q", q), ("--timestep", timestep)):
+            if value is not None:
+                raise InputError(option, value=value, limit="is for mjcf, urdf has no word for it")
+        from robodyn.model_xml import vector
+        from robodyn.urdf import urdf
+
+        text = urdf(mechanism)
+        if mechanism.gamma:
+            gravity = f"({', '.join(vector(mechanism.gamma).split())})"
+            note(f"Note: URDF has no gravity: set {gravity} m/s^2 where it is loaded")
+    else:
+        from robodyn.mjcf import TIMESTEP, mjcf
+
+        step = TIMESTEP if timestep is None else timestep
+        if not 0.0 < step < float("inf"):
+            raise InputError("--timestep", value=step, limit="must be > 0 and finite, s")
+        text = mjcf(mechanism, step, None if q is None else _configuration(mechanism, q))
+    with open_output(out) as stream:
+        stream.write(text.encode())
+
+
+def _configuration(mechanism: Mechanism, q: str) -> list[float]:
+    """All joint angles, closed."""
+    from robodyn.cli.states import Quantity, single_state
+
+    (angles,) = single_state(mechanism, [Quantity("q", q, True)])
+    return [float(angle) for angle in angles]

@@ -1,0 +1,130 @@
+"""What a robot model in XML needs: names that tools take, exact numbers, a comment, refusals.
+
+Models are three-dimensional: the plane of the scene becomes X-Y, angles turn about +Z.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import fields
+from xml.etree import ElementTree
+
+from robodyn import __version__
+from robodyn.errors import InputError, printable
+from robodyn.mechanism import Mechanism
+from robodyn.scene import Description, Link
+
+# what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
+RESERVED = frozenset({"world", "universe", "root_joint"})
+SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
+# these say how a scene is named and assembled, or are said in the comment
+SCENE_SAID = frozenset({"source", "name", "gravity", "links", "branches", "actuated", "start"})
+LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping"})
+
+
+class Names:
+    """Gives out names of ASCII letters, digits and underscores, none twice and none reserved."""
+
+    def __init__(self) -> None:
+        self._taken = set(RESERVED)
+
+    def new(self, wanted: str, otherwise: str = "link") -> str:
+        """A new name like the one wanted; like `otherwise` where nothing of that is left."""
+        plain = unicodedata.normalize("NFKD", wanted).encode("ascii", "ignore").decode()
+        base = wanted if SAFE.fullmatch(wanted) else UNSAFE.sub("_", plain).strip("_")
+        if not base:
+            base = otherwise
+        elif base[0].isdigit():
+            base = f"link_{base}"
+        name, number = base, 2
+        while name in self._taken:
+            name, number = f"{base}_{number}", number + 1
+        self._taken.add(name)
+        return name
+
+
+def link_names(mechanism: Mechanism, names: Names) -> list[str]:
+    """A name for each link; a link whose name is fit already keeps it, whatever the others want."""
+    wanted = mechanism.link_names
+    fit = {
+        k: names.new(name)
+        for k, name in enumerate(wanted)
+        if SAFE.fullmatch(name) and name not in RESERVED
+    }
+    return [fit.get(k) or names.new(name, f"link{k + 1}") for k, name in enumerate(wanted)]
+
+
+def number(value: float) -> str:
+    """The number so that it reads back exactly, without a negative zero."""
+    return repr(float(value) + 0.0)
+
+
+def vector(point: complex) -> str:
+    """A point of the scene's plane in three dimensions."""
+    return f"{number(point.real)} {number(point.imag)} 0.0"
+
+
+def comment(mechanism: Mechanism, joints: Iterable[str], remarks: Iterable[str]) -> list[str]:
+    """The lines of the comment at the top of a model: what it is, its frame and its coordinates."""
+    driven = set(mechanism.actuated)
+    lines = [
+        f"{mechanism.name}: {mechanism.source}, written by robodyn {__version__}.",
+        "The plane of the scene is X-Y, and every joint turns about +Z.  SI units, radians.",
+        "Gravity is " + vector(mechanism.gamma) + " m/s^2.",
+        "Each joint is the angle of its link relative to the link that it hangs from, or from +X",
+        "where that is the ground, counter-clockwise:",
+    ]
+    for k, (joint, name) in enumerate(zip(joints, mechanism.link_names, strict=True)):
+        remark = "" if joint == name else f" (link {name})"
+        lines.append(f"  q{k + 1}  {joint}{remark}{', driven' if k in driven else ''}")
+    return [*lines, *remarks]
+
+
+INERTIA_REMARKS = (
+    "Of the inertia only the moment about Z counts in a plane.  The other two are set equal to it,",
+    "so that none exceeds the sum of the others: no body's does, and tools check it.",
+)
+
+
+def refuse_unsaid(
+    description: Description,
+    format: str,
+    reasons: Mapping[str, str],
+    more: Collection[str] = (),
+) -> None:
+    """Raise InputError for what the scene names and the format is not made to say.
+
+    What is said is listed, here and in `more` keys of the scene or of links; any other key is
+    refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
+    """
+    without = f"{format} cannot say it"
+    for field in fields(description):
+        if field.name not in SCENE_SAID and field.name not in more:
+            _refuse(description, description, field.name, "", reasons.get(field.name, without))
+    for k, link in enumerate(description.links):
+        for field in fields(link):
+            if field.name not in LINK_SAID and field.name not in more:
+                place = f"links[{k}] ({link.name})."
+                _refuse(description, link, field.name, place, reasons.get(field.name, without))
+
+
+def _refuse(
+    description: Description, holder: Description | Link, key: str, place: str, limit: str
+) -> None:
+    value = getattr(holder, key)
+    if value and getattr(value, "torque", True):  # friction without torque is none
+        shown = value if isinstance(value, (int, float, str)) else None
+        raise InputError(f"{place}{key}", where=description.source, value=shown, limit=limit)
+
+
+def document(root: ElementTree.Element, lines: Iterable[str]) -> str:
+    """The XML text of a model, its first child a comment of these lines."""
+    # two hyphens would end the comment, and control characters are no XML
+    text = [printable(line).replace("--", "- -").replace("--", "- -") for line in lines]
+    root.insert(0, ElementTree.Comment("\n    " + "\n    ".join(text) + "\n  "))
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + (
+        ElementTree.tostring(root, encoding="unicode") + "\n"
+    )

@@ -1,0 +1,149 @@
+"""`robodyn export`: the files, their place, and what is refused."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR, ROOT, Outcome
+
+import oracles
+from model_readers import read_mjcf, read_urdf
+from robodyn.mechanism import load
+from robodyn.mjcf import mjcf
+from robodyn.urdf import urdf
+
+Run = Callable[..., Outcome]
+SCENES = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
+GRAVITY = "Note: URDF has no gravity: set (0.0, -9.81, 0.0) m/s^2 where it is loaded\n"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
+    given = robodyn("export", f"robots/{name}.yaml", "--format", "mjcf").succeeds()
+    assert given.out == mjcf(load(f"robots/{name}.yaml"))
+    assert read_mjcf(given.out).keys == {}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_urdf_of_every_open_scene(robodyn: Run, name: str) -> None:
+    given = robodyn("export", f"robots/{name}.yaml", "--format", "urdf")
+    mechanism = load(f"robots/{name}.yaml")
+    if mechanism.rows:
+        given.fails(2, f"robots/{name}.yaml: closures", "trees", "MJCF")
+        assert given.out == ""
+    else:
+        assert (given.code, given.err) == (0, GRAVITY)
+        assert given.out == urdf(mechanism)
+        assert read_urdf(given.out).name == mechanism.name
+
+
+def test_a_horizontal_scene_has_no_gravity_to_set(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    path = scene("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    robodyn("export", path, "--format", "urdf").succeeds()
+
+
+def test_the_keyframe_is_a_closed_configuration(robodyn: Run) -> None:
+    arguments = ("export", "robots/four-bar.yaml", "--format", "mjcf", "--q")
+    expected = oracles.four_bar_position(FOUR_BAR, np.pi / 3)
+    given = robodyn(*arguments, "60deg").succeeds()
+    key = read_mjcf(given.out).keys["start"]
+    assert list(key) == ["crank", "coupler", "rocker"]
+    assert np.allclose(list(key.values()), expected, rtol=0, atol=1e-14)
+    whole = ",".join(repr(float(angle)) for angle in expected)
+    key = read_mjcf(robodyn(*arguments, whole).succeeds().out).keys["start"]
+    assert list(key.values()) == list(expected)
+
+
+def test_the_time_step(robodyn: Run) -> None:
+    arguments = ("export", "robots/four-bar.yaml", "--format", "mjcf")
+    assert 'timestep="0.001"' in robodyn(*arguments).succeeds().out
+    given = robodyn(*arguments, "--timestep", "2e-4").succeeds()
+    assert 'timestep="0.0002"' in given.out
+    assert 'solref="0.0004 1"' in given.out
+
+
+@pytest.mark.parametrize("format", ["urdf", "mjcf"])
+def test_out(robodyn: Run, tmp_path: Path, format: str) -> None:
+    file = tmp_path / "model.xml"
+    arguments = ("export", "robots/2r.yaml", "--format", format)
+    given = robodyn(*arguments, "--out", file)
+    assert (given.code, given.out) == (0, "")
+    assert file.read_text() == robodyn(*arguments).out
+    file.write_text("older")
+    robodyn("export", "robots/four-bar.yaml", "--format", "urdf", "-o", file).fails(2, "closures")
+    assert file.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ("robots/2r.yaml", ["--format", "urdf", "mjcf"]),
+        ("robots/2r.yaml --format sdf", ["--format", "sdf", "urdf", "mjcf"]),
+        ("robots/none.yaml --format urdf", ["none.yaml", "no such file"]),
+        ("robots/2r.yaml --format urdf --q 1,2", ["--q = 1,2", "mjcf"]),
+        ("robots/2r.yaml --format urdf --timestep 0.01", ["--timestep = 0.01", "mjcf"]),
+        ("robots/2r.yaml --format mjcf --q 1", ["--q", "1 value", "2 values"]),
+        ("robots/2r.yaml --format mjcf --q 1,x", ["--q", "entry 2 = x"]),
+        ("robots/four-bar.yaml --format mjcf --q 1,1,1", ["gap in position", "open"]),
+        ("robots/2r.yaml --format mjcf --timestep 0", ["--timestep = 0.0", "> 0"]),
+        ("robots/2r.yaml --format mjcf --timestep nan", ["--timestep = nan", "finite"]),
+        ("robots/2r.yaml --format mjcf --timestep inf", ["--timestep = inf", "finite"]),
+        ("robots/2r.yaml --format mjcf --timestep x", ["--timestep", "x"]),
+        ("robots/2r.yaml --format mjcf --out /no/such/dir/a", ["/no/such/dir/a", "cannot be"]),
+    ],
+)
+def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
+    assert robodyn("export", *arguments.split()).fails(2, *parts).out == ""
+
+
+def test_a_massless_link_is_named(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene("gravity: 9.81\nlinks: [{name: rod, m: 1.5, l: 1, r: 1, I: 0}]\n")
+    given = robodyn("export", path, "--format", "mjcf")
+    given.fails(2, str(path), "links[0] (rod).I = 0.0", "MuJoCo")
+    assert robodyn("export", path, "--format", "urdf").code == 0
+
+
+def test_a_loop_that_cannot_close_has_no_keyframe(
+    robodyn: Run, four_bar_text: str, scene: Callable[[str], Path]
+) -> None:
+    path = scene(four_bar_text.replace("[1.1, 0.0]", "[9.0, 0.0]"))
+    given = robodyn("export", path, "--format", "mjcf", "--q", "60deg").fails(1, "cannot be closed")
+    assert given.out == ""
+    robodyn("export", path, "--format", "mjcf").succeeds()
+
+
+def test_the_help_has_examples_that_work(shell: Run, tmp_path: Path) -> None:
+    text = shell("robodyn export --help").succeeds().out
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
+    assert len(lines) == 2
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    for line in lines:
+        assert shell(line, cwd=tmp_path).code == 0
+    assert read_urdf((tmp_path / "2r.urdf").read_text()).joints == ["upper_arm", "forearm"]
+    assert read_mjcf((tmp_path / "four-bar.xml").read_text()).keys
+
+
+def test_a_reader_that_leaves_ends_it_quietly(shell: Run) -> None:
+    given = shell("robodyn export robots/four-bar.yaml --format mjcf | head -1").succeeds()
+    assert given.out == '<?xml version="1.0" encoding="utf-8"?>\n'
+
+
+def test_it_starts_without_numpy() -> None:
+    program = (
+        "import sys\n"
+        "from robodyn import cli\n"
+        "sys.stdout = open('/dev/null', 'w')\n"
+        "codes = [cli.run(['export', 'robots/2r.yaml', '--format', x]) for x in ('urdf', 'mjcf')]\n"
+        "found = {name.split('.')[0] for name in sys.modules} & {'numpy', 'scipy', 'rich'}\n"
+        "sys.exit(f'{codes} {found}' if any(codes) or found else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, GRAVITY)

@@ -1,0 +1,356 @@
+"""MJCF read back: M, G, gaps and their slopes by a reader of its own; what is refused."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from hypothesis import given, settings
+
+import robodyn
+from model_readers import read_mjcf
+from random_mechanisms import (
+    LOOPS,
+    assert_close,
+    forced,
+    loops,
+    mechanism,
+    seeded_scene,
+    seeded_tree,
+    sizes,
+    trees,
+)
+from robodyn.errors import InputError
+from robodyn.mechanism import build, load
+from robodyn.mjcf import MINIMUM, TIMESTEP, mjcf
+from robodyn.mjcf_elements import DEEPEST
+
+ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
+EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+examples = settings(deadline=None, max_examples=40)
+
+
+def read(mech, **options):
+    """The model, and the places of robodyn's joints among its own."""
+    model = read_mjcf(mjcf(mech, **options))
+    names = [name.replace(" ", "_") for name in mech.link_names]
+    assert sorted(model.joints) == sorted(names)
+    return model, [model.joints.index(name) for name in names]
+
+
+def angles(model, there, q):
+    return {model.joints[j]: float(angle) for j, angle in zip(there, q, strict=True)}
+
+
+def assert_same_terms(mech, q):
+    """M and G of the tree that opened closures leave, with the file's own gravity."""
+    model, there = read(mech)
+    M, G = model.terms(angles(model, there, q), model.gravity)
+    size = sizes(mech.description)
+    assert_close(M[np.ix_(there, there)], robodyn.mass_matrix(mech, q), size.inertia, 1e-14)
+    assert_close(G[there], robodyn.gravity_vector(mech, q), size.gravity, 1e-14)
+
+
+def assert_same_closures(mech, q):
+    """Gaps and their slopes: of connects as they are, of sliders at closed q, scaled."""
+    model, there = read(mech)
+    at = angles(model, there, q)
+    gap, Psi = robodyn.closure_gap(mech, q), robodyn.closure_jacobian(mech, q)
+    size, row = sizes(mech.description).loop, 0
+    connects, tendons = iter(model.connects), iter(model.equal_tendons)
+    for closure in mech.description.closures:
+        if closure.along is None:
+            (first, J1), (second, J2) = (model.site(at, name) for name in next(connects))
+            assert_close((first - second)[:2], gap[row : row + 2], size, 1e-14)
+            assert_close((J1 - J2)[:2][:, there], Psi[row : row + 2], size, 1e-14)
+            assert (first - second)[2] == 0.0
+            assert not (J1 - J2)[2].any()
+            row += 2
+        else:
+            right, left, polynomial = next(tendons)
+            error, slope = tendon_error(model, at, right, left, polynomial)
+            place = model.site(at, right[1])[0]
+            sites = [model.site(at, ends[0])[0] for ends in (right, left)]
+            apart = np.linalg.norm(sites[0] - sites[1])
+            scale = apart / np.linalg.norm(place - sites[0])  # a unit of the gap in lengths
+            assert 1.0 < scale <= 2.0
+            assert_close(error, scale * gap[row], apart, 1e-13)
+            assert_close(slope[there], scale * Psi[row], apart, 1e-13)
+            row += 1
+    for coupling in mech.rows[row:]:
+        (ratios, angle) = next(
+            (ratios, angle)
+            for ratios, angle in model.sums
+            if next(iter(ratios)) == model.joints[there[coupling_joint(mech, row)]]
+        )
+        error = sum(ratio * at[joint] for joint, ratio in ratios.items()) - angle
+        slope = np.array([ratios.get(joint, 0.0) for joint in model.joints])
+        assert_close(coupling.arm * error, gap[row], coupling.arm * np.abs(q).max(), 1e-14)
+        assert_close(coupling.arm * slope[there], Psi[row], coupling.size, 1e-14)
+        row += 1
+    assert row == len(mech.rows)
+    assert len(model.sums) == len(mech.description.couplings)
+    assert next(connects, None) is next(tendons, None) is None
+
+
+def coupling_joint(mech, row):
+    """The joint that a coupling's row gives."""
+    closures = sum(row.closure is not None for row in mech.rows)
+    return mech.description.couplings[row - closures].joint
+
+
+def tendon_error(model, at, right, left, polynomial):
+    """y - y0 - a0 - a1 (x - x0) and its gradient, y0 and x0 the lengths at zero angles."""
+    assert polynomial[1:] == [1, 0, 0, 0]
+    resting = dict.fromkeys(model.joints, 0.0)
+    (y, dy), (x, dx) = (model.length(at, ends) for ends in (right, left))
+    y0, x0 = (model.length(resting, ends)[0] for ends in (right, left))
+    return y - y0 - polynomial[0] - (x - x0), dy - dx
+
+
+class TestTerms:
+    @examples
+    @given(trees(most=7))
+    def test_trees_keep_M_and_G(self, scene):
+        assert_same_terms(scene.mechanism, scene.q)
+
+    @examples
+    @given(loops())
+    def test_loops_keep_M_and_G_and_their_closures(self, scene):
+        assert_same_terms(scene.mechanism, scene.q)
+        assert_same_closures(scene.mechanism, scene.q)
+
+    @EACH_ROBOT
+    def test_the_scenes_of_robots(self, path):
+        mech = load(path)
+        q = np.random.default_rng(1).uniform(-4, 4, (5, len(mech.actuated)))
+        for state in robodyn.assemble(mech, q):
+            assert_same_terms(mech, state)
+            assert_same_closures(mech, state)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_gaps_of_pins_hold_where_they_are_open(self, seed):
+        mech = seeded_scene(seed, LOOPS["five-bar"]).mechanism
+        for q in np.random.default_rng(seed).uniform(-3, 3, (5, mech.n)):
+            assert_same_closures(mech, q)
+
+    @pytest.mark.parametrize("name", ["slider-crank", "six-bar with a piston"])
+    @pytest.mark.parametrize("seed", range(3))
+    def test_a_slider_is_off_its_line_to_the_side_that_its_gap_tells(self, name, seed):
+        mech = seeded_scene(seed, LOOPS[name]).mechanism
+        model, there = read(mech)
+        for q in np.random.default_rng(seed).uniform(-3, 3, (10, mech.n)):
+            error, _ = tendon_error(model, angles(model, there, q), *model.equal_tendons[0])
+            gap = robodyn.closure_gap(mech, q)[-1]
+            assert error * gap > 0.0
+            assert abs(error) <= 2.0 * abs(gap) * (1 + 1e-12)
+
+
+class TestCouplings:
+    @pytest.mark.parametrize(
+        "couplings",
+        [
+            *("q2 = -2 q1 + 0.1", "q1 = 0.5 q2 - 30deg", "q3 = 30deg", "q3 = q1 - 1/3 q2"),
+            *('["q2 = -q1", "q3 = 20/37 q2 + 30deg"]', '["q1 = 1", "q4 = q3 + q2 - q1 - 0.25"]'),
+        ],
+    )
+    @pytest.mark.parametrize("seed", range(3))
+    def test_of_trees(self, seed, couplings):
+        scene = seeded_tree(seed, 4)
+        mech = mechanism(f"{scene.text}couplings: {couplings}\n")
+        assert_same_terms(mech, scene.q)
+        assert_same_closures(mech, scene.q)
+
+    def test_of_a_loop(self):
+        scene = seeded_scene(2, LOOPS["five-bar"])
+        text = re.sub("actuated.*", "actuated: [link0]", scene.text)
+        mech = mechanism(text + 'couplings: ["q3 = -2 q1 + 20deg"]\n')
+        for q in np.random.default_rng(1).uniform(-3, 3, (5, mech.n)):
+            assert_same_closures(mech, q)
+        assert len(mech.rows) == 3
+
+    def test_a_coupling_of_two_joints_is_written_as_it_is(self):
+        arm = (ROOT / "robots/2r.yaml").read_text()
+        root = ElementTree.fromstring(mjcf(mechanism(arm + "couplings: q2 = -0.3 q1 + 0.1\n")))
+        assert root.find("equality/joint").attrib == {
+            "name": "coupling1",
+            "joint1": "forearm",
+            "joint2": "upper_arm",
+            "polycoef": "0.1 -0.3 0 0 0",
+        }
+        assert root.find("default/equality") is not None
+
+
+class TestForces:
+    """Springs, dampers, loads: -G + Q - D qd of the scene, without friction, which is refused."""
+
+    def assert_same_forces(self, mech, q, qd, rtol=1e-13):
+        model, there = read(mech)
+        at, rates = angles(model, there, q), angles(model, there, qd)
+        _, G = model.terms(at, model.gravity)
+        theirs = (model.forces(at, rates) - G)[there]
+        G, Q = robodyn.gravity_vector(mech, q), robodyn.other_forces(mech, q, qd)
+        resisted = mech.arrays.damping * qd
+        size = max(np.abs(part).max() for part in (G, Q, resisted, 1.0))
+        assert_close(theirs, Q - G - resisted, size, rtol)
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_of_trees(self, seed):
+        scene = forced(seed, seeded_tree(seed, 4))
+        text = re.sub(r" friction: \{.*?\},", "", scene.text)
+        assert text != scene.text
+        self.assert_same_forces(mechanism(text), scene.q, scene.qd)
+
+    @pytest.mark.parametrize("name", LOOPS)
+    def test_of_loops(self, name):
+        scene = forced(3, seeded_scene(3, LOOPS[name]))
+        text = re.sub(r" friction: \{.*?\},", "", scene.text)
+        mech = mechanism(text)
+        self.assert_same_forces(mech, scene.q, scene.qd)
+        assert_same_closures(mech, scene.q)
+
+    def test_springs_at_one_joint_act_as_one(self):
+        mech = mechanism(
+            "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, damping: 0.25}]\n"
+            "springs:\n"
+            "  - {joint: a, stiffness: 5, angle: 0.4, damping: 0.5}\n"
+            "  - {joint: a, stiffness: 2, angle: -3, damping: 0.125}\n"
+            "  - {joint: a, stiffness: 0, angle: 9, damping: 1}\n"
+        )
+        (body,) = read(mech)[0].bodies
+        assert (body.damping, body.stiffness) == (1.875, 7.0)
+        assert body.springref == pytest.approx(-4 / 7, rel=1e-15)
+        self.assert_same_forces(mech, np.array([7.5]), np.array([-2.0]))
+
+    def test_one_spring_is_written_as_it_is(self):
+        mech = mechanism(
+            "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+            "springs: [{joint: a, stiffness: 0.3, angle: 0.1},"
+            " {between: [[0.1, 0.7], a], stiffness: 4, length: 0.3, damping: 0.2}]\n"
+        )
+        model, _ = read(mech)
+        assert (model.bodies[0].stiffness, model.bodies[0].springref) == (0.3, 0.1)
+        assert model.springs == [(("spring2_first", "spring2_second"), 4.0, 0.3, 0.2)]
+        assert model.sites["spring2_first"][0] == "world"
+
+    def test_a_load_may_be_called_as_a_link(self):
+        mech = mechanism(
+            "links: [{name: load1, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+            "loads: [{link: load1, torque: 2}, {link: load1, at: [1, 0], force: [0, 3]}]\n"
+        )
+        model, _ = read(mech)
+        assert model.motors == ["load1"]
+        assert len(model.wrenches) == 2
+        self.assert_same_forces(mech, np.array([0.4]), np.array([0.0]))
+
+
+class TestModel:
+    @pytest.mark.parametrize("seed", range(5))
+    def test_damping_and_payload(self, seed):
+        description = seeded_tree(seed, 5).mechanism.description
+        model, _ = read(build(description))
+        damping = {body.joint: body.damping for body in model.bodies if body.joint}
+        assert damping == {link.name: link.damping for link in description.links}
+        payloads = {body.parent: body for body in model.bodies if body.joint is None}
+        for link in description.links:
+            body = payloads.pop(link.name, None)
+            assert (body is not None) == (link.payload > 0.0)
+            if body is not None:
+                assert (body.mass, body.place.tolist()) == (link.payload, [link.l, 0, 0])
+                assert not body.inertia.any()
+        assert not payloads
+
+    def test_motors_are_on_actuated_joints(self):
+        assert read(load(ROOT / "robots/five-bar.yaml"))[0].motors == ["left_crank", "right_crank"]
+        scene = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\nactuated: []"
+        text = mjcf(mechanism(scene))
+        assert "actuator" not in text
+
+    def test_a_keyframe_has_the_angles_in_the_files_order(self):
+        """Depth first: a link that hangs from the first comes before the second of the ground."""
+        mech = mechanism(
+            "links:\n"
+            + "".join(
+                f"  - {{name: {name}, m: 1, l: 1, r: 0.5, I: 0.1, from: {above}}}\n"
+                for name, above in (("a", "[0, 0]"), ("b", "[1, 0]"), ("c", "a"), ("d", "b"))
+            )
+        )
+        q = [0.1, 0.2, 0.3, 0.4]
+        model, there = read(mech, q=q)
+        assert model.joints == ["a", "c", "b", "d"]
+        assert model.keys == {"start": dict(zip("abcd", q, strict=True))}
+        assert [list(model.keys["start"].values())[j] for j in there] == q
+
+    def test_options(self):
+        root = ElementTree.fromstring(mjcf(load(ROOT / "robots/four-bar.yaml"), 0.0025))
+        option = root.find("option")
+        assert option.attrib == {
+            "timestep": "0.0025",
+            "integrator": "RK4",
+            "gravity": "0.0 -9.81 0.0",
+        }
+        assert root.find("option/flag").attrib == {"contact": "disable"}
+        assert root.find("default/equality").get("solref") == "0.005 1"
+        assert not root.findall(".//geom")
+        assert TIMESTEP == 1e-3
+        open_chain = ElementTree.fromstring(mjcf(load(ROOT / "robots/2r.yaml")))
+        tags = [element.tag for element in open_chain if isinstance(element.tag, str)]
+        assert tags == ["compiler", "option", "worldbody", "actuator"]
+
+    def test_numbers_read_back_exactly(self):
+        mech = mechanism(
+            "gravity: [0.1, 1e-17]\n"
+            "links:\n"
+            "  - {name: a, m: 0.1, l: 0.30000000000000004, r: [1e-20, -0.0], I: 1e300,"
+            " from: [0.1, 3e-7], payload: 1}\n"
+        )
+        model, _ = read(mech)
+        rod, payload = model.bodies
+        assert model.gravity.tolist() == [0.1, 1e-17, 0]
+        assert rod.centre.tolist() == [1e-20, 0, 0]
+        assert rod.place.tolist() == [0.1, 3e-7, 0]
+        assert (rod.mass, rod.inertia[2, 2], payload.place[0]) == (0.1, 1e300, 0.30000000000000004)
+
+    def test_the_comment_tells_of_loops_and_sliders(self):
+        comments = {}
+        for name in ("2r", "four-bar", "slider-crank"):
+            text = mjcf(load(ROOT / f"robots/{name}.yaml"))
+            comments[name] = text[text.index("<!--") : text.index("-->")]
+        assert ["Loops" in text for text in comments.values()] == [False, True, True]
+        assert ["slider's line" in text for text in comments.values()] == [False, False, True]
+        assert ["payload" in text for text in comments.values()] == [False, False, True]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("key", ["m", "I"])
+    @pytest.mark.parametrize("value", ["0", "9e-16"])
+    def test_links_without_mass_or_inertia(self, key, value):
+        numbers = {"m": "1", "I": "0.1"} | {key: value}
+        fields = ", ".join(f"{name}: {number}" for name, number in numbers.items())
+        text = (
+            "links:\n"
+            "  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1}\n"
+            f"  - {{name: b, l: 1, r: 0.5, payload: 2, {fields}}}\n"
+        )
+        place = rf"links\[1\] \(b\)\.{key} = {float(value)}: MuJoCo takes nothing that moves"
+        with pytest.raises(InputError, match=place) as caught:
+            mjcf(mechanism(text))
+        assert caught.value.exit_code == 2
+
+    def test_the_least_mass_passes(self):
+        text = f"links: [{{name: a, m: {MINIMUM!r}, l: 1, r: 0.5, I: {MINIMUM!r}}}]"
+        assert read(mechanism(text))[0].bodies[0].mass == 1e-15
+
+    def test_chains_that_xml_cannot_nest(self):
+        def chain(n):
+            link = "  - {{name: l{}, m: 1, l: 0.1, r: 0.05, I: 0.01, payload: 0.1}}\n"
+            return mechanism("links:\n" + "".join(link.format(k) for k in range(n)))
+
+        assert len(mjcf(chain(DEEPEST)).splitlines()) > DEEPEST
+        with pytest.raises(InputError, match=f"links: more than {DEEPEST}"):
+            mjcf(chain(DEEPEST + 1))
+        with pytest.raises(InputError, match="links"):
+            mjcf(chain(1100))

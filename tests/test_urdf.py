@@ -1,0 +1,173 @@
+"""URDF read back: the same M and G by a reader of its own; what it cannot say is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from hypothesis import given, settings
+
+import robodyn
+from model_readers import read_urdf
+from random_mechanisms import (
+    LOOPS,
+    assert_close,
+    mechanism,
+    seeded_scene,
+    seeded_tree,
+    trees,
+)
+from robodyn.errors import InputError
+from robodyn.urdf import urdf
+
+ARMS = ("pendulum", "2r", "3r")
+examples = settings(deadline=None, max_examples=40)
+
+
+def assert_same_terms(mech, q):
+    """M and G of the file, its joints found by their names."""
+    model = read_urdf(urdf(mech))
+    names = [name.replace(" ", "_") for name in mech.link_names]
+    assert sorted(model.joints) == sorted(names)
+    there = [model.joints.index(name) for name in names]
+    gravity = np.array([mech.gamma.real, mech.gamma.imag, 0.0])
+    M, G = model.terms(dict(zip(names, q, strict=True)), gravity)
+    inertia = np.abs(mech.arrays.A).sum()
+    weight = abs(mech.gamma) * np.abs(mech.arrays.B).sum()
+    assert_close(M[np.ix_(there, there)], robodyn.mass_matrix(mech, q), inertia, 1e-14)
+    assert_close(G[there], robodyn.gravity_vector(mech, q), weight, 1e-14)
+    return model
+
+
+@examples
+@given(trees(most=7))
+def test_trees_keep_M_and_G(scene):
+    assert_same_terms(scene.mechanism, scene.q)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_arms_of_robots_keep_M_and_G(name):
+    mech = robodyn.load(ROOT / f"robots/{name}.yaml")
+    for q in np.random.default_rng(1).uniform(-4, 4, (5, mech.n)):
+        assert_same_terms(mech, q)
+
+
+def test_links_that_stand_before_the_one_they_hang_from():
+    mech = mechanism(
+        "gravity: [1.5, -9]\n"
+        "links:\n"
+        "  - {name: hand, m: 0.4, l: 0.2, r: [0.1, -0.03], I: 0.002, from: arm, payload: 0.3}\n"
+        "  - {name: arm, m: 1.1, l: 0.7, r: 0.3, I: 0.05, from: [0.2, 0.4]}\n"
+    )
+    assert_same_terms(mech, np.array([0.7, -1.9]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_joints_are_unlimited_and_turn_about_z(seed):
+    model = read_urdf(urdf(seeded_tree(seed, 5).mechanism))
+    for body in model.bodies:
+        assert body.joint is None or body.axis.tolist() == [0, 0, 1]
+        assert body.place[2] == body.centre[2] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_damping_and_payload(seed):
+    description = seeded_tree(seed, 5).mechanism.description
+    model = read_urdf(urdf(seeded_tree(seed, 5).mechanism))
+    damping = {body.joint: body.damping for body in model.bodies if body.joint}
+    assert damping == {link.name: link.damping for link in description.links}
+    payloads = {body.parent: body for body in model.bodies if body.joint is None}
+    carrying = {f"{link.name}_link": link for link in description.links if link.payload}
+    assert payloads.keys() == carrying.keys()
+    for name, body in payloads.items():
+        assert (body.mass, body.place.tolist()) == (
+            carrying[name].payload,
+            [carrying[name].l, 0, 0],
+        )
+        assert not body.inertia.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_inertias_are_those_of_bodies(seed):
+    """Principal moments >= 0, each at most the sum of the other two."""
+    for body in read_urdf(urdf(seeded_tree(seed, 4).mechanism)).bodies:
+        least, middle, most = np.linalg.eigvalsh(body.inertia)
+        assert 0.0 <= least <= middle <= most <= least + middle
+
+
+def test_a_link_without_mass_has_no_inertial():
+    text = "gravity: 9.81\nlinks:\n  - {name: rod, m: 0, l: 0.5, r: 0.2, I: 0, payload: 2}\n"
+    rod = mechanism(text)
+    assert urdf(rod).count("<inertial>") == 1  # the payload's
+    assert_same_terms(rod, np.array([0.3]))
+
+
+def test_numbers_read_back_exactly():
+    mech = mechanism(
+        "links:\n"
+        "  - {name: a, m: 0.1, l: 0.30000000000000004, r: [1e-20, -0.0], I: 1e300,"
+        " from: [0.1, 3e-7], payload: 1}\n"
+    )
+    text = urdf(mech)
+    rod, payload = read_urdf(text).bodies
+    assert rod.centre.tolist() == [1e-20, 0, 0]
+    assert rod.place.tolist() == [0.1, 3e-7, 0]
+    assert (rod.mass, rod.inertia[2, 2], payload.place[0]) == (0.1, 1e300, 0.30000000000000004)
+    assert "-0.0" not in text
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_are_refused(name):
+    with pytest.raises(InputError, match=r"closures.*trees") as caught:
+        urdf(seeded_scene(0, LOOPS[name]).mechanism)
+    assert caught.value.exit_code == 2
+
+
+def test_a_coupled_joint_mimics_another():
+    arm = (ROOT / "robots/3r.yaml").read_text()
+    mech = mechanism(arm + 'couplings: ["q2 = -0.3 q1 + 0.1", "q3 = q1"]\n')
+    model = assert_same_terms(mech, np.array([0.1, 0.2, 0.3]))
+    assert model.sums == [
+        ({"forearm": 1.0, "upper_arm": 0.3}, 0.1),
+        ({"hand": 1.0, "upper_arm": -1.0}, 0.0),
+    ]
+    assert "mimic=True" in urdf(mech)
+
+
+@pytest.mark.parametrize(
+    ("couplings", "place"),
+    [
+        ("q2 = 30deg", r"couplings\[0\]"),
+        ("q3 = q1 - q2", r"couplings\[0\]"),
+        ('["q2 = -q1", "q3 = q2"]', r"couplings\[1\]"),
+    ],
+)
+def test_other_couplings_are_refused(couplings, place):
+    arm = (ROOT / "robots/3r.yaml").read_text()
+    with pytest.raises(InputError, match=f"{place}: .*mimic"):
+        urdf(mechanism(f"{arm}couplings: {couplings}\n"))
+
+
+@pytest.mark.parametrize(
+    ("key", "entry"),
+    [
+        ("springs", "{joint: a, stiffness: 5, angle: 0.4}"),
+        ("springs", "{between: [a, [1, 1]], stiffness: 5, length: 0.4}"),
+        ("loads", "{link: a, torque: 1.5}"),
+    ],
+)
+def test_springs_and_loads_are_refused(key, entry):
+    mech = mechanism(f"links: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1}}]\n{key}: [{entry}]\n")
+    with pytest.raises(InputError, match=f"{key}: URDF has no {key}; MJCF has") as caught:
+        urdf(mech)
+    assert caught.value.exit_code == 2
+
+
+def test_the_comment_tells_what_urdf_cannot():
+    mech = robodyn.load(ROOT / "robots/2r.yaml")
+    text = urdf(mech)
+    comment = text[text.index("<!--") : text.index("-->")]
+    for part in ("planar 2R arm", "X-Y", "Gravity is 0.0 -9.81 0.0", "q1  upper_arm (link upper"):
+        assert part in comment
+    assert comment.count("driven") == 2
+    assert "payload" not in comment
