@@ -87,7 +87,7 @@ class Spline:
 
     def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
         self.breaks = self.knots = times
-        self._end = points[-1]
+        self._end, self._kind, self._natural = points[-1], kind, natural
         self._lengths = np.diff(times)
         if kind == "cubic":
             self._coefficients = splines.cubic_spline(times, points, natural)
@@ -99,7 +99,13 @@ class Spline:
             piece = piece_at(self.breaks, u)
         x = u - self.breaks[piece]
         p, p1, p2 = (splines.evaluate(self._coefficients, piece, x, k) for k in range(3))
-        return np.where((u == 1.0)[:, None], self._end, p), p1, p2
+        end = u == 1.0  # where rounding is left out
+        p[end] = self._end
+        if not self._natural:
+            p1[end] = 0.0
+        if self._natural or self._kind == "quintic":
+            p2[end] = 0.0
+        return p, p1, p2
 
     def peaks(self) -> tuple[Array, Array]:
         first, second = (splines.largest(self._coefficients, self._lengths, k) for k in (1, 2))
@@ -188,7 +194,7 @@ def _scaled(times: Array) -> Array:
     if not (np.isfinite(times).all() and (steps > 0.0).all()):
         limit = "must be finite and increase"
         raise InputError("times", value=_listed(times), limit=limit)
-    u = (times - times[0]) / (times[-1] - times[0])
+    u: Array = (times - times[0]) / (times[-1] - times[0])
     u[-1] = 1.0
     if not (np.diff(u) > 0.0).all():
         raise InputError("times", value=_listed(times), limit="are too close to one another")

@@ -151,9 +151,9 @@ class LoopPath:
         )
         q, closed = self._corrected(q)
         if not closed.all():
-            k = int(np.argmin(closed))
-            reason = f"they are open at u = {u[k]:.9g} between two closed states"
-            raise PathEndError(self.mechanism, float(u[k]), q[k], reason)
+            worst = int(np.argmin(closed))
+            reason = f"they are open at u = {u[worst]:.9g} between two closed states"
+            raise PathEndError(self.mechanism, float(u[worst]), q[worst], reason)
         q1 = loop_velocities(self.mechanism, q, p1)
         return q, q1, loop_accelerations(self.mechanism, q, q1, p2)
 
@@ -215,11 +215,11 @@ class LoopPath:
         bend = h * float(np.abs(first - q1 - h * q2)[self._passive].max())
         if bend > 3 * CORRECTION:
             return None
-        if self._square and not self._same_side(u, q, there, found, (q1, first), piece):
+        if self._square and not self._one_branch(u, q, there, found, (q1, first), piece):
             return None
         return max(miss, bend / 3) < 0.2 * CORRECTION, found, first, second
 
-    def _same_side(
+    def _one_branch(
         self,
         u: float,
         q: Array,
@@ -228,8 +228,7 @@ class LoopPath:
         slopes: tuple[Array, Array],
         piece: int,
     ) -> bool:
-        """Whether two nodes are on one branch: with the same sign of det Psi_p, or across a point
-        where it is zero and the path goes straight on."""
+        """Whether two nodes have the same sign of det Psi_p, or a change point between them."""
         before, after = (self._sign(state) for state in (q, found))
         if before == after:
             return True

@@ -3,7 +3,8 @@
 Between two knots a spline is the Hermite polynomial of the rates (and, quintic, accelerations) at
 both.  With h the step and D the difference between the points,
 
-    cubic:    q''(0)   = ( 6 D - 4 v0 h - 2 v1 h) / h^2     q''(h)   = (-6 D + 2 v0 h + 4 v1 h) / h^2
+    cubic:    q''(0)   = ( 6 D - 4 v0 h - 2 v1 h) / h^2
+              q''(h)   = (-6 D + 2 v0 h + 4 v1 h) / h^2
     quintic:  q'''(0)  = (60 D - 36 v0 h - 24 v1 h - 9 a0 h^2 + 3 a1 h^2) / h^3
               q'''(h)  = (60 D - 24 v0 h - 36 v1 h - 3 a0 h^2 + 9 a1 h^2) / h^3
               q''''(0) = (-360 D + 192 v0 h + 168 v1 h + 36 a0 h^2 - 24 a1 h^2) / h^4
@@ -48,23 +49,23 @@ def quintic_spline(knots: Array, points: Array) -> Array:
     """Coefficients (pieces, 6, m), as above, of the C4 spline with q' = q'' = 0 at its ends."""
     h = np.diff(knots)
     D = np.diff(points, axis=0)
-    m = points.shape[1]
-    # unknowns (v, a) of a knot; rows: the jump of -q'''' and that of q''', symmetric together
-    one = np.stack([np.stack([192 / h**3, 36 / h**2], -1), np.stack([36 / h**2, 9 / h], -1)], -2)
-    two = np.stack([np.stack([192 / h**3, -36 / h**2], -1), np.stack([-36 / h**2, 9 / h], -1)], -2)
-    beside = np.stack(
-        [np.stack([168 / h**3, -24 / h**2], -1), np.stack([24 / h**2, -3 / h], -1)], -2
-    )
+
+    # unknowns (v, a) of a knot; rows: the jump of q'''' and that of q''', symmetric together
+    def blocks(vv: float, va: float, av: float, aa: float) -> Array:
+        rows = [[vv / h**3, va / h**2], [av / h**2, aa / h]]
+        return np.moveaxis(np.array(rows), -1, 0)
+
     diagonal = np.zeros((len(knots), 2, 2))
-    diagonal[:-1] += one
-    diagonal[1:] += two
-    right = np.zeros((len(knots), 2, m))
-    h = h[:, None]
-    right[:-1] += np.stack([360 * D / h**4, 60 * D / h**3], axis=1)
-    right[1:] += np.stack([360 * D / h**4, -60 * D / h**3], axis=1)
+    diagonal[:-1] += blocks(192, 36, 36, 9)
+    diagonal[1:] += blocks(192, -36, -36, 9)
+    beside = blocks(168, -24, 24, -3)
+    right = np.zeros((len(knots), 2, points.shape[1]))
+    quartics, cubics = D / h[:, None] ** 4, D / h[:, None] ** 3
+    right[:-1] += np.stack([360 * quartics, 60 * cubics], axis=1)
+    right[1:] += np.stack([360 * quartics, -60 * cubics], axis=1)
     solution = _solve(diagonal, beside, right, ends_at_rest=True)
     v, a = solution[:, 0], solution[:, 1]
-    v0, v1, a0, a1 = v[:-1], v[1:], a[:-1], a[1:]
+    v0, v1, a0, a1, h = v[:-1], v[1:], a[:-1], a[1:], h[:, None]
     cubic = (20 * D - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
     quartic = (-30 * D + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
     quintic = (12 * D - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)

@@ -171,7 +171,8 @@ def shortest_through(
     if times is not None or not isinstance(path, Legs) or len(points) == 2:
         return shortest_along(mechanism, path, points, limits, begin)
     whole = whole_path(mechanism, path, points)
-    durations, bounds = [], []
+    durations: list[float] = []
+    bounds: list[str] = []
     for k in range(len(points) - 1):
         leg = Legs(driven[k : k + 2], np.array([0.0, 1.0]), profile_of(profile, acceleration))
         ends = points[k : k + 2].copy()
@@ -197,10 +198,10 @@ def shortest_along(
     whole = whole_path(mechanism, path, points)
     found = [(0.0, "")]
     rates, accelerations = path.peaks()
-    for name, peak, limit in (("qd", rates, limits.qd), ("qdd", accelerations, limits.qdd)):
-        if limit is not None:
-            power = len(name) - 1
-            each = (peak / limit) ** (1 / power)
+    peaks = (("qd", rates, limits.qd, 1.0), ("qdd", accelerations, limits.qdd, 0.5))
+    for name, peak, largest, power in peaks:
+        if largest is not None:
+            each = (peak / largest) ** power
             joint = int(np.argmax(each))
             found.append((float(each[joint]), _joint(mechanism, name, joint)))
     if limits.tau is not None:
@@ -255,8 +256,8 @@ def _shortest_by_torque(
             f"tau{k + 1} ({mechanism.link_names[k]}) at q = {', '.join(f'{x:.6g}' for x in q)}",
             "tau",
             value=f"{value:.9g} N m",
-            limit=f"gravity alone needs that, more than the limit of "
-            f"{both[column]:.9g} N m, however slow the motion",
+            limit=f"holding this pose takes that, more than the limit of {both[column]:.9g} N m, "
+            "however slow the motion",
         )
     x = _least(reached(scale), whole)[0]
     if not 0.0 < x < math.inf:
@@ -297,7 +298,8 @@ def _least(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, i
     if not lowest.any():
         return math.inf, 0.0, 0, 0
     # a parabola through three samples lies below the lowest by less than the rise from it
-    floor = values - (np.maximum(before, after) - values)
+    with np.errstate(invalid="ignore"):  # infinite where x is
+        floor = values - (np.maximum(before, after) - values)
     lowest &= floor <= values[lowest].min()
     each = [np.flatnonzero(column) for column in lowest.T]
     each = [at[np.argsort(values[at, j], kind="stable")[:MOST_PLACES]] for j, at in enumerate(each)]
@@ -315,7 +317,7 @@ def _least(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, i
         tried = columns(trial.reshape(-1), np.repeat(piece[rows], 9)).reshape(*trial.shape, -1)
         found = tried[index[:, None], np.arange(9), places[:, None]]
         k = np.argmin(found, axis=1)
-        better = found[index, k] < best
+        better = found[index, k] < best - 1e-14 * np.abs(best)
         best = np.where(better, found[index, k], best)
         at = np.where(better, trial[index, k], at)
         low, high = trial[index, np.maximum(k - 1, 0)], trial[index, np.minimum(k + 1, 8)]

@@ -60,7 +60,7 @@ class ReferenceMotion:
                     self.path.evaluate(np.array([part]))
             raise
         q, q1, q2 = (x.reshape(*times.shape, self.mechanism.n) for x in values)
-        return q, q1 / self.duration, q2 / self.duration**2
+        return q + 0.0, q1 / self.duration + 0.0, q2 / self.duration**2 + 0.0  # + 0.0: no -0.0
 
 
 def reference_motion(
@@ -107,9 +107,8 @@ def motion_along(
         raise InputError("duration", value=duration, limit="must be > 0 and finite")
     try:
         whole = whole_path(mechanism, path, points)
-    except RobodynError as error:
-        if (u := getattr(error, "u", None)) is not None:
-            error.add_place(f"t = {begin + u * duration:.6g} s")
+    except PathEndError as error:
+        error.what = f"t = {begin + error.u * duration:.6g} s: {error.what}"
         raise
     return ReferenceMotion(mechanism, whole, duration, begin)
 
