@@ -33,6 +33,7 @@ LEAST_STEP = 1e-11  # in u, below which the path has ended
 NEWTON_STEPS = 8
 MOST_NODES = 200_000
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
+DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
 FEWEST = 64  # samples of a path of few pieces
 
 
@@ -164,6 +165,10 @@ class LoopPath:
         here, closed = self._corrected(start[None])
         if not closed.all():
             raise PathEndError(self.mechanism, 0.0, start, self._reason("the start does not close"))
+        kind = self._singular(here[0])
+        if kind:
+            reason = f"a {kind}, from which the passive joints can go on in two ways"
+            raise PathEndError(self.mechanism, 0.0, start, reason)
         q = here[0]
         u = 0.0
         self._nodes.append(u)
@@ -207,6 +212,8 @@ class LoopPath:
         found = corrected[0]
         miss = float(np.abs(found - guess).max())
         if not closed[0] or miss > CORRECTION or np.abs(found - q).max() > TRAVEL:
+            return None
+        if self._singular(found) == "dead centre":
             return None
         try:
             first, second = self._slope(there, found, piece)
@@ -266,6 +273,14 @@ class LoopPath:
             f"{driven} joints are actuated, more than the freedoms ({freedoms}), so their angles "
             "depend on one another"
         )
+
+    def _singular(self, q: Array) -> str:
+        """ "dead centre" or "change point" next to one, else ""."""
+        Psi = closure_jacobian(self.mechanism, q)
+        least = DEAD * self._size
+        if not self._passive or np.linalg.svd(Psi[:, self._passive], compute_uv=False)[-1] > least:
+            return ""
+        return "dead centre" if np.linalg.svd(Psi, compute_uv=False)[-1] > least else "change point"
 
     def _sign(self, q: Array) -> float:
         return float(np.linalg.slogdet(closure_jacobian(self.mechanism, q)[:, self._passive])[0])

@@ -129,7 +129,7 @@ def whole_path(mechanism: Mechanism, path: JointPath, points: Array) -> OpenPath
             raise fault[1]
     start[driven] = first
     whole = LoopPath(mechanism, path, start)
-    if isinstance(path, Legs | Spline):
+    if isinstance(path, Legs | Spline) and len(points) == len(path.knots):
         _check_reached(mechanism, whole, path.knots, points)
     return whole
 
