@@ -208,10 +208,10 @@ def trajectory(
     if acceleration is not None and profile is not ProfileName.trapezoidal:
         raise InputError("--acceleration", limit="is for --profile trapezoidal")
     is_sweep = profile is ProfileName.sweep
-    if is_sweep or amplitude is not None or frequencies is not None:
+    if is_sweep:
         _refuse("a sweep", to=to, via=via, speed=speed, turns=turns, ends=ends)
-        if not is_sweep:
-            raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
+    elif amplitude is not None or frequencies is not None:
+        raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else _seconds(every, "--every")
 
     with remarks(), _named_options():
