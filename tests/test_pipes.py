@@ -508,7 +508,7 @@ def test_help_holds_an_example_also_in_a_pipe(shell: Run, command: str, flag: st
 @pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_the_examples_of_the_help_work(shell: Run, tmp_path: Path, command: str) -> None:
     """But those that begin with a file of states are given one."""
-    text = shell(f"robodyn {command} --help").succeeds().out
+    text = shell(f"robodyn {command} --help").succeeds().out.replace("\\\n", " ")
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
     assert len(lines) >= 2
     (tmp_path / "robots").symlink_to(ROOT / "robots")
