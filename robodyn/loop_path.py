@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.assembly import CLOSED, loop_size
-from robodyn.change_points import OFFSETS, STEP
+from robodyn.change_points import OFFSETS
 from robodyn.closed_form import closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.joint_paths import JointPath, Pieces, Values, piece_at
@@ -31,6 +31,7 @@ CORRECTION = 0.01  # rad, the most that Newton's method may correct a prediction
 FIRST_STEP = 1 / 64  # of a piece
 LEAST_STEP = 1e-11  # in u, below which the path has ended
 NEWTON_STEPS = 8
+STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
 MOST_NODES = 200_000
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
@@ -310,7 +311,8 @@ class LoopPath:
                 break
             last = most
         gap = np.abs(closure_gap(self.mechanism, q)).max(axis=-1, initial=0.0)
-        return q, gap <= 1e-3 * CLOSED * self._size
+        turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
+        return q, gap <= 1e-3 * CLOSED * self._size * turns
 
 
 def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:

@@ -9,6 +9,8 @@ gravity does not depend on x.  (Hollerbach, Dynamic scaling of manipulator traje
 rates and accelerations bound T in closed form, by the profile's peaks.  For torques, a(u), b(u) and
 g(u) follow from inverse dynamics at three values of x, and each u has the least x > 0 at which
 |tau| reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.
+Coulomb friction is no such polynomial: with it the three values of x are taken about the bound that
+the ones before gave, from a slow motion on, until it stays.
 
 The extremes are searched for on samples that follow the path, and then between them: around each
 sample that may lead to the extreme, nine points and the two intervals next to the best of them, a
@@ -40,6 +42,9 @@ UNITS = {"qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
 ROUNDS = 13  # of the search between samples: each makes the interval four times shorter
+MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
+SETTLED = 1e-11  # part of x by which the last two differ
+CREEP = 1e-3  # part of a friction's speed at which it is still no more than a damper
 MOST_PLACES = 64  # of one column, at which to search
 BLOCK = 20_000  # samples evaluated at once
 
@@ -244,7 +249,7 @@ def _shortest_by_torque(
 
         return least_x
 
-    scale = _natural_scale(whole)
+    scale = _natural_scale(mechanism, whole)
     slow, u, piece, column = _least(
         lambda u, piece: -_relative(parts(u, piece, scale)[2], both), whole
     )
@@ -259,11 +264,17 @@ def _shortest_by_torque(
             limit=f"holding this pose takes that, more than the limit of {both[column]:.9g} N m, "
             "however slow the motion",
         )
-    x = _least(reached(scale), whole)[0]
-    if not 0.0 < x < math.inf:
-        return 0.0, ""
-    x, u, _, column = _least(reached(x), whole)
+    x, column = scale, 0
+    for _ in range(MOST_FITS):
+        before = x
+        x, u, _, column = _least(reached(before), whole)
+        if mechanism.friction:  # beyond that the parabola is not its torque
+            x = min(max(x, 0.5 * before), 2.0 * before)
+        if abs(x - before) <= SETTLED * x or math.isinf(x):
+            break
     duration = (1.0 + MARGIN) / x
+    if duration == 0.0:
+        return 0.0, ""
     at = f" at t = {begin + u * duration:.6g} s"
     return duration, _joint(mechanism, "tau", column % len(driven)) + at
 
@@ -272,10 +283,12 @@ def _relative(values: Array, both: Array) -> Array:
     return np.concatenate([values, -values], axis=1) / both
 
 
-def _natural_scale(whole: OpenPath | LoopPath) -> float:
-    """x that makes the fastest acceleration or rate of the path about 1."""
+def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
+    """x that makes the fastest acceleration or rate of the path about 1; low in any friction."""
     _, q1, q2 = whole.evaluate(*whole.grid())
     fastest = max(float(np.abs(q1).max()), math.sqrt(float(np.abs(q2).max())))
+    for joint, friction in mechanism.friction:
+        fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * friction.speed))
     return 1.0 / fastest if fastest > 0.0 else 1.0
 
 

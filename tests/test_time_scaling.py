@@ -161,9 +161,7 @@ def test_torque_of_the_four_bars_crank(profile: str) -> None:
     motion = shortest_motion(BAR, [[0.3], [5.0]], max_tau=12.0, profile=profile)
     assert_shortest(motion, np.array([12.0]))
     q, qd, qdd = dense(motion, 101)[0]
-    tau = [
-        oracles.four_bar_torque(FOUR_BAR, *state)[0] for state in zip(q, qd, qdd, strict=True)
-    ]
+    tau = [oracles.four_bar_torque(FOUR_BAR, *state)[0] for state in zip(q, qd, qdd, strict=True)]
     assert np.abs(tau).max() <= 12.0
 
 
@@ -181,6 +179,37 @@ def test_torques_of_random_loops(name: str, way: float) -> None:
     limit = 1.2 * holding(mech, motion_along(mech, path, points, 1.0)) + 0.1
     limits = limits_of(mech, tau=limit)
     assert_shortest(shortest_along(mech, path, points, limits).motion, limit)
+
+
+SCENE = (ROOT / "robots/2r.yaml").read_text()
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.5, 20.0])
+@pytest.mark.parametrize("limit", [(25.0, 8.0), (15.5, 2.9)])
+def test_torques_with_friction_springs_and_loads(speed: float, limit: tuple[float, float]) -> None:
+    """The tighter limit is met where the friction is smoothed, if that is at a low speed."""
+    friction = f"I: 0.082, friction: {{torque: 2.0, speed: {speed}}}"
+    text = SCENE.replace("I: 0.082", friction)
+    text += "\nsprings: [{joint: forearm, stiffness: 0.5, angle: 0.3, damping: 0.1}]"
+    text += "\nloads: [{link: forearm, at: [0.2, 0.1], force: [0.5, -0.3], frame: link}]\n"
+    mech = mechanism(text)
+    for profile in ("cubic", "quintic"):
+        motion = shortest_motion(mech, [[0, 0], [1.5, 0.7]], max_tau=limit, profile=profile)
+        assert_shortest(motion, np.array(limit))
+
+
+def test_torques_of_geared_joints() -> None:
+    mech = mechanism(SCENE + '\ncouplings: ["q2 = -3/2 q1 + 0.25"]\nactuated: [upper arm]\n')
+    motion = shortest_motion(mech, [[0.0], [2.0]], max_tau=20.0)
+    q, qd, qdd = motion.states(np.linspace(0, motion.duration, 101))
+    assert np.abs(q[:, 1] - (0.25 - 1.5 * q[:, 0])).max() < 1e-15
+    assert np.abs(qd[:, 1] + 1.5 * qd[:, 0]).max() < 1e-13
+    assert np.abs(qdd[:, 1] + 1.5 * qdd[:, 0]).max() < 1e-12
+    assert_shortest(motion, np.array([20.0]))
+    # the power of the arm's own torques is that of the one actuator
+    tau = [oracles.two_link_torque(TWO_LINK, *x) @ [1, -1.5] for x in zip(q, qd, qdd, strict=True)]
+    assert np.abs(tau).max() == pytest.approx(20.0, rel=1e-2)
+    assert np.abs(tau).max() <= 20.0
 
 
 def test_the_fastest_constant_speed() -> None:
