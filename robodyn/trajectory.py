@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn import assembly, loop_rates
+from robodyn.continuation import PathEndError
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.joint_paths import JointPath, Legs, Spline, path_through
-from robodyn.loop_path import LoopPath, OpenPath, PathEndError
+from robodyn.loop_path import LoopPath, OpenPath
 from robodyn.mechanism import Mechanism
 from robodyn.profiles import ACCELERATION
 

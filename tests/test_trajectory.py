@@ -294,11 +294,11 @@ def test_geared_joints_count_turns() -> None:
     text = (ROOT / "robots/2r.yaml").read_text()
     mech = mechanism(text + '\ncouplings: ["q2 = -20/37 q1"]\nactuated: [upper arm]\n')
     motion = motion_along(
-        mech, constant_speed(np.zeros(1), np.array([740 * np.pi])), all_joints(mech, [[0.0]]), 1.0
+        mech, constant_speed(np.zeros(1), np.array([74 * np.pi])), all_joints(mech, [[0.0]]), 1.0
     )
     q, qd, _ = motion.states([0.0, 0.5, 1.0])
-    assert q[:, 1] == pytest.approx([0.0, -200 * np.pi, -400 * np.pi], rel=1e-14)
-    assert qd[:, 1] == pytest.approx(np.full(3, -400 * np.pi), rel=1e-14)
+    assert q[:, 1] == pytest.approx([0.0, -20 * np.pi, -40 * np.pi], rel=1e-14)
+    assert qd[:, 1] == pytest.approx(np.full(3, -40 * np.pi), rel=1e-14)
 
 
 def test_two_cranks_of_a_five_bar() -> None:
