@@ -12,15 +12,12 @@ g(u) follow from inverse dynamics at three values of x, and each u has the least
 Coulomb friction is no such polynomial: with it the three values of x are taken about the bound that
 the ones before gave, from a slow motion on, until it stays.
 
-The extremes are searched for on samples that follow the path, and then between them: around each
-sample that may lead to the extreme, nine points and the two intervals next to the best of them, a
-quarter of the interval each time, until nothing is left to be gained in floating point.
+Extremes are those of `path_extremes.py`: limits hold between the rows too.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,22 +28,19 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.loop_path import LoopPath, OpenPath
 from robodyn.mechanism import Mechanism
+from robodyn.path_extremes import Columns, least_along
 from robodyn.profiles import ACCELERATION
 from robodyn.profiles import profile as profile_of
 from robodyn.trajectory import ReferenceMotion, all_joints, motion_along, whole_path
 
 Array = NDArray[np.float64]
-Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
 UNITS = {"qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
-ROUNDS = 13  # of the search between samples: each makes the interval four times shorter
 MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
 SETTLED = 1e-11  # part of x by which the last two differ
 CREEP = 1e-3  # part of a friction's speed at which it is still no more than a damper
-MOST_PLACES = 64  # of one column, at which to search
-BLOCK = 20_000  # samples evaluated at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +113,7 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
         return np.concatenate([known[name] for name, _ in limits.given], axis=1)
 
     bounds = np.concatenate([bound for _, bound in limits.given])
-    least, u, piece, column = _least(
+    least, u, piece, column = least_along(
         lambda u, piece: -np.abs(values(u, piece)) / bounds, motion.path
     )
     if -least <= 1.0 + ROUNDING:
@@ -250,7 +244,7 @@ def _shortest_by_torque(
         return least_x
 
     scale = _natural_scale(mechanism, whole)
-    slow, u, piece, column = _least(
+    slow, u, piece, column = least_along(
         lambda u, piece: -_relative(parts(u, piece, scale)[2], both), whole
     )
     if -slow >= 1.0:
@@ -267,7 +261,7 @@ def _shortest_by_torque(
     x, column = scale, 0
     for _ in range(MOST_FITS):
         before = x
-        x, u, _, column = _least(reached(before), whole)
+        x, u, _, column = least_along(reached(before), whole)
         if mechanism.friction:  # beyond that the parabola is not its torque
             x = min(max(x, 0.5 * before), 2.0 * before)
         if abs(x - before) <= SETTLED * x or math.isinf(x):
@@ -295,44 +289,3 @@ def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
 def _joint(mechanism: Mechanism, name: str, joint: int) -> str:
     k = mechanism.actuated[joint]
     return f"{name}{k + 1} ({mechanism.link_names[k]})"
-
-
-def _least(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, int, int]:
-    """The least value of any column along a path, with its u, piece and column."""
-    u, piece = path.grid()
-    blocks = range(0, len(u), BLOCK)
-    values = np.concatenate([columns(u[k : k + BLOCK], piece[k : k + BLOCK]) for k in blocks])
-    before, after = np.full_like(values, np.inf), np.full_like(values, np.inf)
-    joined = (piece[1:] == piece[:-1])[:, None]
-    before[1:] = np.where(joined, values[:-1], np.inf)
-    after[:-1] = np.where(joined, values[1:], np.inf)
-    lowest = (values <= before) & (values <= after) & np.isfinite(values)
-    lowest &= (values != before) | (values != after)  # of a level stretch its ends will do
-    if not lowest.any():
-        return math.inf, 0.0, 0, 0
-    # a parabola through three samples lies below the lowest by less than the rise from it
-    with np.errstate(invalid="ignore"):  # infinite where x is
-        floor = values - (np.maximum(before, after) - values)
-    lowest &= floor <= values[lowest].min()
-    each = [np.flatnonzero(column) for column in lowest.T]
-    each = [at[np.argsort(values[at, j], kind="stable")[:MOST_PLACES]] for j, at in enumerate(each)]
-    rows = np.concatenate(each)
-    places = np.repeat(np.arange(len(each)), [len(at) for at in each])
-    first = np.where((rows > 0) & (piece[np.maximum(rows - 1, 0)] == piece[rows]), rows - 1, rows)
-    following = np.minimum(rows + 1, len(u) - 1)
-    last = np.where(piece[following] == piece[rows], following, rows)
-    low, high = u[first], u[last]
-    best, at = values[rows, places], u[rows]
-    part = np.linspace(0.0, 1.0, 9)
-    index = np.arange(len(rows))
-    for _ in range(ROUNDS):
-        trial = low[:, None] + (high - low)[:, None] * part
-        tried = columns(trial.reshape(-1), np.repeat(piece[rows], 9)).reshape(*trial.shape, -1)
-        found = tried[index[:, None], np.arange(9), places[:, None]]
-        k = np.argmin(found, axis=1)
-        better = found[index, k] < best - 1e-14 * np.abs(best)
-        best = np.where(better, found[index, k], best)
-        at = np.where(better, trial[index, k], at)
-        low, high = trial[index, np.maximum(k - 1, 0)], trial[index, np.minimum(k + 1, 8)]
-    winner = int(np.argmin(best))
-    return float(best[winner]), float(at[winner]), int(piece[rows[winner]]), int(places[winner])
