@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from robodyn.reaction_forces import shaking_force as shaking_force
     from robodyn.simulation import Motion as Motion
     from robodyn.simulation import simulate as simulate
+    from robodyn.time_scaling import shortest_motion as shortest_motion
+    from robodyn.trajectory import ReferenceMotion as ReferenceMotion
+    from robodyn.trajectory import reference_motion as reference_motion
 
 __version__ = "0.1.0"
 
@@ -68,6 +71,8 @@ _ROOMS = {
     "mechanism": ["Mechanism", "load"],
     "reaction_forces": ["reactions", "shaking_force"],
     "simulation": ["Motion", "simulate"],
+    "time_scaling": ["shortest_motion"],
+    "trajectory": ["ReferenceMotion", "reference_motion"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

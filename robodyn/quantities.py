@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
@@ -92,10 +93,34 @@ def parse_coupling(text: str) -> tuple[int, dict[int, float], float]:
     return int(left["joint"]), terms, angle
 
 
+def parse_rate(text: str) -> float:
+    """The rate in rad/s that `text` writes; ValueError with the reason.
+
+    `6.28`, `2*pi`, `360deg/s`, `360deg`, `6.28rad/s`, `60rpm`.
+    """
+    if text.endswith("rpm"):
+        return parse_number(text.removesuffix("rpm")) * (math.pi / 30)
+    return parse_angle(text.removesuffix("/s"))
+
+
+def parse_time(text: str) -> float:
+    """The time in seconds that `text` writes, `2`, `0.5s`, `20ms`; ValueError with the reason."""
+    if text.endswith("ms"):
+        return parse_number(text.removesuffix("ms")) / 1000
+    return parse_number(text.removesuffix("s"))
+
+
 def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:
     """The numbers of a comma- or space-separated vector; InputError naming `where` if none."""
-    parse = parse_angle if angles else parse_number
-    example = "-0.5, 30deg or pi/2" if angles else "1.5 or -2e-3"
+    if angles:
+        return parse_entries(text, parse_angle, where=where, example="-0.5, 30deg or pi/2")
+    return parse_entries(text, parse_number, where=where, example="1.5 or -2e-3")
+
+
+def parse_entries(
+    text: str, parse: Callable[[str], float], *, where: str, example: str
+) -> list[float]:
+    """What `parse` makes of each entry of a vector; InputError naming `where` if it is none."""
     entries = text.replace(",", " , ").split()
     values: list[float] = []
     comma = True  # a comma needs an entry before it; one may stand between two entries

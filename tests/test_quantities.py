@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.quantities import parse_angle, parse_number, parse_vector
+from robodyn.quantities import parse_angle, parse_number, parse_rate, parse_time, parse_vector
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 NEAR_NUMBERS = st.text(alphabet="0123456789.eE+-pi*/degra, ", max_size=12)
@@ -17,6 +17,43 @@ NEAR_NUMBERS = st.text(alphabet="0123456789.eE+-pi*/degra, ", max_size=12)
 
 def vector(text: str, angles: bool = True) -> list[float]:
     return parse_vector(text, where="--q", angles=angles)
+
+
+# Rates and times
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("6.28", 6.28),
+        ("-2*pi", -2 * math.pi),
+        ("90deg", math.pi / 2),
+        ("90deg/s", math.pi / 2),
+        ("1.5rad/s", 1.5),
+        ("pi/2", math.pi / 2),
+        ("60rpm", 2 * math.pi),
+        ("-1e3rpm", -1000 * math.pi / 30),
+    ],
+)
+def test_rates(text: str, value: float) -> None:
+    assert parse_rate(text) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["", "rpm", "1 rpm", "pirpm", "1/s/s", "1hz", "nan", "infrpm"])
+def test_what_is_no_rate(text: str) -> None:
+    with pytest.raises(ValueError, match=r"not a number|not an angle|finite"):
+        parse_rate(text)
+
+
+@pytest.mark.parametrize(("text", "value"), [("2", 2), ("0.5s", 0.5), ("20ms", 0.02), ("-1s", -1)])
+def test_times(text: str, value: float) -> None:
+    assert parse_time(text) == value
+
+
+@pytest.mark.parametrize("text", ["", "s", "ms", "2 s", "2min", "1us", "2ss", "nans", "infms"])
+def test_what_is_no_time(text: str) -> None:
+    with pytest.raises(ValueError, match=r"not a number|finite"):
+        parse_time(text)
 
 
 # Numbers

@@ -21,8 +21,8 @@ from robodyn import __version__
 from robodyn.errors import RobodynError
 
 COMMANDS = (
-    *("torque", "accel", "reactions", "simulate", "terms", "assemble", "energy", "check", "bench"),
-    "export",
+    *("torque", "accel", "reactions", "simulate", "trajectory"),
+    *("terms", "assemble", "energy", "check", "bench", "export"),
 )
 
 

@@ -43,6 +43,7 @@ class RowWriter(Protocol):
 
     def write_row(self, values: Sequence[float | str]) -> None: ...
     def write_rows(self, lines: Sequence[str], values: NDArray[np.float64]) -> None: ...
+    def write_columns(self, values: NDArray[np.float64]) -> None: ...
     def close(self) -> None: ...
 
 
@@ -96,6 +97,10 @@ class TableView:
     def write_row(self, values: Sequence[float | str]) -> None:
         self._rows.append([x if isinstance(x, str) else f"{x:.6g}" for x in values])
         self._full()
+
+    def write_columns(self, values: NDArray[np.float64]) -> None:
+        for row in values.tolist():
+            self.write_row(row)
 
     def write_rows(self, lines: Sequence[str], values: NDArray[np.float64]) -> None:
         import csv

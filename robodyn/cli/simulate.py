@@ -29,6 +29,7 @@ from robodyn.cli.states import (
     remarks,
     single_state,
 )
+from robodyn.cli.times import output_times
 from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
@@ -53,8 +54,6 @@ SETTINGS = [
     "accuracy",
 ]
 DEFAULT_TOLERANCE = 1e-9
-DEFAULT_POINTS = 1001
-MOST_ROWS = 100_000_000
 SILENT = 0.5  # s before a progress bar appears
 
 
@@ -204,7 +203,7 @@ def simulate(
     )
     with _named_options():
         settings.check()
-    times = _output_times(duration, every, points)
+    times = output_times(duration, every, points)
     torques = _torques(mechanism, tau, tau_from, duration)
     start = [Quantity("q", q, True), Quantity("qd", qd)]
     if assemble:
@@ -290,36 +289,6 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
         gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
         parts.append(gap[:, None])
     return np.concatenate(parts, axis=-1)
-
-
-def _output_times(duration: float, every: float | None, points: int | None) -> np.ndarray:
-    """Times of the rows: from 0 on, the end included."""
-    if not math.isfinite(duration):
-        raise InputError("--time", value=duration, limit="must be finite")
-    if every is not None and points is not None:
-        raise InputError("--every and --points", limit="exclude each other")
-    if every is not None:
-        if not (math.isfinite(every) and every > 0.0):
-            raise InputError("--every", value=every, limit="must be > 0 and finite")
-        count = abs(duration) / every
-        _check_number("--every", every, count)
-        times = np.arange(math.ceil(count)) * math.copysign(every, duration)
-        # a row so near the end would double it
-        nearly = max(1e-9 * min(every, abs(duration)), 4 * math.ulp(duration))
-        return np.append(times[np.abs(times - duration) > nearly], duration)
-    wanted = DEFAULT_POINTS if points is None else points
-    if wanted < 1:
-        raise InputError("--points", value=wanted, limit="must be >= 1")
-    _check_number("--points", wanted, wanted)
-    if duration == 0.0 or wanted == 1:
-        return np.array([duration])
-    return np.linspace(0.0, duration, wanted)
-
-
-def _check_number(option: str, value: float, rows: float) -> None:
-    if rows > MOST_ROWS:
-        limit = f"makes {rows:.6g} rows, too many: at most {MOST_ROWS}"
-        raise InputError(option, value=value, limit=limit)
 
 
 def _torques(

@@ -1,0 +1,479 @@
+"""`robodyn trajectory`: reference motions as CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+from robodyn.cli.options import Format, Model, Out, OutputFormat, named
+from robodyn.cli.output import note, row_writer
+from robodyn.cli.states import Quantity, open_input, option_source, overflow, remarks, table_source
+from robodyn.cli.times import output_times
+from robodyn.errors import InputError
+from robodyn.joint_paths import JointPath, Sweep, constant_speed, path_through
+from robodyn.mechanism import Mechanism, load
+from robodyn.profiles import ACCELERATION
+from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate, parse_time
+from robodyn.table import Reader
+from robodyn.time_scaling import (
+    LimitError,
+    Limits,
+    check_limits,
+    limits_of,
+    shortest_along,
+    shortest_through,
+)
+from robodyn.trajectory import ReferenceMotion, motion_along
+
+BLOCK = 5000  # rows computed at once
+OPTION_OF = {  # what the numerics call an argument
+    "profile": "--profile",
+    "acceleration": "--acceleration",
+    "ends": "--ends",
+    "duration": "--time",
+    "max_qd": "--max-qd",
+    "max_qdd": "--max-qdd",
+    "max_tau": "--max-tau",
+}
+MOST_CYCLES = 100_000  # of a sweep
+
+
+class ProfileName(StrEnum):
+    """How the speed goes up and down."""
+
+    cubic = "cubic"
+    quintic = "quintic"
+    trapezoidal = "trapezoidal"
+    cycloidal = "cycloidal"
+    sweep = "sweep"
+
+
+class Ends(StrEnum):
+    """What a cubic spline does at its ends."""
+
+    rest = "rest"
+    natural = "natural"
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Points (K, n) to go through, NaN where a passive joint is not given, and their times."""
+
+    q: np.ndarray
+    times: np.ndarray | None
+    source: str
+
+
+def _text(flag: str, metavar: str, text: str) -> object:
+    return typer.Option(flag, metavar=metavar, help=text, show_default=False)
+
+
+_WHICH = "all joints, or the actuated ones"
+_EACH = "one value, or one an actuated joint"
+
+
+def trajectory(
+    model: Model,
+    from_: Annotated[
+        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+        _text("--from", "VECTOR", f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}."),
+    ] = None,
+    to: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--to", "VECTOR", f"Angles at the end: {_WHICH}."),
+    ] = None,
+    via: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--via",
+            metavar="FILE",
+            help="CSV of points q1.. (rad) to go through, - for stdin; with a column t (s) at "
+            "these times. Without t, --from and --to may add the ends.",
+            show_default=False,
+            callback=named,
+        ),
+    ] = None,
+    time: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--time", "S|min", "Duration, s, 2s or 500ms; min: the shortest within the limits."),
+    ] = None,
+    profile: Annotated[
+        Optional[ProfileName],  # noqa: UP045
+        typer.Option("--profile", help="Default: quintic.", show_default=False),
+    ] = None,
+    acceleration: Annotated[
+        Optional[float],  # noqa: UP045
+        _text(
+            "--acceleration",
+            "PART",
+            "Part of the time in which a trapezoidal profile speeds "
+            "up, and in which it slows down, > 0, <= 0.5. Default: 1/3.",
+        ),
+    ] = None,
+    ends: Annotated[
+        Optional[Ends],  # noqa: UP045
+        typer.Option(
+            "--ends",
+            help="Of a cubic spline: at rest, or qdd = 0. Default: rest.",
+            show_default=False,
+        ),
+    ] = None,
+    speed: Annotated[
+        Optional[str],  # noqa: UP045
+        _text(
+            "--speed",
+            "VECTOR",
+            "Constant speed of the actuated joints, rad/s, or 60rpm, "
+            "360deg/s; begins at --from (default: 0), ends after --turns or --time.",
+        ),
+    ] = None,
+    turns: Annotated[
+        Optional[str],  # noqa: UP045
+        _text(
+            "--turns",
+            "VECTOR",
+            "Turns of the fastest joint at --speed; without it, of each actuated joint in --time.",
+        ),
+    ] = None,
+    amplitude: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--amplitude", "VECTOR", f"Of a sweep about --from, rad or 10deg: {_EACH}."),
+    ] = None,
+    frequencies: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--frequencies", "F0,F1", "Of a sweep: at its start and at its end, Hz."),
+    ] = None,
+    max_qd: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--max-qd", "VECTOR", f"Largest speed, rad/s, or 60rpm, 90deg/s: {_EACH}."),
+    ] = None,
+    max_qdd: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--max-qdd", "VECTOR", f"Largest acceleration, rad/s^2, or 90deg/s^2: {_EACH}."),
+    ] = None,
+    max_tau: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--max-tau", "VECTOR", f"Largest torque, N m: {_EACH}."),
+    ] = None,
+    every: Annotated[
+        Optional[str],  # noqa: UP045
+        _text("--every", "S", "Time between rows, s, or 10ms."),
+    ] = None,
+    points: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option("--points", metavar="N", help="Number of rows. Default: 1001."),
+    ] = None,
+    format: OutputFormat = None,
+    out: Out = None,
+) -> None:
+    """A reference motion of the joints, as CSV for `torque`.
+
+    Columns: t, q1.., qd1.., qdd1.. of all joints, at the start, every so often, and always at the
+    end.  The motion is that of the actuated joints; in a closed mechanism the others follow along
+    one branch: that of --from if it holds all joints, else the scene's `assembly`.
+
+    From rest to rest (--from, --to), through points (--via), at constant speed (--speed), or a
+    sine sweep about a pose (--profile sweep).  Through points cubic and quintic profiles are
+    splines (of continuity C2 and C4) at rest at their ends; trapezoidal and cycloidal ones stop
+    at each point.  Points without times get them in proportion to the distances in joint space.
+
+    A limit (--max-qd, --max-qdd, --max-tau) that is exceeded anywhere, between the rows too, is an
+    error; --time min takes the shortest duration that keeps the limits, and tells it on stderr.
+
+    \b
+    Examples:
+      robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 --every 0.01
+      robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
+      robodyn trajectory robots/2r.yaml --via motion.csv --profile cubic --max-qd 90deg/s
+      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361
+      robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
+        --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
+    """
+    mechanism = load(model)
+    duration = _duration(time)
+    with _named_options():
+        limits = limits_of(
+            mechanism,
+            _rates(max_qd, "--max-qd", parse_rate, "6.28, 60rpm or 90deg/s"),
+            _rates(max_qdd, "--max-qdd", _angular_acceleration, "20 or 90deg/s^2"),
+            _rates(max_tau, "--max-tau", parse_number, "25"),
+        )
+    if acceleration is not None and profile is not ProfileName.trapezoidal:
+        raise InputError("--acceleration", limit="is for --profile trapezoidal")
+    is_sweep = profile is ProfileName.sweep
+    if is_sweep:
+        _refuse("a sweep", to=to, via=via, speed=speed, turns=turns, ends=ends)
+    elif amplitude is not None or frequencies is not None:
+        raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
+    step = None if every is None else _seconds(every, "--every")
+
+    with remarks(), _named_options():
+        if is_sweep:
+            begin = _given(mechanism, from_, "from")
+            chirp = _sweep(mechanism, begin, amplitude, frequencies, duration)
+            motion = _along(mechanism, chirp, begin, duration, limits)
+        elif speed is not None or turns is not None:
+            _refuse("--speed and --turns", to=to, via=via, profile=profile, ends=ends)
+            begin = _given(mechanism, from_, "from", default=True)
+            path, seconds = _constant(mechanism, begin, speed, turns, duration)
+            motion = _along(mechanism, path, begin, seconds, limits)
+        else:
+            wanted = _points(mechanism, from_, to, via)
+            name = (profile or ProfileName.quintic).value
+            alpha = ACCELERATION if acceleration is None else acceleration
+            natural = ends is Ends.natural
+            motion = _through(mechanism, wanted, duration, limits, name, alpha, natural)
+        _write(motion, output_times(motion.duration, step, points), format, out)
+
+
+# -- motions -------------------------------------------------------------------------------------
+
+
+def _through(
+    mechanism: Mechanism,
+    points: Points,
+    duration: float | None,
+    limits: Limits,
+    profile: str,
+    acceleration: float,
+    natural: bool,
+) -> ReferenceMotion:
+    minimal = duration is not None and math.isnan(duration)
+    if points.times is not None and duration is not None and not minimal:
+        limit = f"{points.source} has the times (t): leave one of them out, or take min"
+        raise InputError("--time", value=f"{duration:g}", limit=limit)
+    if points.times is None and duration is None:
+        raise InputError("--time", limit="missing: give seconds, or min and a limit")
+    try:
+        if minimal:
+            found = shortest_through(
+                mechanism, points.q, limits, points.times, profile, acceleration, natural
+            )
+            _tell(found.motion, found.bound)
+            return found.motion
+        actuated = points.q[:, list(mechanism.actuated)]
+        path = path_through(actuated, points.times, profile, acceleration, natural)
+    except InputError as error:
+        if points.source and error.what.startswith(("times", "point")):
+            error.add_place(points.source)
+        raise
+    begin = 0.0
+    if points.times is not None:
+        begin, duration = float(points.times[0]), float(np.ptp(points.times))
+    assert duration is not None
+    motion = motion_along(mechanism, path, points.q, duration, begin)
+    check_limits(motion, limits)
+    return motion
+
+
+def _along(
+    mechanism: Mechanism,
+    path: JointPath,
+    begin: np.ndarray,
+    duration: float | None,
+    limits: Limits,
+) -> ReferenceMotion:
+    assert duration is not None
+    if math.isnan(duration):
+        found = shortest_along(mechanism, path, begin[None], limits)
+        _tell(found.motion, found.bound)
+        return found.motion
+    motion = motion_along(mechanism, path, begin[None], duration)
+    check_limits(motion, limits)
+    return motion
+
+
+def _sweep(
+    mechanism: Mechanism,
+    pose: np.ndarray,
+    amplitude: str | None,
+    frequencies: str | None,
+    duration: float | None,
+) -> Sweep:
+    if amplitude is None or frequencies is None:
+        raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
+    if duration is None or not (math.isfinite(duration) and duration > 0.0):
+        raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
+    driven = list(mechanism.actuated)
+    sizes = parse_entries(amplitude, parse_angle, where="--amplitude", example="0.1 or 5deg")
+    sizes = _for_each(mechanism, sizes, "--amplitude")
+    band = parse_entries(frequencies, _frequency, where="--frequencies", example="0.2,5 (Hz)")
+    if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
+        limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
+        raise InputError("--frequencies", value=frequencies, limit=limit)
+    cycles = 0.5 * (band[0] + band[1]) * duration
+    if cycles > MOST_CYCLES:
+        limit = f"makes {cycles:.6g} cycles, too many: at most {MOST_CYCLES}"
+        raise InputError("--frequencies", value=frequencies, limit=limit)
+    return Sweep(pose[driven], np.array(sizes), band[0], band[1], duration)
+
+
+def _constant(
+    mechanism: Mechanism,
+    begin: np.ndarray,
+    speed: str | None,
+    turns: str | None,
+    duration: float | None,
+) -> tuple[JointPath, float]:
+    """The path at constant speed, and its duration (NaN: the shortest)."""
+    start = begin[list(mechanism.actuated)]
+    counts = None
+    if turns is not None:
+        counts = parse_entries(turns, parse_number, where="--turns", example="1 or 0.5")
+    if speed is None:
+        assert counts is not None
+        if duration is None:
+            raise InputError("--turns", limit="needs --speed or --time")
+        way = 2 * np.pi * np.array(_for_each(mechanism, counts, "--turns"))
+        return constant_speed(start, way), duration
+    rates = parse_entries(speed, parse_rate, where="--speed", example="6.28, 60rpm or 360deg/s")
+    rate = np.array(_for_each(mechanism, rates, "--speed"))
+    fastest = float(np.abs(rate).max())
+    if counts is not None:
+        if duration is not None:
+            raise InputError("--speed, --turns and --time", limit="exclude one another: give two")
+        if len(counts) != 1 or counts[0] <= 0.0:
+            limit = "with --speed it must be one number > 0, of the fastest joint"
+            raise InputError("--turns", value=turns, limit=limit)
+        if fastest == 0.0:
+            raise InputError("--speed", value=speed, limit="must not be 0 where --turns are given")
+        duration = 2 * math.pi * counts[0] / fastest
+    if duration is None or math.isnan(duration):
+        raise InputError("--speed", limit="needs --turns, or --time in seconds")
+    return constant_speed(start, rate * duration), duration
+
+
+def _tell(motion: ReferenceMotion, bound: str) -> None:
+    note(f"shortest duration: {motion.duration!r} s, bounded by {bound}")
+
+
+# -- options -------------------------------------------------------------------------------------
+
+
+def _points(mechanism: Mechanism, from_: str | None, to: str | None, via: str | None) -> Points:
+    if via is None:
+        for option, text in (("--from", from_), ("--to", to)):
+            if text is None:
+                limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
+                raise InputError(option, limit=limit)
+        rows = [_given(mechanism, from_, "from"), _given(mechanism, to, "to")]
+        return Points(np.array(rows), None, "")
+    with open_input(via) as (stream, name):
+        reader = Reader(stream, name)
+        source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
+        timed = "t" in reader.header
+        columns = [*source.columns, *(["t"] if timed else [])]
+        blocks = [chunk.values for chunk in reader.chunks(columns)]
+    values = np.concatenate(blocks) if blocks else np.zeros((0, len(columns)))
+    given = values[:, : len(source.columns)]
+    q = np.full((len(values), mechanism.n), np.nan)
+    q[:, slice(None) if source.whole else list(mechanism.actuated)] = given
+    if timed:
+        _refuse(f"the times (t) in {name}", **{"from": from_, "to": to})
+        return Points(q, values[:, -1], name)
+    if from_ is not None:
+        q = np.concatenate([_given(mechanism, from_, "from")[None], q])
+    if to is not None:
+        q = np.concatenate([q, _given(mechanism, to, "to")[None]])
+    return Points(q, None, name)
+
+
+def _given(mechanism: Mechanism, text: str | None, name: str, default: bool = False) -> np.ndarray:
+    """The angles (n,) of an option, NaN where it holds the actuated joints only."""
+    q = np.full(mechanism.n, np.nan)
+    driven = list(mechanism.actuated)
+    if text is None:
+        if not default:
+            raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
+        q[driven] = 0.0
+        return q
+    source = option_source(mechanism, Quantity(name, text, True))
+    q[slice(None) if source.whole else driven] = source.values
+    return q
+
+
+def _duration(text: str | None) -> float | None:
+    """Seconds; NaN for the shortest."""
+    if text is None:
+        return None
+    return math.nan if text == "min" else _seconds(text, "--time", " or min")
+
+
+def _seconds(text: str, option: str, other: str = "") -> float:
+    try:
+        return parse_time(text)
+    except ValueError as error:
+        limit = f"{error}; write 2, 0.5s, 20ms{other}"
+        raise InputError(option, value=text, limit=limit) from None
+
+
+def _frequency(text: str) -> float:
+    return parse_number(text.removesuffix("Hz"))
+
+
+def _angular_acceleration(text: str) -> float:
+    return parse_angle(text.removesuffix("/s^2"))
+
+
+def _rates(
+    text: str | None, option: str, parse: Callable[[str], float], example: str
+) -> list[float] | None:
+    return None if text is None else parse_entries(text, parse, where=option, example=example)
+
+
+def _for_each(mechanism: Mechanism, values: Sequence[float], option: str) -> list[float]:
+    """One value for each actuated joint."""
+    count = len(mechanism.actuated)
+    if len(values) == 1:
+        return list(values) * count
+    if len(values) != count:
+        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+        limit = f"needs 1 value, or {count}, one an actuated joint ({names})"
+        raise InputError(option, value=f"{len(values)} values", limit=limit)
+    return list(values)
+
+
+def _refuse(what: str, **options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"--{name}", limit=f"does not go with {what}")
+
+
+@contextmanager
+def _named_options() -> Iterator[None]:
+    """An argument that is refused, or a limit that is exceeded, is named as its option."""
+    try:
+        yield
+    except LimitError as error:
+        error.add_place(f"--max-{error.quantity}")
+        raise
+    except InputError as error:
+        error.what = OPTION_OF.get(error.what, error.what)
+        raise
+
+
+# -- rows ----------------------------------------------------------------------------------------
+
+
+def _write(
+    motion: ReferenceMotion, times: np.ndarray, format: Format | None, out: str | None
+) -> None:
+    n = motion.mechanism.n
+    columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
+    times = motion.begin + times
+    times[-1] = motion.end
+    with row_writer(format, out, columns) as writer:
+        for k in range(0, len(times), BLOCK):
+            t = times[k : k + BLOCK]
+            with np.errstate(all="ignore"):
+                values = np.concatenate([t[:, None], *motion.states(t)], axis=1)
+            if not np.isfinite(values).all():
+                raise overflow()
+            writer.write_columns(values)
