@@ -8,7 +8,8 @@ links' absolute angles follow from u in closed form (loops are pairs of links be
 points, or a rod on a line; no constraint and no multiplier is left).  The equation of motion is
 Jourdain's principle, summed over the bodies in Cartesian coordinates,
 
-    sum_b  m (sdd - gamma) . ds/du_i + I wd dw/du_i  =  sum_k tau_k d(q_k)/du_i        for each i
+    sum_b  m (sdd - gamma) . ds/du_i + I wd dw/du_i
+        =  sum_k tau_k d(q_k)/du_i + sum_springs F . d(first - second)/du_i            for each i
 
 integrated by extrapolation of the midpoint rule (Gragg, Bulirsch, Stoer; Hairer, Norsett, Wanner,
 Solving ODEs I, II.9) in mpmath.  Each motion is computed twice, with other digits, order and step;
@@ -56,6 +57,15 @@ def driven_four_bar(t, qd):
 
 
 CASES = {
+    "spring-slider-crank": Case(
+        "spring-slider-crank", (0.7,), (9.0,), (0.5, 1.0, 2.0), "the crank turns over, then rocks"
+    ),
+    "balanced-arm": Case(
+        "balanced-arm", (0.6, -1.0), (1.5, 0.5), (0.5, 2.0, 5.0), "moves as if there were no weight"
+    ),
+    "geared-five-bar": Case(
+        "geared-five-bar", (1.3,), (0.0,), (0.5, 1.0, 2.0), "falls freely, geared"
+    ),
     "2r-regular": Case(
         "2r", (-1.3, -0.2), (0.5, 0.25), (0.5, 2.0, 5.0, 10.0), "swings about hanging"
     ),
@@ -200,11 +210,13 @@ class Scene:
             for key in ("m", "l", "I"):
                 link[key] = mpf(link[key])
             link["r"] = mpc(*link["r"]) if isinstance(link["r"], list) else mpf(link["r"])
-        if name == "slider-crank":
+        if name.endswith("slider-crank"):
             line = data["closures"][0][True]  # YAML 1.1 reads the key `on` so
             self.height = mpf(line["through"][1])
         freedoms = {"four-bar": 1, "slider-crank": 1, "five-bar": 2}
         freedoms |= {"watt-six-bar": 1, "stephenson-six-bar": 1}
+        freedoms |= {"spring-slider-crank": 1, "geared-five-bar": 1}
+        self.springs = data.get("springs", [])
         self.freedoms = freedoms.get(name, len(self.links))
 
     def unit(self, i):
@@ -218,7 +230,7 @@ class Scene:
         def free(angle, rate):
             return Turning(lambda: angle, mp.expj(angle), rate, mpf(0), ud)
 
-        if self.name in ("2r", "3r", "pendulum"):
+        if self.name in ("2r", "3r", "pendulum", "balanced-arm"):
             links, origins = [], [ground]
             for k in range(n):
                 links.append(free(mp.fsum(u[: k + 1]), [mpf(j <= k) for j in range(n)]))
@@ -226,7 +238,7 @@ class Scene:
             return links, origins[:-1]
         crank = free(u[0], self.unit(0))
         tip = ground.plus(crank, l[0])
-        if self.name == "slider-crank":
+        if self.name.endswith("slider-crank"):
             return [crank, rod_on_line(tip, l[1], self.height, ud)], [ground, tip]
         pivot = fixed(*self.links[2]["from"], n)
         if self.name == "four-bar":
@@ -242,8 +254,11 @@ class Scene:
                 end = fixed(*self.links[4]["from"], n)
             rods = dyad(begin, end, l[3], l[4], ud)
             return [crank, coupler, rocker, *rods], [ground, tip, pivot, begin, end]
-        assert self.name == "five-bar"
-        right = free(u[1], self.unit(1))
+        if self.name == "geared-five-bar":  # q3 = -2 q1 + 110deg
+            right = free(-2 * u[0] + mp.radians(110), [mpf(-2)])
+        else:
+            assert self.name == "five-bar"
+            right = free(u[1], self.unit(1))
         far = pivot.plus(right, l[2])
         left_rod, right_rod = dyad(tip, far, l[1], l[3], ud)
         return [crank, left_rod, right, right_rod], [ground, tip, pivot, far]
@@ -254,6 +269,8 @@ class Scene:
         return {
             "four-bar": [None, 0, None],
             "slider-crank": [None, 0],
+            "spring-slider-crank": [None, 0],
+            "geared-five-bar": [None, 0, None, 2],
             "five-bar": [None, 0, None, 2],
             "watt-six-bar": [None, 0, None, 1, 2],
             "stephenson-six-bar": [None, 0, None, 1, None],
@@ -298,7 +315,28 @@ class Scene:
                     right[i] -= dot(force, s.slope[i]) + moment * link.rate[i]
                     for j in range(i, n):
                         M[i][j] += m * dot(s.slope[i], s.slope[j]) + I * link.rate[i] * link.rate[j]
+        for spring in self.springs:
+            ends = [self.end(place, links, origins) for place in spring["between"]]
+            d = ends[0].z - ends[1].z
+            slope = [p - q for p, q in zip(ends[0].slope, ends[1].slope, strict=True)]
+            s = mp.sqrt(dot(d, d))
+            speed = dot(d, mp.fsum(p * v for p, v in zip(slope, ud, strict=True))) / s
+            pull = mpf(spring["stiffness"]) * (s - mpf(spring["length"]))
+            pull += mpf(spring.get("damping", 0)) * speed
+            for i in range(n):
+                right[i] -= pull / s * dot(d, slope[i])
         return cholesky_solve(M, right)
+
+    def end(self, place, links, origins):
+        """A point as a scene writes it."""
+        if isinstance(place, list):
+            return fixed(*place, self.freedoms)
+        names = [link["name"] for link in self.links]
+        if isinstance(place, str):
+            k = names.index(place)
+            return origins[k].plus(links[k], self.links[k]["l"])
+        k = names.index(place["link"])
+        return origins[k].plus(links[k], mpc(*place["at"]))
 
 
 def cholesky_solve(M, b):
