@@ -1,0 +1,107 @@
+"""What the parts of a scene's equations are called, and what its symbols mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from robodyn.description import Point
+from robodyn.equations import Block, Equations
+from robodyn.factoring import Written
+from robodyn.parameters import Parameter
+
+Place = tuple[int, int]  # row and column
+
+
+class Variable(NamedTuple):
+    """Coordinates, torques or multipliers: their letter, numbers from 1, unit and meaning."""
+
+    name: str
+    numbers: str
+    unit: str
+    meaning: str
+
+
+def plain_name(block: Block) -> str:
+    """The block's name as it is read."""
+    return block.name.replace("_", " ")
+
+
+def numbers(block: Block, i: int, j: int, between: str) -> str:
+    """The numbers of an entry, from 1; `between` parts them where both may have two digits."""
+    many = max(len(block.rows), len(block.rows[0])) > 9
+    place = [i] if block.shape == "vector" else [i, j]
+    return (between if many else "").join(str(k + 1) for k in place)
+
+
+def listed(block: Block) -> list[tuple[list[Place], Written]]:
+    """The entries that are not zero, each with its place; equal ones of M with both places."""
+    found = []
+    for i, row in enumerate(block.rows):
+        for j, entry in enumerate(row):
+            if not entry.terms or (block.shape == "symmetric" and j < i):
+                continue
+            twin = block.shape == "symmetric" and i != j
+            found.append(([(i, j), (j, i)] if twin else [(i, j)], entry))
+    return found
+
+
+def zeros(block: Block) -> list[Place]:
+    """The places of the entries that are zero."""
+    return [(i, j) for i, row in enumerate(block.rows) for j, x in enumerate(row) if not x.terms]
+
+
+def variables(equations: Equations) -> list[Variable]:
+    """q1, q2, ..., tau1, ... and lambda1, ..., and what dots on q mean."""
+    description = equations.mechanism.description
+    links = description.links
+    found = []
+    for k, link in enumerate(links):
+        carrier = link.hangs_from.link
+        zero = "+X" if carrier is None else links[carrier].name
+        found.append(Variable("q", f"{k + 1}", "rad", f"angle of {link.name} from {zero}"))
+    for k in equations.mechanism.actuated:
+        found.append(Variable("tau", f"{k + 1}", "N m", f"torque on {links[k].name} at its joint"))
+
+    def body(point: Point) -> str:
+        return "the ground" if point.link is None else links[point.link].name
+
+    rows = []
+    for closure in description.closures:
+        first, second = body(closure.first), body(closure.second)
+        if closure.along is None:
+            rows += [f"force of {second} on {first}, along {axis}" for axis in "XY"]
+        else:
+            rows.append(f"force of the line on {first}, along the line's normal")
+    found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
+    return found
+
+
+def equation_of_motion(equations: Equations) -> list[str]:
+    """The equation of motion in matrices, and below it what the closures demand."""
+    left = " + ".join(f"{name} {rate}".strip() for name, rate in equations.terms) or "0"
+    if not equations.closures:
+        return [f"{left} = tau"]
+    return [
+        f"{left} = tau + Psi^T lambda",
+        "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0",
+    ]
+
+
+def unit_and_meaning(parameter: Parameter) -> str:
+    """For a comment behind its value."""
+    return ", ".join(part for part in (parameter.unit, parameter.meaning) if part)
+
+
+def is_coriolis(equations: Equations) -> bool:
+    """Whether there is a C, of which to tell that it is the Christoffel one."""
+    return any(block.name == "C" and not block.zero for block in equations.left)
+
+
+def left_out(equations: Equations, shown: Callable[[str], str] = str) -> list[str]:
+    """Sentences on the parameters that do not appear, each name as `shown` writes it."""
+    told = {
+        "Left out, being 0 in this scene": equations.zero,
+        "Without effect on the motion": equations.unused,
+    }
+    return [f"{text}: {', '.join(map(shown, names))}." for text, names in told.items() if names]
