@@ -6,18 +6,21 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from robodyn import equation_legend as legend
+from robodyn.equation_blocks import Block
 from robodyn.equation_code import (
     CODE,
     TAB,
     definitions,
-    entries,
     head,
     joints,
     result,
     shown,
+    statements,
     summed,
+    taken_off,
+    told,
 )
-from robodyn.equations import Block, Equations
+from robodyn.equations import Equations
 
 BESSEL = ("y0", "y1", "yn", "j0", "j1", "jn")  # functions that compilers know from math.h
 
@@ -30,12 +33,12 @@ def c99(equations: Equations) -> str:
     if equations.parameters:
         lines.append("")
     for parameter in equations.parameters:
-        told = _comment(legend.unit_and_meaning(parameter))
+        comment = _comment(legend.unit_and_meaning(parameter))
         value = f"{_symbol(parameter.name)} = {parameter.value!r}"
-        lines.append(f"static const double {value}; /* {told} */")
+        lines.append(f"static const double {value}; /* {comment} */")
     for block in equations.blocks:
         lines += ["", *_function(block, n)]
-    lines += ["", *_left_side(equations)]
+    lines += ["", *_joint_torques(equations)]
     return "\n".join(lines) + "\n"
 
 
@@ -66,13 +69,7 @@ def _function(block: Block, n: int) -> Iterator[str]:
         values = ", ".join(f"{name}{k + 1} = {name}[{k}]" for k in used)
         yield f"{TAB}const double {values};" if used else f"{TAB}(void){name};"
     yield from (f"{TAB}const double {line};" for line in definitions(block))
-    for name, lines in entries(block, NOTATION):
-        start = f"{TAB}const double {name} ="
-        if len(lines) == 1:
-            yield f"{start} {lines[0]};"
-        else:
-            yield from [start, *(f"{TAB}{TAB}{line}" for line in lines[:-1])]
-            yield f"{TAB}{TAB}{lines[-1]};"
+    yield from statements(block, NOTATION, "const double ", ("", ";"))
     for i, row in enumerate(block.rows):
         places = [
             f"out[{i}]" + ("" if block.shape == "vector" else f"[{j}]") for j in range(len(row))
@@ -82,11 +79,12 @@ def _function(block: Block, n: int) -> Iterator[str]:
     yield "}"
 
 
-def _left_side(equations: Equations) -> Iterator[str]:
-    """The sum of the left side's terms, entry by entry."""
-    n, blocks = equations.mechanism.n, summed(equations)
+def _joint_torques(equations: Equations) -> Iterator[str]:
+    """The left side less what stands beside tau, entry by entry."""
+    n, terms, others = equations.mechanism.n, summed(equations), taken_off(equations)
+    blocks = terms + others
     rates = {block.rate for block in blocks} | {name for block in blocks for name in block.inputs}
-    yield f"/* {legend.equation_of_motion(equations)[0]}: the left side, N m */"
+    yield f"/* {told(equations)} */"
     arguments = ", ".join(f"const double {name}[{n}]" for name in ("q", "qd", "qdd"))
     yield f"void {result(equations)}({arguments}, double out[{n}])"
     yield "{"
@@ -95,9 +93,10 @@ def _left_side(equations: Equations) -> Iterator[str]:
     for block in blocks:
         yield f"{TAB}{block.name}({', '.join([*block.inputs, f'{block.name}_'])});"
     yield f"{TAB}for (int i = 0; i < {n}; i++) {{"
-    vectors = [f"{block.name}_[i]" for block in blocks if not block.rate]
-    yield f"{TAB}{TAB}out[i] = {' + '.join(vectors) or '0.0'};"
-    products = [f"{block.name}_[i][j]*{block.rate}[j]" for block in blocks if block.rate]
+    vectors = [f"{block.name}_[i]" for block in terms if not block.rate]
+    less = "".join(f" - {block.name}_[i]" for block in others)
+    yield f"{TAB}{TAB}out[i] = {' + '.join(vectors) or '0.0'}{less};"
+    products = [f"{block.name}_[i][j]*{block.rate}[j]" for block in terms if block.rate]
     if products:
         yield f"{TAB}{TAB}for (int j = 0; j < {n}; j++)"
         yield f"{TAB}{TAB}{TAB}out[i] += {' + '.join(products)};"

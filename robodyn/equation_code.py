@@ -11,9 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from robodyn import equation_legend as legend
-from robodyn.equations import Block, Equations
+from robodyn.equation_blocks import Block
+from robodyn.equations import Equations
 from robodyn.notation import PYTHON, Notation, added, broken, one_line
-from robodyn.symbolic import Call, Rates
+from robodyn.symbolic import Angle, Call, Rates, Role, Smooth, Symbol
 
 WIDTH = 100
 TAB = "    "
@@ -45,16 +46,27 @@ def head(equations: Equations) -> Iterator[str]:
 
 def calls(block: Block) -> list[Call]:
     """The sines and cosines of a block, in order."""
-    found = {a for row in block.rows for x in row for a in x.atoms() if isinstance(a, Call)}
+    found = {atom for atom in block.atoms() if isinstance(atom, Call)}
     return sorted(found, key=lambda call: call.key)
+
+
+def functions(equations: Equations) -> list[str]:
+    """The names of the functions that all blocks use."""
+    atoms = [atom for block in equations.blocks for atom in block.atoms()]
+    found = {atom.function for atom in atoms if isinstance(atom, (Call, Smooth))}
+    lengths = any(isinstance(a, Symbol) and a.role is Role.stretch for a in atoms)
+    return sorted(found | ({"sqrt"} if lengths else set()))
 
 
 def joints(block: Block, name: str) -> list[int]:
     """The joints whose angles ("q") or rates ("qd") a block's entries hold."""
-    if name == "q":
-        return sorted({k for call in calls(block) for k in call.joints})
-    atoms = (a for row in block.rows for x in row for a in x.atoms())
-    return sorted({k for a in atoms if isinstance(a, Rates) for k in a.joints})
+    found: set[int] = set()
+    for atom in block.atoms():
+        if isinstance(atom, Call if name == "q" else Rates):
+            found.update(atom.joints)
+        elif isinstance(atom, Angle if name == "q" else Smooth):
+            found.add(atom.joint)
+    return sorted(found)
 
 
 def definitions(block: Block) -> Iterator[str]:
@@ -69,14 +81,28 @@ def label(block: Block, i: int, j: int) -> str:
     return block.name + legend.numbers(block, i, j, "_")
 
 
-def entries(block: Block, notation: Notation) -> Iterator[tuple[str, list[str]]]:
-    """The local names of the entries that are not zero, and the lines of what they are."""
-    for (place, *_), entry in legend.listed(block):
-        name = label(block, *place)
-        text = notation.text(entry)
-        width = WIDTH - len(TAB) - len(f"{name} = ;")
-        short = len(text) <= width
-        yield name, [one_line(text)] if short else broken(text, WIDTH - 2 * len(TAB))
+def statements(
+    block: Block, notation: Notation, bare: str, brackets: tuple[str, str]
+) -> Iterator[str]:
+    """Definitions of the names that entries use, then of the entries that are not zero.
+
+    `bare` stands before a name; what takes several lines stands within `brackets`.
+    """
+    listed = [(label(block, *places[0]), entry) for places, entry in legend.listed(block)]
+    for name, value in [*((x.name, x.value) for x in block.where), *listed]:
+        text = notation.text(value)
+        opening, closing = brackets
+        line = f"{TAB}{bare}{name} = {one_line(text)}{closing.strip(')')}"
+        if len(line) <= WIDTH:
+            yield line
+            continue
+        yield f"{TAB}{bare}{name} = {opening}".rstrip()
+        *parts, last = broken(text, WIDTH - 2 * len(TAB) - 1)
+        yield from (f"{TAB}{TAB}{part}" for part in parts)
+        if closing == ")":
+            yield from [f"{TAB}{TAB}{last}", f"{TAB})"]
+        else:
+            yield f"{TAB}{TAB}{last}{closing}"
 
 
 def shown(block: Block, i: int, j: int) -> str:
@@ -87,10 +113,23 @@ def shown(block: Block, i: int, j: int) -> str:
 
 
 def summed(equations: Equations) -> list[Block]:
-    """The blocks that the left side is the sum of."""
+    """The blocks that the joint torques are the sum of."""
     return [block for block in equations.left if not block.zero] or [equations.left[0]]
 
 
+def taken_off(equations: Equations) -> list[Block]:
+    """The blocks that are taken off this sum."""
+    return [block for block in equations.right if not block.zero]
+
+
 def result(equations: Equations) -> str:
-    """The name of the function that computes the left side."""
-    return "left_side" if equations.closures else "inverse_dynamics"
+    """The name of the function that computes tau, or tau + Psi^T lambda."""
+    return "joint_torques" if equations.closures else "inverse_dynamics"
+
+
+def told(equations: Equations) -> str:
+    """What that function computes."""
+    left = legend.equation_of_motion(equations)[0].split(" = ")[0]
+    right = "".join(f" - {block.name}" for block in equations.right if not block.zero)
+    what = "tau + Psi^T lambda" if equations.closures else "tau"
+    return f"{what} = {left}{right}, N m"

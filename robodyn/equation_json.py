@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 
 from robodyn import equation_legend as legend
-from robodyn.equations import Block, Equations
+from robodyn.equation_blocks import Block
+from robodyn.equations import Equations
 from robodyn.factoring import Written
 from robodyn.notation import PYTHON, one_line
 
@@ -19,6 +20,7 @@ def as_json(equations: Equations) -> str:
         "q": [f"q{k + 1}" for k in range(n)],
         "tau": [f"tau{k + 1}" if k in actuated else "0" for k in range(n)],
         **{block.name: _entries(block) for block in equations.blocks},
+        **_definitions(equations),
         "symbols": {
             x.name: {"value": x.value, "unit": x.unit, "meaning": x.meaning}
             for x in equations.parameters
@@ -28,6 +30,12 @@ def as_json(equations: Equations) -> str:
     }
     lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _definitions(equations: Equations) -> dict[str, object]:
+    """The names that entries use beside symbols, where there are any."""
+    named = {x.name: _text(x.value) for block in equations.blocks for x in block.where}
+    return {"definitions": named} if named else {}
 
 
 def _entries(block: Block) -> object:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 
 from robodyn import equation_legend as legend
-from robodyn.equations import Block, Equations
+from robodyn.equation_blocks import Block, Definition
+from robodyn.equations import Equations
 from robodyn.factoring import Written
 from robodyn.notation import GLUE, Notation, added, broken, six_digits
 from robodyn.symbolic import Number
@@ -47,8 +49,10 @@ def latex(equations: Equations) -> str:
     lines = [r"\begin{document}"]
     lines.append(rf"\section*{{{escaped(equations.mechanism.name)}: equations of motion}}")
     lines += _display(_head(equations))
-    for block in equations.blocks:
+    for definitions, block in legend.new_definitions(equations):
         lines += _display(_block(block))
+        if definitions:
+            lines += _display(chain.from_iterable(map(_definition, definitions)))
     lines += _legend(equations)
     return "\n".join([_preamble(equations), *lines, r"\end{document}"]) + "\n"
 
@@ -59,7 +63,9 @@ def escaped(text: str) -> str:
 
 
 def subscripted(name: str) -> str:
-    """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}."""
+    """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}."""
+    if name.startswith("phi"):
+        return rf"\varphi_{{{name[3:]}}}"
     return name if len(name) == 1 else f"{name[0]}_{{{name[1:]}}}"
 
 
@@ -84,9 +90,12 @@ LATEX = Notation(
     number=_number,
     symbol=subscripted,
     rate=lambda k: rf"\dot{{q}}_{{{k + 1}}}",
+    angle=lambda k: f"q_{{{k + 1}}}",
     call=lambda function, joints: rf"\{function}{_angle(joints)}",
     power=lambda base, power: f"{base}^{{{power}}}",
     times=GLUE,
+    root=r"\sqrt{{{}}}".format,
+    applied=r"\{}({})".format,
     bracketed=_bracketed,
 )
 
@@ -115,7 +124,8 @@ def _head(equations: Equations) -> Iterator[str]:
     """The equation of motion in matrices, and what its right side is."""
     mechanism = equations.mechanism
     terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
-    right = r"\tau" + (r" + \Psi^{T}\lambda" if equations.closures else "")
+    right = "".join([r"\tau", *(f" + {block.name}" for block in equations.right if not block.zero)])
+    right += r" + \Psi^{T}\lambda" if equations.closures else ""
     yield f"{' + '.join(terms) or '0'} &= {right}"
     if equations.closures:
         more = [r"\Psi\dot{q} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
@@ -154,14 +164,21 @@ def _block(block: Block) -> Iterator[str]:
         return f"{bare}_{{{legend.numbers(block, i, j, ',')}}}"
 
     for places, entry in legend.listed(block):
-        left = " = ".join(label(*place) for place in places)
-        first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
-        yield f"{left} &= {first}"
-        yield from (rf"&\quad {part.strip()}" for part in more)
+        yield from _equation(" = ".join(label(*place) for place in places), entry)
     zeros = [label(*place) for place in legend.zeros(block)]
     for k in range(0, len(zeros), ZEROS):
         *before, last = zeros[k : k + ZEROS]
         yield f"{' = '.join([last, *before])} &= 0"
+
+
+def _equation(left: str, entry: Written) -> Iterator[str]:
+    first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
+    yield f"{left} &= {first}"
+    yield from (rf"&\quad {part.strip()}" for part in more)
+
+
+def _definition(definition: Definition) -> Iterator[str]:
+    return _equation(subscripted(definition.name), definition.value)
 
 
 def _legend(equations: Equations) -> Iterator[str]:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from robodyn.description import Point
-from robodyn.equations import Block, Equations
+from robodyn.equation_blocks import Block, Definition
+from robodyn.equations import Equations
 from robodyn.factoring import Written
 from robodyn.parameters import Parameter
 
@@ -74,18 +75,31 @@ def variables(equations: Equations) -> list[Variable]:
         else:
             rows.append(f"force of the line on {first}, along the line's normal")
     found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
+    for definitions, _ in new_definitions(equations):
+        found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]
     return found
 
 
 def equation_of_motion(equations: Equations) -> list[str]:
     """The equation of motion in matrices, and below it what the closures demand."""
     left = " + ".join(f"{name} {rate}".strip() for name, rate in equations.terms) or "0"
+    right = "".join(f" + {block.name}" for block in equations.right if not block.zero)
     if not equations.closures:
-        return [f"{left} = tau"]
+        return [f"{left} = tau{right}"]
     return [
-        f"{left} = tau + Psi^T lambda",
+        f"{left} = tau{right} + Psi^T lambda",
         "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0",
     ]
+
+
+def new_definitions(equations: Equations) -> list[tuple[list[Definition], Block]]:
+    """Each block, with the names that it is the first to use."""
+    told: set[str] = set()
+    found = []
+    for block in equations.blocks:
+        found.append(([entry for entry in block.where if entry.name not in told], block))
+        told.update(entry.name for entry in block.where)
+    return found
 
 
 def unit_and_meaning(parameter: Parameter) -> str:

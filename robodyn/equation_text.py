@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from robodyn import equation_legend as legend
-from robodyn.equations import Block, Equations
+from robodyn.equation_blocks import Block
+from robodyn.equations import Equations
 from robodyn.notation import PLAIN, broken
 
 MARGIN = "  "
@@ -18,8 +19,10 @@ def text(equations: Equations, width: int = WIDTH) -> str:
     """The equations in lines of `width` at most, where they can be broken."""
     width = max(width, LEAST_WIDTH)
     lines = [f"{equations.mechanism.name}: equations of motion", "", *_head(equations, width)]
-    for block in equations.blocks:
+    for definitions, block in legend.new_definitions(equations):
         lines += ["", *_block(block, width)]
+        for name in definitions:
+            lines += _equation(name.name, PLAIN.text(name.value), width)
     lines += ["", "where", "", *_legend(equations, width)]
     return "\n".join(lines) + "\n"
 

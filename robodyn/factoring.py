@@ -16,7 +16,7 @@ from typing import Union
 
 from robodyn.symbolic import Atom, Call, Number, Role, Sum
 
-Factor = Union[Atom, "Written"]
+Factor = Union[Atom, "Written", "Root"]
 Key = Callable[["Product"], Hashable]
 
 
@@ -38,10 +38,21 @@ class Written:
         """Every atom, those in brackets too."""
         for product in self.terms:
             for factor, _ in product.factors:
-                if isinstance(factor, Written):
+                if isinstance(factor, (Written, Root)):
                     yield from factor.atoms()
                 else:
                     yield factor
+
+
+@dataclass(frozen=True, slots=True)
+class Root:
+    """The square root of a sum."""
+
+    inner: Written
+
+    def atoms(self) -> Iterator[Atom]:
+        """Every atom below the root."""
+        return self.inner.atoms()
 
 
 def by_role(*roles: Role) -> Key:
@@ -49,7 +60,7 @@ def by_role(*roles: Role) -> Key:
     return lambda product: tuple(
         factor
         for factor in product.factors
-        if not isinstance(factor[0], Written) and factor[0].role in roles
+        if not isinstance(factor[0], (Written, Root)) and factor[0].role in roles
     )
 
 
@@ -162,7 +173,7 @@ def _product(number: Number, factors: tuple[tuple[Factor, int], ...]) -> Product
 
 def _rank(factor: Factor) -> tuple[object, ...]:
     """Masses, other parameters, brackets of parameters, rates, sines and what holds them."""
-    if not isinstance(factor, Written):
+    if not isinstance(factor, (Written, Root)):
         return factor.key
     roles = {atom.role for atom in factor.atoms()}
     if roles == {Role.mass}:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.factoring import Factor, Product, Written
-from robodyn.symbolic import Call, Number, Rates
+from robodyn.factoring import Factor, Product, Root, Written
+from robodyn.symbolic import Angle, Call, Number, Rates, Smooth, Symbol
 
 GLUE = "\u00a0"  # a blank that is not broken at
 OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")
@@ -24,9 +24,12 @@ class Notation:
     number: Callable[[Number], str]
     symbol: Callable[[str], str]
     rate: Callable[[int], str]  # of one joint
+    angle: Callable[[int], str]
     call: Callable[[str, Sequence[int]], str]  # a function of the sum of these joints' angles
     power: Callable[[str, int], str]
     times: str
+    root: Callable[[str], str] = "sqrt({})".format
+    applied: Callable[[str, str], str] = "{}({})".format
     bracketed: Callable[[str], str] = "({})".format
 
     def text(self, entry: Written) -> str:
@@ -40,23 +43,41 @@ class Notation:
         return text
 
     def _product(self, product: Product) -> str:
-        """The product less its sign."""
+        """The product less its sign; what has a negative power stands below a line, a/b."""
         number = -product.number if product.number < 0 else product.number
-        parts = [] if number == 1 and product.factors else [self.number(number)]
-        for factor, power in product.factors:
-            text = self._factor(factor)
-            parts.append(text if power == 1 else self.power(text, power))
-        return self.times.join(parts)
+        above = [(factor, power) for factor, power in product.factors if power > 0]
+        below = [(factor, -power) for factor, power in product.factors if power < 0]
+        parts = [] if number == 1 and above else [self.number(number)]
+        parts += [self._power(factor, power) for factor, power in above]
+        text = self.times.join(parts)
+        for factor, power in below:
+            divisor = self._power(factor, power)
+            text += f"/({divisor})" if "*" in divisor else f"/{divisor}"
+        return text
+
+    def _power(self, factor: Factor, power: int) -> str:
+        text = self._factor(factor)
+        return text if power == 1 else self.power(text, power)
 
     def _factor(self, factor: Factor) -> str:
-        if isinstance(factor, Written):
-            return self.bracketed(self.text(factor))
-        if isinstance(factor, Rates):
-            names = added([self.rate(j) for j in factor.joints])
-            return names if len(factor.joints) == 1 else f"({names})"
-        if isinstance(factor, Call):
-            return self.call(factor.function, factor.joints)
-        return self.symbol(factor.name)
+        match factor:
+            case Written():
+                return self.bracketed(self.text(factor))
+            case Root():
+                return self.root(self.text(factor.inner))
+            case Rates():
+                names = added([self.rate(j) for j in factor.joints])
+                return names if len(factor.joints) == 1 else f"({names})"
+            case Call():
+                return self.call(factor.function, factor.joints)
+            case Smooth():
+                speed = factor.speed
+                limit = self.symbol(speed.name) if isinstance(speed, Symbol) else self.number(speed)
+                return self.applied(factor.function, f"{self.rate(factor.joint)}/{limit}")
+            case Angle():
+                return self.angle(factor.joint)
+            case Symbol():
+                return self.symbol(factor.name)
 
 
 def added(names: Sequence[str]) -> str:
@@ -81,6 +102,7 @@ PLAIN = Notation(
     number=six_digits,
     symbol=str,
     rate=lambda k: f"qd{k + 1}",
+    angle=lambda k: f"q{k + 1}",
     call=lambda function, joints: f"{function}({added([f'q{k + 1}' for k in joints])})",
     power=lambda base, power: base + str(power).translate(SUPERSCRIPTS),
     times=GLUE,
@@ -89,6 +111,7 @@ PYTHON = Notation(
     number=in_full,
     symbol=str,
     rate=PLAIN.rate,
+    angle=PLAIN.angle,
     call=PLAIN.call,
     power=lambda base, power: f"{base}**{power}",
     times="*",

@@ -8,6 +8,12 @@
     a1x, a1y, b1x, ..  points that closure 1 joins, if no tips
     n1x, n1y           normal of the line of closure 1
     g (or gx, gy)      gravity
+    tf1, wf1           Coulomb friction of a joint: torque and speed
+    k1, ds1            stiffness and damping of spring 1
+    S01 (or phi1)      its free length (or angle)
+    e1x, .., h1x, ..   its ends, if no tips
+    F1x, F1y (or T1)   load 1, a force (or torque)
+    c1x, c1y           where it acts, if not at a tip
 
 Numbers at the end of a name count links and closures from 1.  What is zero in the scene is no
 symbol: it drops out, and `zero` tells its name.
@@ -19,7 +25,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from robodyn.description import Description, Point
+from robodyn.description import Description, JointSpring, Load, Moment, Point, Spring
 from robodyn.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 
 if TYPE_CHECKING:
@@ -55,12 +61,27 @@ class Parameters:
             self.inertia(k)
             self.payload(k)
             self.damping(k)
+            self.friction(k)
             self.hanging(k)
         for c, closure in enumerate(description.closures):
             self.side(c, "a")
             self.side(c, "b")
             if closure.along is not None:
                 self.normal(c)
+        for i, spring in enumerate(description.springs):
+            self.stiffness(i)
+            self.spring_damping(i)
+            if isinstance(spring, JointSpring):
+                self.free_angle(i)
+            else:
+                self.free_length(i)
+                self.ends(i)
+        for i, load in enumerate(description.loads):
+            if isinstance(load, Moment):
+                self.torque(i)
+            else:
+                self.force(i)
+                self.load_point(i)
         self.gravity()
 
     @cached_property
@@ -138,9 +159,7 @@ class Parameters:
         """The point of closure c that is named first ("a") or second ("b"), in its own frame."""
         closure = self.description.closures[c]
         point = closure.first if letter == "a" else closure.second
-        holder = None if point.link is None else self.description.links[point.link].name
-        on = "on the ground" if holder is None else f"on {holder}, in its frame"
-        meaning = f"point of closure {c + 1} {on}"
+        meaning = f"point of closure {c + 1} {self._on(point)}"
         if closure.along is not None and letter == "b":
             meaning = f"point of the line of closure {c + 1}"
         name = f"{letter}{c + 1}"
@@ -160,6 +179,91 @@ class Parameters:
             return self._symbol(*named, value, "", f"{meaning} {axis.upper()}")
 
         return Planar(cosine("x", normal.real), cosine("y", normal.imag))
+
+    # -- friction, springs and loads -----------------------------------------------------------
+
+    def friction(self, k: int) -> tuple[Sum, Symbol] | None:
+        """Torque and speed of the friction at link k's joint."""
+        friction, name = self.description.links[k].friction, self.description.links[k].name
+        if friction is None or not friction.torque:
+            return None
+        place, told = (k, "f"), f"friction at the joint of {name}"
+        torque = self._symbol(f"tf{k + 1}", Role.force, place, friction.torque, "N m", told)
+        named = f"wf{k + 1}", Role.force, place
+        self._symbol(
+            *named, friction.speed, "rad/s", f"speed far below which the {told} is viscous"
+        )
+        return torque, Symbol(*named)
+
+    def stiffness(self, i: int) -> Sum:
+        spring = self.description.springs[i]
+        unit = "N m/rad" if isinstance(spring, JointSpring) else "N/m"
+        named = f"k{i + 1}", Role.force, (i, "k")
+        return self._symbol(*named, spring.stiffness, unit, f"stiffness of {self._spring(i)}")
+
+    def spring_damping(self, i: int) -> Sum:
+        spring = self.description.springs[i]
+        if not spring.damping:
+            return ZERO
+        unit = "N m s/rad" if isinstance(spring, JointSpring) else "N s/m"
+        named = f"ds{i + 1}", Role.damping, (i, "s")
+        return self._symbol(*named, spring.damping, unit, f"damping of {self._spring(i)}")
+
+    def free_angle(self, i: int) -> Sum:
+        spring = self.description.springs[i]
+        assert isinstance(spring, JointSpring)
+        named = f"phi{i + 1}", Role.length, (i, "phi")
+        return self._symbol(*named, spring.angle, "rad", f"free angle of {self._spring(i)}")
+
+    def free_length(self, i: int) -> Sum:
+        spring = self.description.springs[i]
+        assert isinstance(spring, Spring)
+        named = f"S0{i + 1}", Role.length, (i, "S0")
+        return self._symbol(*named, spring.length, "m", f"free length of {self._spring(i)}")
+
+    def ends(self, i: int) -> tuple[Planar, Planar]:
+        """The ends of a spring between points, each in its own frame."""
+        spring = self.description.springs[i]
+        assert isinstance(spring, Spring)
+        found = []
+        for letter, point in (("e", spring.first), ("h", spring.second)):
+            names = f"{letter}{i + 1}x", f"{letter}{i + 1}y"
+            meaning = f"end of spring {i + 1} {self._on(point)}"
+            found.append(self._point(point, names, (i, letter), meaning))
+        return found[0], found[1]
+
+    def force(self, i: int) -> Planar:
+        load = self.description.loads[i]
+        assert isinstance(load, Load)
+        frame = "its link's frame" if load.turns else "the ground's frame"
+        meaning = f"force of load {i + 1}, in {frame}"
+        names = f"F{i + 1}x", f"F{i + 1}y"
+        return self._pair(names, (i, "F"), load.force, meaning, Role.force, "N")
+
+    def load_point(self, i: int) -> Planar:
+        """Where a force acts, in its link's frame."""
+        load = self.description.loads[i]
+        assert isinstance(load, Load)
+        meaning = f"point of load {i + 1} {self._on(load.point)}"
+        return self._point(load.point, (f"c{i + 1}x", f"c{i + 1}y"), (i, "c"), meaning)
+
+    def torque(self, i: int) -> Sum:
+        load = self.description.loads[i]
+        assert isinstance(load, Moment)
+        name = self.description.links[load.link].name
+        named = f"T{i + 1}", Role.force, (i, "T")
+        return self._symbol(*named, load.torque, "N m", f"torque of load {i + 1} on {name}")
+
+    def _spring(self, i: int) -> str:
+        spring = self.description.springs[i]
+        if isinstance(spring, JointSpring):
+            return f"spring {i + 1}, at the joint of {self.description.links[spring.joint].name}"
+        return f"spring {i + 1}"
+
+    def _on(self, point: Point) -> str:
+        if point.link is None:
+            return "on the ground"
+        return f"on {self.description.links[point.link].name}, in its frame"
 
     # -- symbols -------------------------------------------------------------------------------
 
@@ -185,14 +289,17 @@ class Parameters:
         return self._points[point]
 
     def _pair(
-        self, names: tuple[str, str], place: tuple[int, str], value: complex, meaning: str
+        self,
+        names: tuple[str, str],
+        place: tuple[int, str],
+        value: complex,
+        meaning: str,
+        role: Role = Role.length,
+        unit: str = "m",
     ) -> Planar:
         parts = []
         for name, axis, amount in zip(names, "xy", (value.real, value.imag), strict=True):
-            spot = place[0], place[1] + axis
-            told = f"{meaning}, {axis}"
-            if amount == 0.0:
-                parts.append(ZERO)
-            else:
-                parts.append(self._symbol(name, Role.length, spot, amount, "m", told))
+            named = name, role, (place[0], place[1] + axis)
+            known = self._symbol(*named, amount, unit, f"{meaning}, {axis}") if amount else ZERO
+            parts.append(known)
         return Planar(*parts)

@@ -29,11 +29,14 @@ class Role(IntEnum):
     mass = 0
     inertia = 1
     damping = 2
-    gravity = 3
-    normal = 4
-    length = 5
-    rate = 8
-    function = 9
+    force = 3  # stiffness too
+    gravity = 4
+    normal = 5
+    length = 6
+    stretch = 7  # components of a spring
+    angle = 8
+    rate = 9
+    function = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,39 @@ class Call:
         return self.role, self.joints, self.function
 
 
-Atom = Symbol | Rates | Call
+@dataclass(frozen=True, slots=True)
+class Angle:
+    """The angle of one joint, rad: q2."""
+
+    joint: int
+
+    @property
+    def role(self) -> Role:
+        return Role.angle
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        return self.role, self.joint
+
+
+@dataclass(frozen=True, slots=True)
+class Smooth:
+    """A function of a joint's rate against a speed: tanh(qd2/wf2)."""
+
+    function: str
+    joint: int
+    speed: Symbol | Fraction
+
+    @property
+    def role(self) -> Role:
+        return Role.function
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        return self.role, (self.joint,), self.function
+
+
+Atom = Symbol | Angle | Rates | Call | Smooth
 Monomial = tuple[tuple[Atom, int], ...]  # atoms with their powers, sorted by key
 
 
@@ -122,10 +157,13 @@ class Sum:
         """The sum with numbers for the symbols that `values` names."""
         found: dict[Monomial, Number] = {}
         for monomial, number in self.terms.items():
-            left = []
+            left: list[tuple[Atom, int]] = []
             for atom, power in monomial:
                 if isinstance(atom, Symbol) and atom.name in values:
                     number = number * values[atom.name] ** power
+                elif isinstance(atom, Smooth) and isinstance(atom.speed, Symbol):
+                    speed = values[atom.speed.name]
+                    left.append((Smooth(atom.function, atom.joint, speed), power))
                 else:
                     left.append((atom, power))
             key = tuple(left)
@@ -137,9 +175,9 @@ ZERO = Sum({})
 ONE = Sum({(): 1})
 
 
-def of(atom: Atom) -> Sum:
-    """The atom as a sum of one term."""
-    return Sum({((atom, 1),): 1})
+def of(atom: Atom, power: int = 1) -> Sum:
+    """A power of the atom as a sum of one term."""
+    return Sum({((atom, power),): 1})
 
 
 def total(parts: Iterable[Sum]) -> Sum:
