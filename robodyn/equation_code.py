@@ -31,7 +31,7 @@ CODE = replace(PYTHON, call=local)
 
 def head(equations: Equations) -> Iterator[str]:
     """The lines of the first comment."""
-    yield f"{equations.mechanism.name}: equations of motion, written by robodyn."
+    yield f"{legend.title(equations)}: equations of motion, written by robodyn."
     yield ""
     yield from (f"  {line}" for line in legend.equation_of_motion(equations))
     yield ""

@@ -25,12 +25,13 @@ PREAMBLE = r"""\documentclass[a4paper]{article}
 \setlength{\parindent}{0pt}
 """
 SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
+    "\\": r"$\backslash$",
+    "~": r"\~{}",
+    "^": r"\^{}",
     "²": "$^2$",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
+    "<": "$<$",
+    ">": "$>$",
+    "|": "$|$",
     **{character: f"\\{character}" for character in "{}#$%&_"},
 }
 NAMES = {
@@ -47,7 +48,7 @@ NAMES = {
 def latex(equations: Equations) -> str:
     """A whole document."""
     lines = [r"\begin{document}"]
-    lines.append(rf"\section*{{{escaped(equations.mechanism.name)}: equations of motion}}")
+    lines.append(rf"\section*{{{escaped(legend.title(equations))}: equations of motion}}")
     lines += _display(_head(equations))
     for definitions, block in legend.new_definitions(equations):
         lines += _display(_block(block))
@@ -167,8 +168,8 @@ def _block(block: Block) -> Iterator[str]:
         yield from _equation(" = ".join(label(*place) for place in places), entry)
     zeros = [label(*place) for place in legend.zeros(block)]
     for k in range(0, len(zeros), ZEROS):
-        *before, last = zeros[k : k + ZEROS]
-        yield f"{' = '.join([last, *before])} &= 0"
+        first, *others = zeros[k : k + ZEROS]
+        yield f"{first} &= {' = '.join([*others, '0'])}"
 
 
 def _equation(left: str, entry: Written) -> Iterator[str]:

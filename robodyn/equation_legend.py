@@ -8,6 +8,7 @@ from typing import NamedTuple
 from robodyn.description import Point
 from robodyn.equation_blocks import Block, Definition
 from robodyn.equations import Equations
+from robodyn.errors import printable
 from robodyn.factoring import Written
 from robodyn.parameters import Parameter
 
@@ -21,6 +22,11 @@ class Variable(NamedTuple):
     numbers: str
     unit: str
     meaning: str
+
+
+def title(equations: Equations) -> str:
+    """The name of the scene, in one line."""
+    return printable(equations.mechanism.name)
 
 
 def plain_name(block: Block) -> str:
@@ -77,7 +83,7 @@ def variables(equations: Equations) -> list[Variable]:
     found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
     for definitions, _ in new_definitions(equations):
         found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]
-    return found
+    return [x._replace(meaning=printable(x.meaning)) for x in found]
 
 
 def equation_of_motion(equations: Equations) -> list[str]:

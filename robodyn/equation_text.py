@@ -18,7 +18,7 @@ WIDTH = 100
 def text(equations: Equations, width: int = WIDTH) -> str:
     """The equations in lines of `width` at most, where they can be broken."""
     width = max(width, LEAST_WIDTH)
-    lines = [f"{equations.mechanism.name}: equations of motion", "", *_head(equations, width)]
+    lines = [f"{legend.title(equations)}: equations of motion", "", *_head(equations, width)]
     for definitions, block in legend.new_definitions(equations):
         lines += ["", *_block(block, width)]
         for name in definitions:

@@ -8,12 +8,6 @@
     a1x, a1y, b1x, ..  points that closure 1 joins, if no tips
     n1x, n1y           normal of the line of closure 1
     g (or gx, gy)      gravity
-    tf1, wf1           Coulomb friction of a joint: torque and speed
-    k1, ds1            stiffness and damping of spring 1
-    S01 (or phi1)      its free length (or angle)
-    e1x, .., h1x, ..   its ends, if no tips
-    F1x, F1y (or T1)   load 1, a force (or torque)
-    c1x, c1y           where it acts, if not at a tip
 
 Numbers at the end of a name count links and closures from 1.  What is zero in the scene is no
 symbol: it drops out, and `zero` tells its name.
@@ -25,7 +19,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from robodyn.description import Description, JointSpring, Load, Moment, Point, Spring
+from robodyn.description import Description, Point
+from robodyn.errors import printable
 from robodyn.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 
 if TYPE_CHECKING:
@@ -43,7 +38,7 @@ class Parameter:
 
 
 class Parameters:
-    """The symbols of a scene; each stands for one number of the file.
+    """The symbols of a scene's links; each stands for one number of the file.
 
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
     legend: link by link, then closures, then gravity.
@@ -61,27 +56,12 @@ class Parameters:
             self.inertia(k)
             self.payload(k)
             self.damping(k)
-            self.friction(k)
             self.hanging(k)
         for c, closure in enumerate(description.closures):
             self.side(c, "a")
             self.side(c, "b")
             if closure.along is not None:
                 self.normal(c)
-        for i, spring in enumerate(description.springs):
-            self.stiffness(i)
-            self.spring_damping(i)
-            if isinstance(spring, JointSpring):
-                self.free_angle(i)
-            else:
-                self.free_length(i)
-                self.ends(i)
-        for i, load in enumerate(description.loads):
-            if isinstance(load, Moment):
-                self.torque(i)
-            else:
-                self.force(i)
-                self.load_point(i)
         self.gravity()
 
     @cached_property
@@ -95,11 +75,11 @@ class Parameters:
         """gx + i gy; -i g where it acts along -Y."""
         gamma = self.description.gravity
         if gamma.real == 0.0 and gamma.imag <= 0.0:
-            g = self._symbol("g", Role.gravity, (0, ""), -gamma.imag, "m/s²", "gravity, along -Y")
+            g = self.symbol("g", Role.gravity, (0, ""), -gamma.imag, "m/s²", "gravity, along -Y")
             return Planar(ZERO, -g)
         return Planar(
-            self._symbol("gx", Role.gravity, (0, "x"), gamma.real, "m/s²", "gravity along X"),
-            self._symbol("gy", Role.gravity, (0, "y"), gamma.imag, "m/s²", "gravity along Y"),
+            self.symbol("gx", Role.gravity, (0, "x"), gamma.real, "m/s²", "gravity along X"),
+            self.symbol("gy", Role.gravity, (0, "y"), gamma.imag, "m/s²", "gravity along Y"),
         )
 
     # -- of a link -----------------------------------------------------------------------------
@@ -107,24 +87,24 @@ class Parameters:
     def mass(self, k: int) -> Sum:
         link = self.description.links[k]
         meaning = f"mass of {link.name}"
-        return self._symbol(f"m{k + 1}", Role.mass, (k, "m"), link.m, "kg", meaning)
+        return self.symbol(f"m{k + 1}", Role.mass, (k, "m"), link.m, "kg", meaning)
 
     def payload(self, k: int) -> Sum:
         link = self.description.links[k]
         meaning = f"payload at the tip of {link.name}"
         named = f"mp{k + 1}", Role.mass, (k, "mp")
-        return self._symbol(*named, link.payload, "kg", meaning) if link.payload else ZERO
+        return self.symbol(*named, link.payload, "kg", meaning) if link.payload else ZERO
 
     def inertia(self, k: int) -> Sum:
         link = self.description.links[k]
         meaning = f"moment of inertia of {link.name} about its centre of gravity"
-        return self._symbol(f"I{k + 1}", Role.inertia, (k, "I"), link.I, "kg m²", meaning)
+        return self.symbol(f"I{k + 1}", Role.inertia, (k, "I"), link.I, "kg m²", meaning)
 
     def damping(self, k: int) -> Sum:
         link = self.description.links[k]
         meaning = f"damping at the joint of {link.name}"
         named = f"d{k + 1}", Role.damping, (k, "d")
-        return self._symbol(*named, link.damping, "N m s/rad", meaning) if link.damping else ZERO
+        return self.symbol(*named, link.damping, "N m s/rad", meaning) if link.damping else ZERO
 
     def centre(self, k: int) -> Planar:
         """The centre of gravity in the frame of link k: r, or rx + i ry off its axis."""
@@ -133,25 +113,25 @@ class Parameters:
         if link.r.imag == 0.0:
             told = f"{meaning}, from its joint"
             named = f"r{k + 1}", Role.length, (k, "r")
-            return Planar(self._symbol(*named, link.r.real, "m", told), ZERO)
+            return Planar(self.symbol(*named, link.r.real, "m", told), ZERO)
         names = f"r{k + 1}x", f"r{k + 1}y"
-        return self._pair(names, (k, "r"), link.r, f"{meaning}, in its frame")
+        return self.pair(names, (k, "r"), link.r, f"{meaning}, in its frame")
 
     def tip(self, k: int) -> Planar:
         link = self.description.links[k]
         meaning = f"length of {link.name}"
         named = f"l{k + 1}", Role.length, (k, "l")
-        return Planar(self._symbol(*named, link.l, "m", meaning), ZERO)
+        return Planar(self.symbol(*named, link.l, "m", meaning), ZERO)
 
     def hanging(self, k: int) -> Planar:
         """The point that link k hangs from, in the frame of the link or the ground there."""
         point, name = self.description.links[k].hangs_from, self.description.links[k].name
         if point.link is None:
             meaning = f"ground pivot of {name}"
-            return self._point(point, (f"x{k + 1}", f"y{k + 1}"), (k, "x"), meaning)
+            return self.point(point, (f"x{k + 1}", f"y{k + 1}"), (k, "x"), meaning)
         carrier = self.description.links[point.link].name
         meaning = f"pivot of {name} on {carrier}, in its frame"
-        return self._point(point, (f"p{k + 1}x", f"p{k + 1}y"), (point.link, "p"), meaning)
+        return self.point(point, (f"p{k + 1}x", f"p{k + 1}y"), (point.link, "p"), meaning)
 
     # -- of a closure --------------------------------------------------------------------------
 
@@ -159,11 +139,11 @@ class Parameters:
         """The point of closure c that is named first ("a") or second ("b"), in its own frame."""
         closure = self.description.closures[c]
         point = closure.first if letter == "a" else closure.second
-        meaning = f"point of closure {c + 1} {self._on(point)}"
+        meaning = f"point of closure {c + 1} {self.on(point)}"
         if closure.along is not None and letter == "b":
             meaning = f"point of the line of closure {c + 1}"
         name = f"{letter}{c + 1}"
-        return self._point(point, (f"{name}x", f"{name}y"), (c, letter), meaning)
+        return self.point(point, (f"{name}x", f"{name}y"), (c, letter), meaning)
 
     def normal(self, c: int) -> Planar:
         """The unit vector along which the gap of slider c is measured; 0 and 1 stand as numbers."""
@@ -176,107 +156,27 @@ class Parameters:
             if abs(value) in (0.0, 1.0):
                 return ONE.times(int(value)) if value else ZERO
             named = f"n{c + 1}{axis}", Role.normal, (c, axis)
-            return self._symbol(*named, value, "", f"{meaning} {axis.upper()}")
+            return self.symbol(*named, value, "", f"{meaning} {axis.upper()}")
 
         return Planar(cosine("x", normal.real), cosine("y", normal.imag))
 
-    # -- friction, springs and loads -----------------------------------------------------------
-
-    def friction(self, k: int) -> tuple[Sum, Symbol] | None:
-        """Torque and speed of the friction at link k's joint."""
-        friction, name = self.description.links[k].friction, self.description.links[k].name
-        if friction is None or not friction.torque:
-            return None
-        place, told = (k, "f"), f"friction at the joint of {name}"
-        torque = self._symbol(f"tf{k + 1}", Role.force, place, friction.torque, "N m", told)
-        named = f"wf{k + 1}", Role.force, place
-        self._symbol(
-            *named, friction.speed, "rad/s", f"speed far below which the {told} is viscous"
-        )
-        return torque, Symbol(*named)
-
-    def stiffness(self, i: int) -> Sum:
-        spring = self.description.springs[i]
-        unit = "N m/rad" if isinstance(spring, JointSpring) else "N/m"
-        named = f"k{i + 1}", Role.force, (i, "k")
-        return self._symbol(*named, spring.stiffness, unit, f"stiffness of {self._spring(i)}")
-
-    def spring_damping(self, i: int) -> Sum:
-        spring = self.description.springs[i]
-        if not spring.damping:
-            return ZERO
-        unit = "N m s/rad" if isinstance(spring, JointSpring) else "N s/m"
-        named = f"ds{i + 1}", Role.damping, (i, "s")
-        return self._symbol(*named, spring.damping, unit, f"damping of {self._spring(i)}")
-
-    def free_angle(self, i: int) -> Sum:
-        spring = self.description.springs[i]
-        assert isinstance(spring, JointSpring)
-        named = f"phi{i + 1}", Role.length, (i, "phi")
-        return self._symbol(*named, spring.angle, "rad", f"free angle of {self._spring(i)}")
-
-    def free_length(self, i: int) -> Sum:
-        spring = self.description.springs[i]
-        assert isinstance(spring, Spring)
-        named = f"S0{i + 1}", Role.length, (i, "S0")
-        return self._symbol(*named, spring.length, "m", f"free length of {self._spring(i)}")
-
-    def ends(self, i: int) -> tuple[Planar, Planar]:
-        """The ends of a spring between points, each in its own frame."""
-        spring = self.description.springs[i]
-        assert isinstance(spring, Spring)
-        found = []
-        for letter, point in (("e", spring.first), ("h", spring.second)):
-            names = f"{letter}{i + 1}x", f"{letter}{i + 1}y"
-            meaning = f"end of spring {i + 1} {self._on(point)}"
-            found.append(self._point(point, names, (i, letter), meaning))
-        return found[0], found[1]
-
-    def force(self, i: int) -> Planar:
-        load = self.description.loads[i]
-        assert isinstance(load, Load)
-        frame = "its link's frame" if load.turns else "the ground's frame"
-        meaning = f"force of load {i + 1}, in {frame}"
-        names = f"F{i + 1}x", f"F{i + 1}y"
-        return self._pair(names, (i, "F"), load.force, meaning, Role.force, "N")
-
-    def load_point(self, i: int) -> Planar:
-        """Where a force acts, in its link's frame."""
-        load = self.description.loads[i]
-        assert isinstance(load, Load)
-        meaning = f"point of load {i + 1} {self._on(load.point)}"
-        return self._point(load.point, (f"c{i + 1}x", f"c{i + 1}y"), (i, "c"), meaning)
-
-    def torque(self, i: int) -> Sum:
-        load = self.description.loads[i]
-        assert isinstance(load, Moment)
-        name = self.description.links[load.link].name
-        named = f"T{i + 1}", Role.force, (i, "T")
-        return self._symbol(*named, load.torque, "N m", f"torque of load {i + 1} on {name}")
-
-    def _spring(self, i: int) -> str:
-        spring = self.description.springs[i]
-        if isinstance(spring, JointSpring):
-            return f"spring {i + 1}, at the joint of {self.description.links[spring.joint].name}"
-        return f"spring {i + 1}"
-
-    def _on(self, point: Point) -> str:
+    def on(self, point: Point) -> str:
         if point.link is None:
             return "on the ground"
         return f"on {self.description.links[point.link].name}, in its frame"
 
     # -- symbols -------------------------------------------------------------------------------
 
-    def _symbol(
+    def symbol(
         self, name: str, role: Role, place: tuple[int, str], value: float, unit: str, meaning: str
     ) -> Sum:
         if value == 0.0:
             self.zero[name] = None
             return ZERO
-        self.known[name] = Parameter(name, value, unit, meaning)
+        self.known[name] = Parameter(name, value, unit, printable(meaning))
         return of(Symbol(name, role, place))
 
-    def _point(
+    def point(
         self, point: Point, names: tuple[str, str], place: tuple[int, str], meaning: str
     ) -> Planar:
         """A point of a link or of the ground; the same point has the same symbols everywhere."""
@@ -285,10 +185,10 @@ class Parameters:
         if point.link is not None and point.at == self.description.links[point.link].l:
             return self.tip(point.link)
         if point not in self._points:
-            self._points[point] = self._pair(names, place, point.at, meaning)
+            self._points[point] = self.pair(names, place, point.at, meaning)
         return self._points[point]
 
-    def _pair(
+    def pair(
         self,
         names: tuple[str, str],
         place: tuple[int, str],
@@ -300,6 +200,6 @@ class Parameters:
         parts = []
         for name, axis, amount in zip(names, "xy", (value.real, value.imag), strict=True):
             named = name, role, (place[0], place[1] + axis)
-            known = self._symbol(*named, amount, unit, f"{meaning}, {axis}") if amount else ZERO
+            known = self.symbol(*named, amount, unit, f"{meaning}, {axis}") if amount else ZERO
             parts.append(known)
         return Planar(*parts)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from robodyn.description import Point
 from robodyn.errors import InputError
 from robodyn.factoring import Key, Written, written
+from robodyn.force_parameters import SceneParameters
 from robodyn.mechanism import Mechanism
-from robodyn.parameters import Parameters
 from robodyn.symbolic import NOWHERE, Planar, Sum
 
 
@@ -32,7 +32,7 @@ class SymbolicScene:
         self.n = mechanism.n
         self.description = mechanism.description
         self.numeric = numeric
-        self.parameters = Parameters(mechanism.description)
+        self.parameters = SceneParameters(mechanism.description)
         self.path: list[tuple[int, ...]] = [()] * self.n  # the joints from the ground to each link
         for k in mechanism.order:
             above = mechanism.parent[k]
