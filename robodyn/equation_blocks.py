@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Literal, NamedTuple
 
-from robodyn.description import JointSpring
 from robodyn.factoring import Key, Written, as_one, by_angle, by_function, by_role
-from robodyn.symbolic import NOWHERE, ONE, ZERO, Atom, Planar, Rates, Role, Sum, of, total
+from robodyn.scene import JointSpring
+from robodyn.symbolic import NOWHERE, ONE, ZERO, Angle, Atom, Planar, Rates, Role, Sum, of, total
 from robodyn.symbolic_scene import Body, SymbolicScene
 
 
@@ -165,8 +165,8 @@ def damping_matrix(scene: SymbolicScene) -> Block:
 
 
 def closures(scene: SymbolicScene) -> Iterator[Block]:
-    """Psi, Psidot qd and gap, where the scene has closures."""
-    if not scene.description.closures:
+    """Psi, Psidot qd and gap, where the scene has closures or couplings."""
+    if not scene.mechanism.rows:
         return
     gaps, slopes, bends = [], [], []
     for offset, P in _closure_rows(scene):
@@ -178,6 +178,14 @@ def closures(scene: SymbolicScene) -> Iterator[Block]:
         )
         rates = {k: of(Rates(scene.direction(k))) for k in P}
         bends.append([-total(x.x * rates[k] * rates[k] for k, x in turned.items())])
+    for c, coupling in enumerate(scene.description.couplings):
+        arm = scene.parameters.arm(c)
+        turns = {j: -(arm * scene.parameters.ratio(c, j)) for j, _ in coupling.terms}
+        turns = {coupling.joint: arm, **turns}
+        angle = -(arm * scene.parameters.offset_angle(c))
+        gaps.append([total([*(x * of(Angle(j)) for j, x in turns.items()), angle])])
+        slopes.append([turns.get(a, ZERO) for a in range(scene.n)])
+        bends.append([ZERO])
     rows = [written_rows(scene, sums, BY_LINE) for sums in (slopes, bends, gaps)]
     yield Block("Psi", "closure Jacobian, d gap/dq", "m", "matrix", rows[0])
     yield Block("Psidot_qd", "closure bias", "m/s²", "vector", rows[1], ("q", "qd"))

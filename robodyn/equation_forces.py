@@ -9,17 +9,18 @@ S = const + sum_k d_k E_k, V = dS/dt.  It pulls by K S and its damper by P S,
 
     K = k (1 - S0/|S|)        P = ds Re(conj(S) V)/|S|^2
 
-which, with S and V, stand as names in the entries.
+which, with S and V, stand as names in the entries; without a free length K = k, and S is multiplied
+out where its links hang from one another.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, combinations
 
-from robodyn.description import JointSpring, Load, Moment
 from robodyn.equation_blocks import BY_GRAVITY, BY_LINE, Block, Definition, written_rows
 from robodyn.factoring import Product, Root, Written
+from robodyn.scene import JointSpring, Load, Moment
 from robodyn.symbolic import (
     NOWHERE,
     ONE,
@@ -29,6 +30,7 @@ from robodyn.symbolic import (
     Rates,
     Role,
     Smooth,
+    Sum,
     Symbol,
     of,
     total,
@@ -69,8 +71,8 @@ def gravity_vector(scene: SymbolicScene) -> Block | None:
             joints[spring.joint] = joints[spring.joint] + pulled
             continue
         found = _Spring(scene, i)
-        where += found.pull()
-        for k, slope in found.slopes.items():
+        where += [] if found.expanded else found.pull()
+        for k, slope in (found.expanded or found.slopes).items():
             torques[k] = torques[k] + found.pulling * slope
     acting += ["springs"] if stiff else []
     acting += ["loads"] if constant else []
@@ -146,7 +148,8 @@ class _Spring:
         other, terms = scene.place(spring.second, second)
         for k, x in terms.items():
             d[k] = d.get(k, NOWHERE) - x
-        self.d = {k: x.turned(scene.direction(k)) for k, x in d.items() if x != NOWHERE}
+        d = {k: x for k, x in d.items() if x != NOWHERE}
+        self.d = {k: x.turned(scene.direction(k)) for k, x in d.items()}
         self.S = total_planar([*self.d.values(), constant - other])
         self.x, self.y = (self._name(f"S{i + 1}{axis}", Role.stretch) for axis in "xy")
         self.length = Symbol(f"S{i + 1}", Role.stretch, (i, ""))
@@ -154,8 +157,26 @@ class _Spring:
         self.slopes = {k: of(self.y) * x.x - of(self.x) * x.y for k, x in self.d.items()}
         self.pulling = of(self._name(f"K{i + 1}", Role.force))
         self.damping = of(self._name(f"P{i + 1}", Role.force))
+        self.expanded: dict[int, Sum] = {}
         if not self.free:
             self.pulling = scene.parameters.stiffness(i)
+            self.expanded = self._products(d, constant - other)
+
+    def _products(self, d: dict[int, Planar], constant: Planar) -> dict[int, Sum]:
+        """The slopes with S multiplied out; nothing where links of two branches would mix.
+
+        Re(conj(S) i d_k E_k) holds conj(d_j) d_k exp(i theta_jk), and its opposite for d_j.
+        """
+        path = self.scene.path
+        pairs = [(j, k) if j in path[k] else (k, j) for j, k in combinations(d, 2)]
+        if any(j not in path[k] for j, k in pairs):
+            return {}
+        away = constant.conjugate.quarter_turn
+        slopes = {k: (away * x).turned(self.scene.direction(k)).x for k, x in d.items()}
+        for j, k in pairs:
+            both = (d[j].conjugate * d[k]).quarter_turn.turned(self.scene.angle(j, k)).x
+            slopes[k], slopes[j] = slopes[k] + both, slopes[j] - both
+        return slopes
 
     def _name(self, name: str, role: Role) -> Symbol:
         return Symbol(name, role, (self.i, name[-1] if name[-1] in "xy" else ""))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from robodyn.description import Point
 from robodyn.equation_blocks import Block, Definition
 from robodyn.equations import Equations
 from robodyn.errors import printable
 from robodyn.factoring import Written
 from robodyn.parameters import Parameter
+from robodyn.scene import Point
 
 Place = tuple[int, int]  # row and column
 
@@ -80,6 +80,9 @@ def variables(equations: Equations) -> list[Variable]:
             rows += [f"force of {second} on {first}, along {axis}" for axis in "XY"]
         else:
             rows.append(f"force of the line on {first}, along the line's normal")
+    for c, coupling in enumerate(description.couplings):
+        driven = links[coupling.joint].name
+        rows.append(f"R{c + 1} times this is the torque of coupling {c + 1} on {driven}")
     found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
     for definitions, _ in new_definitions(equations):
         found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]

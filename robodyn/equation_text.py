@@ -21,6 +21,7 @@ def text(equations: Equations, width: int = WIDTH) -> str:
     lines = [f"{legend.title(equations)}: equations of motion", "", *_head(equations, width)]
     for definitions, block in legend.new_definitions(equations):
         lines += ["", *_block(block, width)]
+        lines += [""] if definitions else []
         for name in definitions:
             lines += _equation(name.name, PLAIN.text(name.value), width)
     lines += ["", "where", "", *_legend(equations, width)]

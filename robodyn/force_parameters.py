@@ -12,16 +12,18 @@ The number is that of the joint for friction, else that of the spring or load in
 
 from __future__ import annotations
 
-from robodyn.description import Description, JointSpring, Load, Moment, Spring
+from collections.abc import Sequence
+
 from robodyn.parameters import Parameters
+from robodyn.scene import Description, JointSpring, Load, Moment, Spring
 from robodyn.symbolic import ZERO, Planar, Role, Sum, Symbol
 
 
 class SceneParameters(Parameters):
     """All symbols of a scene."""
 
-    def __init__(self, description: Description) -> None:
-        super().__init__(description)
+    def __init__(self, description: Description, arms: Sequence[float] = ()) -> None:
+        super().__init__(description, arms)
         for k in range(len(description.links)):
             self.friction(k)
         for i, spring in enumerate(description.springs):
@@ -84,7 +86,8 @@ class SceneParameters(Parameters):
         for letter, point in (("e", spring.first), ("h", spring.second)):
             names = f"{letter}{i + 1}x", f"{letter}{i + 1}y"
             meaning = f"end of spring {i + 1} {self.on(point)}"
-            found.append(self.point(point, names, (i, letter), meaning))
+            place = len(self.description.links) + i, letter  # after lengths
+            found.append(self.point(point, names, place, meaning))
         return found[0], found[1]
 
     def force(self, i: int) -> Planar:

@@ -7,6 +7,7 @@
     p4x, p4y           where link 4 hangs from its link, if not from the tip
     a1x, a1y, b1x, ..  points that closure 1 joins, if no tips
     n1x, n1y           normal of the line of closure 1
+    i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
     g (or gx, gy)      gravity
 
 Numbers at the end of a name count links and closures from 1.  What is zero in the scene is no
@@ -15,12 +16,13 @@ symbol: it drops out, and `zero` tells its name.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from robodyn.description import Description, Point
 from robodyn.errors import printable
+from robodyn.scene import Description, Point
 from robodyn.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 
 if TYPE_CHECKING:
@@ -44,8 +46,9 @@ class Parameters:
     legend: link by link, then closures, then gravity.
     """
 
-    def __init__(self, description: Description) -> None:
+    def __init__(self, description: Description, arms: Sequence[float] = ()) -> None:
         self.description = description
+        self.arms = arms
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
         self._points: dict[Point, Planar] = {}
@@ -62,6 +65,11 @@ class Parameters:
             self.side(c, "b")
             if closure.along is not None:
                 self.normal(c)
+        for c, coupling in enumerate(description.couplings):
+            self.arm(c)
+            self.offset_angle(c)
+            for j, _ in coupling.terms:
+                self.ratio(c, j)
         self.gravity()
 
     @cached_property
@@ -164,6 +172,29 @@ class Parameters:
         if point.link is None:
             return "on the ground"
         return f"on {self.description.links[point.link].name}, in its frame"
+
+    # -- of a coupling -------------------------------------------------------------------------
+
+    def arm(self, c: int) -> Sum:
+        """The length (m) that the angle by which a coupling is open is multiplied by."""
+        named = f"R{c + 1}", Role.normal, (c, "R")
+        meaning = f"length that turns the angle of coupling {c + 1} into a gap"
+        return self.symbol(*named, self.arms[c], "m", meaning)
+
+    def ratio(self, c: int, joint: int) -> Sum:
+        """The ratio of a joint in coupling c; 1 and -1 stand as numbers."""
+        terms = dict(self.description.couplings[c].terms)
+        if abs(terms[joint]) == 1.0:
+            return ONE.times(int(terms[joint]))
+        name = f"i{c + 1}" if len(terms) == 1 else f"i{c + 1}_{joint + 1}"
+        link = self.description.links[joint].name
+        meaning = f"ratio of coupling {c + 1} to the joint of {link}"
+        return self.symbol(name, Role.length, (c, f"i{joint}"), terms[joint], "", meaning)
+
+    def offset_angle(self, c: int) -> Sum:
+        angle = self.description.couplings[c].angle
+        named = f"psi{c + 1}", Role.length, (c, "psi")
+        return self.symbol(*named, angle, "rad", f"angle of coupling {c + 1}") if angle else ZERO
 
     # -- symbols -------------------------------------------------------------------------------
 

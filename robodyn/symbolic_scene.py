@@ -9,11 +9,11 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from robodyn.description import Point
 from robodyn.errors import InputError
 from robodyn.factoring import Key, Written, written
 from robodyn.force_parameters import SceneParameters
 from robodyn.mechanism import Mechanism
+from robodyn.scene import Point
 from robodyn.symbolic import NOWHERE, Planar, Sum
 
 
@@ -32,7 +32,8 @@ class SymbolicScene:
         self.n = mechanism.n
         self.description = mechanism.description
         self.numeric = numeric
-        self.parameters = SceneParameters(mechanism.description)
+        arms = [row.arm for row in mechanism.rows if row.closure is None]
+        self.parameters = SceneParameters(mechanism.description, arms)
         self.path: list[tuple[int, ...]] = [()] * self.n  # the joints from the ground to each link
         for k in mechanism.order:
             above = mechanism.parent[k]

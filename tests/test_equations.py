@@ -321,6 +321,42 @@ def test_a_spring_between_points() -> None:
     assert "G2 = K1 l2 (S1y cos(q1 + q2) - S1x sin(q1 + q2))" in found
 
 
+def test_a_spring_without_a_free_length_is_multiplied_out() -> None:
+    """On one branch S drops out, and what balances gravity shows; across branches it has a name."""
+    head = "gravity: 9.81\nsprings: [{between: [a, [0, 2]], stiffness: 3, length: 0}]\n"
+    found = lines(text(equations(arm(head))))
+    assert "G1 = g ((m1 r1 + m2 l1) cos(q1) + m2 r2 cos(q1 + q2)) - k1 l1 h1y cos(q1)" in found
+    head = "springs: [{between: [b, [0.5, 0]], stiffness: 3, length: 0}]\n"
+    assert "G2 = k1 l2 (h1x sin(q1 + q2) - l1 sin(q2))" in lines(text(equations(arm(head))))
+    two = seeded_scene(1, LOOPS["four-bar"])
+    across = two.text + (
+        "springs: [{between: [{link: link0, at: [0.1, 0]}, {link: link2, at: [0.2, 0]}], "
+        "stiffness: 5, length: 0}]\n"
+    )
+    mech = mechanism(across)
+    assert "S1x = " in text(equations(mech))
+    assert_same(mech, *two.states)
+
+
+def test_the_balanced_arm_has_no_G() -> None:
+    """Its numbers balance exactly, as decimal numbers; in floats a little is left."""
+    mech = load(ROBOTS / "balanced-arm.yaml")
+    assert "G = 0" in text(equations(mech, numeric=True))
+    assert 0.0 < np.abs(closed_form.gravity_vector(mech, [0.3, 0.4])).max() < 1e-13
+
+
+def test_a_coupling_is_linear_in_q() -> None:
+    head = "couplings: ['q2 = -2 q1 + 0.5']\n"
+    found = equations(arm(head))
+    assert "gap1 = R1 (q2 - i1 q1 - psi1)" in lines(text(found))
+    assert "(Psidot qd)" not in text(found)
+    mech = arm("couplings: ['q2 = q1']\n")
+    assert "gap1 = R1 (q2 - q1)" in lines(text(equations(mech)))
+    rng = np.random.default_rng(4)
+    for each in (arm(head), mech):
+        assert_same(each, *rng.uniform(-3, 3, (3, 2)))
+
+
 def test_what_cancels_on_paper_cancels() -> None:
     """0.3 * 0.1 and 0.1 * 0.3 are not 0.03 in floats: a balanced link has no G."""
     mech = mechanism(
