@@ -13,8 +13,9 @@ from dataclasses import replace
 from robodyn import equation_legend as legend
 from robodyn.equation_blocks import Block
 from robodyn.equations import Equations
+from robodyn.factoring import Root
 from robodyn.notation import PYTHON, Notation, added, broken, one_line
-from robodyn.symbolic import Angle, Call, Rates, Role, Smooth, Symbol
+from robodyn.symbolic import Angle, Call, Rates, Smooth
 
 WIDTH = 100
 TAB = "    "
@@ -54,8 +55,13 @@ def functions(equations: Equations) -> list[str]:
     """The names of the functions that all blocks use."""
     atoms = [atom for block in equations.blocks for atom in block.atoms()]
     found = {atom.function for atom in atoms if isinstance(atom, (Call, Smooth))}
-    lengths = any(isinstance(a, Symbol) and a.role is Role.stretch for a in atoms)
-    return sorted(found | ({"sqrt"} if lengths else set()))
+    named = [name.value for block in equations.blocks for name in block.where]
+    factors = [
+        factor for value in named for product in value.terms for factor, _ in product.factors
+    ]
+    if any(isinstance(factor, Root) for factor in factors):
+        found.add("sqrt")
+    return sorted(found)
 
 
 def joints(block: Block, name: str) -> list[int]:

@@ -345,6 +345,28 @@ def test_the_balanced_arm_has_no_G() -> None:
     assert 0.0 < np.abs(closed_form.gravity_vector(mech, [0.3, 0.4])).max() < 1e-13
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "springs: [{between: [a, [2, 1]], stiffness: 0, length: 0.3, damping: 2}]",
+        "springs: [{between: [a, [2, 1]], stiffness: 3, length: 0, damping: 2}]",
+        "springs: [{between: [a, [2, 1]], stiffness: 0, length: 0.3}]",
+        "springs: [{joint: b, stiffness: 0, angle: 1, damping: 2}]",
+        "springs: [{joint: b, stiffness: 2, angle: 0}]",
+        "loads: [{link: a, at: [0, 0], force: [1, 2]}]",
+        "loads: [{link: b, at: [0.5, 0], force: [0, 0], frame: link}]",
+        "loads: [{link: b, at: [0.5, 0], force: [0, 3], frame: link}, {link: a, torque: 0}]",
+        "couplings: ['q2 = 0.5 q1']",
+    ],
+)
+def test_forces_with_zeros(head: str) -> None:
+    mech = arm(head + "\n")
+    rng = np.random.default_rng(6)
+    for _ in range(2):
+        assert_same(mech, *rng.uniform(-1, 1, (3, 2)))
+    assert ("sqrt" in python(equations(mech))) == ("damping: 2}" in head and "between" in head)
+
+
 def test_a_coupling_is_linear_in_q() -> None:
     head = "couplings: ['q2 = -2 q1 + 0.5']\n"
     found = equations(arm(head))
