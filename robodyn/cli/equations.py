@@ -1,0 +1,74 @@
+"""`robodyn equations`: the equations of motion of a scene, in symbols."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from enum import StrEnum
+from typing import Annotated
+
+import typer
+
+from robodyn.cli.options import Model, Out
+from robodyn.equation_c import c99
+from robodyn.equation_json import as_json
+from robodyn.equation_latex import latex
+from robodyn.equation_python import python
+from robodyn.equation_text import WIDTH, text
+from robodyn.equations import equations as equations_of
+from robodyn.mechanism import load
+from robodyn.output_file import open_output
+
+
+class EquationFormat(StrEnum):
+    """How equations are written."""
+
+    text = "text"
+    latex = "latex"
+    python = "python"
+    c = "c"
+    json = "json"
+
+
+WRITERS = {
+    EquationFormat.latex: latex,
+    EquationFormat.python: python,
+    EquationFormat.c: c99,
+    EquationFormat.json: as_json,
+}
+
+
+def equations(
+    model: Model,
+    format: Annotated[
+        EquationFormat,
+        typer.Option("--format", help="To read, to typeset, to run, or for a program."),
+    ] = EquationFormat.text,
+    numeric: Annotated[
+        bool, typer.Option("--numeric", help="Put the scene's numbers in for the symbols.")
+    ] = False,
+    out: Out = None,
+) -> None:
+    """The equations of motion in closed form, with their symbols.
+
+    M qdd + C qd + G = tau + Psi^T lambda, each entry written out, then what the symbols mean.
+
+    `latex` is a whole document; `python` and `c` are functions M, C, G, ... that run on their own.
+    JSON keys: name, equation, q, tau, M, C, D, G, Psi, Psidot_qd, gap, symbols, zero, unused.
+
+    \b
+    Examples:
+      robodyn equations robots/2r.yaml
+      robodyn equations robots/four-bar.yaml --numeric
+      robodyn equations robots/four-bar.yaml --format latex > four-bar.tex
+      robodyn equations robots/3r.yaml --format c --out arm.c
+    """
+    found = equations_of(load(model), numeric)
+    if format is EquationFormat.text:
+        on_terminal = out is None and sys.stdout.isatty()
+        width = shutil.get_terminal_size((WIDTH, 0)).columns if on_terminal else WIDTH
+        content = text(found, width)
+    else:
+        content = WRITERS[format](found)
+    with open_output(out) as stream:
+        stream.write(content.encode())

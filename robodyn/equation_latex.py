@@ -1,0 +1,206 @@
+"""The equations of motion as a LaTeX document; it needs amsmath, geometry and longtable."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+
+from robodyn import equation_legend as legend
+from robodyn.equation_blocks import Block, Definition
+from robodyn.equations import Equations
+from robodyn.factoring import Written
+from robodyn.notation import GLUE, Notation, added, broken, six_digits
+from robodyn.symbolic import Number
+
+WIDTH = 92  # of a formula on a page, in letters of an average width
+MATRIX_WIDTH = 84  # the same of a whole matrix; a wider one is given entry by entry
+ZEROS = 9  # names of entries that are zero, in one line
+
+PREAMBLE = r"""\documentclass[a4paper]{article}
+\usepackage[margin=2cm]{geometry}
+\usepackage{amsmath}
+\usepackage{longtable}
+\allowdisplaybreaks
+\setlength{\parindent}{0pt}
+"""
+SPECIAL = {
+    "\\": r"$\backslash$",
+    "~": r"\~{}",
+    "^": r"\^{}",
+    "²": "$^2$",
+    "<": "$<$",
+    ">": "$>$",
+    "|": "$|$",
+    **{character: f"\\{character}" for character in "{}#$%&_"},
+}
+NAMES = {
+    "qd": r"\dot{q}",
+    "qdd": r"\ddot{q}",
+    "tau": r"\tau",
+    "lambda": r"\lambda",
+    "Psi": r"\Psi",
+    "Psidot_qd": r"\dot{\Psi}\dot{q}",
+    "gap": r"\mathrm{gap}",
+}
+
+
+def latex(equations: Equations) -> str:
+    """A whole document."""
+    lines = [r"\begin{document}"]
+    lines.append(rf"\section*{{{escaped(legend.title(equations))}: equations of motion}}")
+    lines += _display(_head(equations))
+    for definitions, block in legend.new_definitions(equations):
+        lines += _display(_block(block))
+        if definitions:
+            lines += _display(chain.from_iterable(map(_definition, definitions)))
+    lines += _legend(equations)
+    return "\n".join([_preamble(equations), *lines, r"\end{document}"]) + "\n"
+
+
+def escaped(text: str) -> str:
+    """Text with the characters that LaTeX would obey written out."""
+    return "".join(SPECIAL.get(character, character) for character in text)
+
+
+def subscripted(name: str) -> str:
+    """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}."""
+    for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi")):
+        if name.startswith(letters):
+            return f"{greek}_{{{name[3:]}}}"
+    name = name.replace("_", ",")
+    return name if len(name) == 1 else f"{name[0]}_{{{name[1:]}}}"
+
+
+def _number(number: Number | float) -> str:
+    mantissa, _, exponent = six_digits(number).partition("e")
+    return rf"{mantissa}\cdot 10^{{{int(exponent)}}}" if exponent else mantissa
+
+
+def _angle(joints: Sequence[int]) -> str:
+    names = [f"q_{{{k + 1}}}" for k in joints]
+    return GLUE + names[0] if len(names) == 1 else f"({added(names)})"
+
+
+def _bracketed(text: str) -> str:
+    """Round brackets, square ones around these, curly ones around those."""
+    if "(" not in text or r"\{" in text:
+        return f"({text})"
+    return rf"\{{{text}\}}" if "[" in text else f"[{text}]"
+
+
+LATEX = Notation(
+    number=_number,
+    symbol=subscripted,
+    rate=lambda k: rf"\dot{{q}}_{{{k + 1}}}",
+    angle=lambda k: f"q_{{{k + 1}}}",
+    call=lambda function, joints: rf"\{function}{_angle(joints)}",
+    power=lambda base, power: f"{base}^{{{power}}}",
+    times=GLUE,
+    root=r"\sqrt{{{}}}".format,
+    applied=r"\{}({})".format,
+    bracketed=_bracketed,
+)
+
+
+def measure(formula: str) -> float:
+    """About how wide the formula is, in letters: indices are small, operators stand apart."""
+    shown = re.sub(r"\\(cos|sin)\b", r"'\1", formula)  # ' is a thin space
+    shown = re.sub(r"\\(dot|ddot|mathrm)\b", "", shown)
+    small = "".join(re.findall(r"[_^]\{([^}]*)\}", shown))
+    normal = re.sub(r"[_^]\{[^}]*\}|[{}\s\\" + GLUE + "]", "", shown)
+    operators = sum(normal.count(sign) for sign in "+-=")
+    return 0.7 * len(small) + len(normal) - 0.6 * normal.count("'") + 1.6 * operators
+
+
+def _preamble(equations: Equations) -> str:
+    columns = max(len(block.rows[0]) for block in equations.blocks)
+    more = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
+    return PREAMBLE + more
+
+
+def _display(lines: Iterable[str]) -> list[str]:
+    return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
+
+
+def _head(equations: Equations) -> Iterator[str]:
+    """The equation of motion in matrices, and what its right side is."""
+    mechanism = equations.mechanism
+    terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
+    right = "".join([r"\tau", *(f" + {block.name}" for block in equations.right if not block.zero)])
+    right += r" + \Psi^{T}\lambda" if equations.closures else ""
+    yield f"{' + '.join(terms) or '0'} &= {right}"
+    if equations.closures:
+        more = [r"\Psi\dot{q} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
+        yield r", \quad ".join([r"\mathrm{gap} &= 0", *more])
+    if mechanism.passive:
+        joints = range(mechanism.n)
+        driven = [rf"\tau_{{{k + 1}}}" if k in mechanism.actuated else "0" for k in joints]
+        yield rf"\tau &= ({', '.join(driven)})^{{T}}"
+
+
+def _entry(entry: Written) -> str:
+    """The formula; a row must not begin with a bracket that its line break would take."""
+    text = LATEX.text(entry)
+    return "{}" + text if text.startswith("[") else text
+
+
+def _block(block: Block) -> Iterator[str]:
+    """A matrix or vector as a whole where the page is wide enough, else its entries."""
+    name = NAMES.get(block.name, block.name)
+    if block.zero:
+        yield f"{name} &= 0"
+        return
+    texts = [[_entry(entry) for entry in row] for row in block.rows]
+    if block.shape == "diagonal":
+        entries = r",\; ".join(texts[k][k] for k in range(len(texts)))
+        yield rf"{name} &= \operatorname{{diag}}({entries})".replace(GLUE, " ")
+        return
+    widths = [max(map(measure, column)) for column in zip(*texts, strict=True)]
+    if sum(widths) + 2 * len(widths) <= MATRIX_WIDTH:
+        rows = " \\\\\n".join(" & ".join(row) for row in texts).replace(GLUE, " ")
+        yield f"{name} &= \\begin{{bmatrix}}\n{rows}\n\\end{{bmatrix}}"
+        return
+
+    def label(i: int, j: int) -> str:
+        bare = f"({name})" if block.name == "Psidot_qd" else name
+        return f"{bare}_{{{legend.numbers(block, i, j, ',')}}}"
+
+    for places, entry in legend.listed(block):
+        yield from _equation(" = ".join(label(*place) for place in places), entry)
+    zeros = [label(*place) for place in legend.zeros(block)]
+    for k in range(0, len(zeros), ZEROS):
+        first, *others = zeros[k : k + ZEROS]
+        yield f"{first} &= {' = '.join([*others, '0'])}"
+
+
+def _equation(left: str, entry: Written) -> Iterator[str]:
+    first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
+    yield f"{left} &= {first}"
+    yield from (rf"&\quad {part.strip()}" for part in more)
+
+
+def _definition(definition: Definition) -> Iterator[str]:
+    return _equation(subscripted(definition.name), definition.value)
+
+
+def _legend(equations: Equations) -> Iterator[str]:
+    """Tables of the variables and of the parameters, and remarks."""
+    variables = [
+        (f"${NAMES.get(x.name, x.name)}_{{{x.numbers}}}$", "", x.unit, x.meaning)
+        for x in legend.variables(equations)
+    ]
+    parameters = [
+        (f"${subscripted(x.name)}$", f"${_number(x.value)}$", x.unit, x.meaning)
+        for x in equations.parameters
+    ]
+    yield r"\begin{longtable}{@{}lllp{0.6\textwidth}@{}}"
+    for name, value, unit, meaning in [*variables, *parameters]:
+        yield rf"{name} & {value} & {escaped(unit)} & {escaped(meaning)} \\"
+    yield r"\end{longtable}"
+    names = [(NAMES.get(block.name, block.name), block.unit) for block in equations.blocks]
+    units = ", ".join(f"${name}$ in {escaped(unit)}" for name, unit in names)
+    yield f"SI units and radians: {units}."
+    if legend.is_coriolis(equations):
+        yield r"$C$ is the Christoffel one: $\dot{M} - 2C$ is skew-symmetric."
+    yield from legend.left_out(equations, lambda name: f"${subscripted(name)}$")

@@ -1,0 +1,154 @@
+"""A written sum as one line of text, in the notation of a person, of LaTeX or of a language.
+
+Where a long line may be broken, before + and -, a blank stands; other blanks are GLUE until
+`broken` has laid the line out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from robodyn.factoring import Factor, Product, Root, Written
+from robodyn.symbolic import Angle, Call, Number, Rates, Smooth, Symbol
+
+GLUE = "\u00a0"  # a blank that is not broken at
+OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")
+INDENT = "  "  # of what goes on within brackets
+
+
+@dataclass(frozen=True, slots=True)
+class Notation:
+    """How numbers, atoms and products are written; joints are counted from 0."""
+
+    number: Callable[[Number], str]
+    symbol: Callable[[str], str]
+    rate: Callable[[int], str]  # of one joint
+    angle: Callable[[int], str]
+    call: Callable[[str, Sequence[int]], str]  # a function of the sum of these joints' angles
+    power: Callable[[str, int], str]
+    times: str
+    root: Callable[[str], str] = "sqrt({})".format
+    applied: Callable[[str, str], str] = "{}({})".format
+    bracketed: Callable[[str], str] = "({})".format
+
+    def text(self, entry: Written) -> str:
+        """The entry as one line."""
+        if not entry.terms:
+            return self.number(0)
+        first, *others = entry.terms
+        text = f"{'-' if first.number < 0 else ''}{self._product(first)}"
+        for product in others:
+            text += f" {'-' if product.number < 0 else '+'}{GLUE}{self._product(product)}"
+        return text
+
+    def _product(self, product: Product) -> str:
+        """The product less its sign; what has a negative power stands below a line, a/b."""
+        number = -product.number if product.number < 0 else product.number
+        above = [(factor, power) for factor, power in product.factors if power > 0]
+        below = [(factor, -power) for factor, power in product.factors if power < 0]
+        parts = [] if number == 1 and above else [self.number(number)]
+        parts += [self._power(factor, power) for factor, power in above]
+        text = self.times.join(parts)
+        for factor, power in below:
+            divisor = self._power(factor, power)
+            text += f"/({divisor})" if "*" in divisor else f"/{divisor}"
+        return text
+
+    def _power(self, factor: Factor, power: int) -> str:
+        text = self._factor(factor)
+        return text if power == 1 else self.power(text, power)
+
+    def _factor(self, factor: Factor) -> str:
+        match factor:
+            case Written():
+                return self.bracketed(self.text(factor))
+            case Root():
+                return self.root(self.text(factor.inner))
+            case Rates():
+                names = added([self.rate(j) for j in factor.joints])
+                return names if len(factor.joints) == 1 else f"({names})"
+            case Call():
+                return self.call(factor.function, factor.joints)
+            case Smooth():
+                speed = factor.speed
+                limit = self.symbol(speed.name) if isinstance(speed, Symbol) else self.number(speed)
+                return self.applied(factor.function, f"{self.rate(factor.joint)}/{limit}")
+            case Angle():
+                return self.angle(factor.joint)
+            case Symbol():
+                return self.symbol(factor.name)
+
+
+def added(names: Sequence[str]) -> str:
+    """A sum of names that stays in one line."""
+    return f"{GLUE}+{GLUE}".join(names)
+
+
+SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def six_digits(number: Number | float) -> str:
+    """A number for people; whole ones of the formulas stand as they are."""
+    return str(number) if isinstance(number, int) else f"{float(number):.6g}"
+
+
+def in_full(number: Number) -> str:
+    """A number that reads back exactly."""
+    return str(number) if isinstance(number, int) else repr(float(number))
+
+
+PLAIN = Notation(
+    number=six_digits,
+    symbol=str,
+    rate=lambda k: f"qd{k + 1}",
+    angle=lambda k: f"q{k + 1}",
+    call=lambda function, joints: f"{function}({added([f'q{k + 1}' for k in joints])})",
+    power=lambda base, power: base + str(power).translate(SUPERSCRIPTS),
+    times=GLUE,
+)
+PYTHON = Notation(
+    number=in_full,
+    symbol=str,
+    rate=PLAIN.rate,
+    angle=PLAIN.angle,
+    call=PLAIN.call,
+    power=lambda base, power: f"{base}**{power}",
+    times="*",
+)
+
+
+def one_line(text: str) -> str:
+    """The line with plain blanks."""
+    return text.replace(GLUE, " ")
+
+
+def broken(text: str, width: int, measure: Callable[[str], float] = len) -> list[str]:
+    """The line as lines of `width` at most, broken before + and -, outside brackets if can be.
+
+    A line that goes on within brackets is indented by as many steps; a part that no blank divides
+    may be longer.
+    """
+    parts = text.split(" ")
+    sizes = [measure(part) for part in parts]
+    depths = [0]  # of brackets, before each part
+    for part in parts:
+        depths.append(depths[-1] + _count(part, OPENING) - _count(part, CLOSING))
+    lines, start = [], 0
+    while start < len(parts):
+        end, used = start + 1, sizes[start] + len(INDENT) * depths[start]
+        best = None
+        while end < len(parts) and used <= width:
+            if 4 * used > width and (best is None or depths[end] <= depths[best]):
+                best = end
+            used += 1 + sizes[end]
+            end += 1
+        if used > width:
+            end = best or start + 1
+        lines.append(INDENT * depths[start] + one_line(" ".join(parts[start:end])))
+        start = end
+    return lines
+
+
+def _count(text: str, marks: Sequence[str]) -> int:
+    return sum(text.count(mark) for mark in marks)

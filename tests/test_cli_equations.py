@@ -1,0 +1,165 @@
+"""`robodyn equations`: formats, files, errors, and what it costs to start."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, Outcome
+
+Run = Callable[..., Outcome]
+FORMATS = ("text", "latex", "python", "c", "json")
+NAMES = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_format_of_every_scene(robodyn: Run, name: str) -> None:
+    path = f"robots/{name}.yaml"
+    for format in FORMATS:
+        for numeric in ([], ["--numeric"]):
+            given = robodyn("equations", path, "--format", format, *numeric).succeeds()
+            assert given.out.endswith("\n")
+            assert not given.out.endswith("\n\n")
+            assert [line for line in given.out.splitlines() if line != line.rstrip()] == []
+    assert robodyn("equations", path).out == robodyn("equations", path, "--format", "text").out
+
+
+def test_text(robodyn: Run) -> None:
+    found = robodyn("equations", "robots/2r.yaml").succeeds().out.splitlines()
+    assert found[:5] == [
+        "planar 2R arm: equations of motion",
+        "",
+        "  M qdd + C qd + G = tau",
+        "",
+        "  M11       = m1 r1² + I1 + m2 (l1² + r2² + 2 l1 r2 cos(q2)) + I2",
+    ]
+    assert "  m1  1.5    kg     mass of upper arm" in found
+    assert "  q2    rad  angle of forearm from upper arm" in found
+    assert max(map(len, found)) <= 100
+
+
+def test_json(robodyn: Run) -> None:
+    found = robodyn("equations", "robots/four-bar.yaml", "--format", "json").succeeds().json
+    assert list(found) == [
+        *("name", "equation", "q", "tau", "M", "C", "G", "Psi", "Psidot_qd", "gap"),
+        *("symbols", "zero", "unused"),
+    ]
+    assert found["tau"] == ["tau1", "0", "0"]
+    assert found["G"][2] == "m3*g*r3*cos(q3)"
+    assert found["symbols"]["x3"] == {
+        "value": 1.1,
+        "unit": "m",
+        "meaning": "ground pivot of rocker, x",
+    }
+    numeric = robodyn("equations", "robots/four-bar.yaml", "--format", "json", "--numeric").json
+    assert (numeric["symbols"], numeric["unused"]) == ({}, [])
+    assert numeric["G"][2] == "3.5316*cos(q3)"
+
+
+def test_json_of_a_scene_with_springs(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene(
+        """
+links: [{name: a, m: 1, l: 1, r: 0, I: 1, damping: 2, friction: {torque: 1, speed: 0.1}}]
+springs: [{between: [a, [2, 0]], stiffness: 5, length: 1}]
+"""
+    )
+    found = robodyn("equations", path, "--format", "json").succeeds().json
+    assert found["equation"] == "M qdd + D qd + G = tau + Q"
+    assert found["D"] == [["d1"]]
+    assert found["definitions"]["S1"] == "sqrt(S1x**2 + S1y**2)"
+    assert found["Q"] == ["-tf1*tanh(qd1/wf1)"]
+    assert found["zero"] == ["r1", "g"]
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_file_is_written(robodyn: Run, tmp_path: Path, format: str) -> None:
+    file = tmp_path / "equations"
+    arguments = ["equations", "robots/2r.yaml", "--format", format]
+    assert robodyn(*arguments, "--out", file).succeeds().out == ""
+    assert file.read_text(encoding="utf-8") == robodyn(*arguments).out
+
+
+def test_a_file_that_cannot_be_written(robodyn: Run) -> None:
+    robodyn("equations", "robots/2r.yaml", "-o", "/nowhere/x").fails(2, "/nowhere/x")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ("nothing.yaml", ["nothing.yaml", "no such file"]),
+        ("robots/2r.yaml --format csv", ["--format", "csv", "latex"]),
+        ("robots/2r.yaml --out=", ["--out", "empty"]),
+        ("", ["MODEL"]),
+    ],
+)
+def test_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
+    assert robodyn("equations", *arguments.split()).fails(2, *parts).out == ""
+
+
+def test_numbers_that_overflow(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """A of the closed form is finite, the sum of its entries in M is not."""
+    link = "{{name: {}, m: 1, l: 1, r: 1, I: 1e308}}"
+    path = scene(f"links: [{link.format('a')}, {link.format('b')}]")
+    robodyn("equations", path).succeeds()
+    robodyn("equations", path, "--numeric").fails(2, "links", "overflow", path.name)
+
+
+def test_head_ends_it_quietly(shell: Run) -> None:
+    given = shell("robodyn equations robots/3r.yaml --format c | head -1").succeeds()
+    assert given.out == "/*\n"
+    given = shell("{ sleep 0.1; robodyn equations robots/3r.yaml; echo $? >&2; } | exec 0<&-")
+    assert given.err == "0\n"
+
+
+def test_the_examples_of_the_help_work(shell: Run, tmp_path: Path) -> None:
+    text = shell("robodyn equations --help").succeeds().out
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
+    assert len(lines) >= 4
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    for line in lines:
+        shell(line, cwd=tmp_path).succeeds()
+    assert {"four-bar.tex", "arm.c"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_a_terminal_sets_the_width(shell: Run) -> None:
+    """Of a pseudo-terminal of 60 columns that `script` makes."""
+    code = (
+        "import os, pty, sys; "
+        "pty.spawn([sys.executable, '-m', 'robodyn', 'equations', 'robots/3r.yaml'])"
+    )
+    given = shell(f"{sys.executable} -c {code!r} < /dev/null", env={"COLUMNS": "60"})
+    formulas = given.out.replace("\r", "").split("\nwhere\n")[0].splitlines()
+    assert max(map(len, formulas)) <= 60
+    assert "M33       = m3 r3² + I3" in given.out
+
+
+def test_numpy_is_not_imported() -> None:
+    """Nor anything else that would slow the start."""
+    code = """
+import sys
+from robodyn import cli
+for format in ("text", "latex", "python", "c", "json"):
+    assert cli.run(["equations", "robots/four-bar.yaml", "--format", format, "--numeric"]) == 0
+heavy = {"numpy", "scipy", "rich", "sympy", "matplotlib"}
+print(sorted(heavy & set(sys.modules)), file=sys.stderr)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "[]\n")
+
+
+def test_what_reads_back_is_the_same(robodyn: Run) -> None:
+    """JSON in full digits: the product of the scene's decimal numbers, rounded once."""
+    found = robodyn("equations", "robots/3r.yaml", "--format", "json", "--numeric").out
+    assert json.loads(found)["M"][2][2] == "0.0212"  # 0.75 * 0.14^2 + 0.0065

@@ -1,0 +1,177 @@
+"""The written Python and C run on their own and give robodyn's numbers."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from random_mechanisms import (
+    LOOPS,
+    assert_close,
+    forced,
+    mechanism,
+    seeded_scene,
+    seeded_tree,
+    sizes,
+)
+from robodyn import closed_form
+from robodyn.equation_c import c99
+from robodyn.equation_python import python
+from robodyn.equations import equations
+from robodyn.mechanism import Mechanism, load
+
+ROBOTS = Path(__file__).resolve().parent.parent / "robots"
+NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+
+
+def expected(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict:
+    """What each function of the file gives, and its arguments."""
+    M, C = closed_form.mass_matrix(mech, q), closed_form.coriolis_matrix(mech, q, qd)
+    G, Q = closed_form.gravity_vector(mech, q), closed_form.other_forces(mech, q, qd)
+    D = np.diag(mech.damping)
+    found = {"M": ((q,), M), "C": ((q, qd), C), "D": ((), D), "G": ((q,), G), "Q": ((q, qd), Q)}
+    if mech.rows:
+        found["Psi"] = (q,), closed_form.closure_jacobian(mech, q)
+        found["Psidot_qd"] = (q, qd), closed_form.closure_bias(mech, q, qd)
+        found["gap"] = (q,), closed_form.closure_gap(mech, q)
+    name = "joint_torques" if mech.rows else "inverse_dynamics"
+    found[name] = (q, qd, qdd), M @ qdd + C @ qd + D @ qd + G - Q
+    return found
+
+
+def test_python_runs_without_robodyn(tmp_path: Path) -> None:
+    """In an interpreter that sees no package at all."""
+    mech = load(ROBOTS / "four-bar.yaml")
+    q, qd, qdd = np.random.default_rng(3).uniform(-3, 3, (3, 3))
+    (tmp_path / "motion.py").write_text(python(equations(mech)), encoding="utf-8")
+    known = expected(mech, q, qd, qdd)
+    known = {name: known[name] for name in known if name not in "DQ"}  # the scene has neither
+    calls = {name: [x.tolist() for x in arguments] for name, (arguments, _) in known.items()}
+    code = f"""
+import json, sys
+sys.path.insert(0, {str(tmp_path)!r})
+import motion
+calls = json.loads(sys.argv[1])
+print(json.dumps({{name: getattr(motion, name)(*given) for name, given in calls.items()}}))
+print(sorted(name for name in sys.modules if "numpy" in name or "robodyn" in name))
+"""
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", code, json.dumps(calls)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    found, modules = done.stdout.splitlines()
+    assert modules == "[]"
+    for name, values in json.loads(found).items():
+        assert_close(values, known[name][1], 100.0, 1e-14)
+
+
+def compiled(source: str, folder: Path) -> ctypes.CDLL:
+    """A library of the C text; a warning of the compiler is an error."""
+    assert COMPILER is not None
+    (folder / "motion.c").write_text(source, encoding="utf-8")
+    library = folder / "motion.so"
+    subprocess.run(
+        [COMPILER, *STRICT, "-shared", "-fPIC", "motion.c", "-o", str(library), "-lm"],
+        cwd=folder,
+        check=True,
+        timeout=60,
+    )
+    return ctypes.CDLL(str(library))
+
+
+def assert_c_gives_the_same(
+    mech: Mechanism, states: tuple[np.ndarray, ...], numeric: bool, folder: Path
+) -> None:
+    found = equations(mech, numeric)
+    library = compiled(c99(found), folder)
+    has = {block.name for block in found.blocks}
+    scale = 1.0 + max(float(np.abs(y).max()) for _, y in expected(mech, *states).values())
+    size = sizes(mech.description)
+    for name, (arguments, values) in expected(mech, *states).items():
+        if name in "DGQ" and name not in has:
+            assert not values.any()
+            assert not hasattr(library, name)
+            continue
+        out = np.full(values.shape, np.nan)
+        given = [np.ascontiguousarray(x, float) for x in (*arguments, out)]
+        call = getattr(library, name)
+        call.restype = None
+        call(*(x.ctypes.data_as(ctypes.c_void_p) for x in given))
+        assert_close(given[-1], values, scale + size.torque(*states[1:]), 1e-13)
+
+
+@needs_compiler
+@pytest.mark.parametrize("numeric", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_c_of_the_scenes_of_robots(name: str, numeric: bool, tmp_path: Path) -> None:
+    mech = load(ROBOTS / f"{name}.yaml")
+    q, qd, qdd = np.random.default_rng(5).uniform(-3, 3, (3, mech.n))
+    assert_c_gives_the_same(mech, (q, qd, qdd), numeric, tmp_path)
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", range(6))
+def test_c_of_random_mechanisms(seed: int, tmp_path: Path) -> None:
+    """With ground pivots x1, y1: y1 is a function of math.h as well."""
+    shape = list(LOOPS.values())[2 * seed % len(LOOPS)]
+    plain = seeded_scene(seed, shape) if seed % 2 else seeded_tree(seed, 1 + seed)
+    scene = forced(seed, plain) if seed > 1 else plain
+    assert_c_gives_the_same(scene.mechanism, scene.states, bool(seed % 3), tmp_path)
+
+
+HOSTILE = r"""
+name: "end */ '' \\n \\"
+gravity: 9.81
+links:
+  - {name: '/* a \', m: 1, l: 1, r: 0.5, I: 0.1, from: [0.1, 0.2]}
+  - {name: "line\nimport nothing\u2028 */", m: 1, l: 1, r: 0.5, I: 0.1}
+  - {name: '??/', m: 1, l: 1, r: 0.5, I: 0.1}
+"""
+
+
+@needs_compiler
+def test_names_cannot_end_a_comment(tmp_path: Path) -> None:
+    mech = mechanism(HOSTILE)
+    library = compiled(c99(equations(mech)), tmp_path)
+    assert hasattr(library, "inverse_dynamics")
+    names: dict = {}
+    exec(compile(python(equations(mech)), "equations.py", "exec"), names)
+    q = [0.3, 0.4, 0.5]
+    assert_close(names["G"](q), closed_form.gravity_vector(mech, q), 10.0)
+
+
+def test_twelve_links_have_names_of_their_own() -> None:
+    """cos(q12) is not cos(q1 + q2), and M1_12 not M11_2."""
+    links = "".join(
+        f"  - {{name: n{k}, m: 1, l: 0.{k + 1}, r: 0.5, I: 0.1, from: {at}}}\n"
+        for k, at in enumerate(["[0, 0]", "n0", *["[0, 0]"] * 9, "n1"])
+    )
+    mech = mechanism("gravity: 9.81\nlinks:\n" + links)
+    q, qd, qdd = np.random.default_rng(2).uniform(-3, 3, (3, 12))
+    names: dict = {}
+    exec(compile(python(equations(mech)), "equations.py", "exec"), names)
+    for name, (arguments, values) in expected(mech, q, qd, qdd).items():
+        if name in names:
+            assert_close(names[name](*arguments), values, 1.0 + float(np.abs(values).max()))
+
+
+@pytest.mark.parametrize("write", [python, c99])
+def test_lines_are_not_too_long(write) -> None:
+    scene = forced(1, seeded_scene(1, LOOPS["six-bar, dyad on the coupler"]))
+    found = write(equations(scene.mechanism)).splitlines()
+    comments = ("#", "/*", " *", "static")
+    code = [line for line in found if not line.startswith(comments) and "  # " not in line]
+    assert max(map(len, code)) <= 100
