@@ -25,10 +25,10 @@ from random_mechanisms import (
     trees,
 )
 from robodyn import closed_form, dynamics
-from robodyn.equation_json import as_json
-from robodyn.equation_python import python
-from robodyn.equation_text import text
 from robodyn.equations import equations
+from robodyn.equations.json_form import as_json
+from robodyn.equations.python_code import python
+from robodyn.equations.text import text
 from robodyn.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

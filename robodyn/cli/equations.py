@@ -10,12 +10,12 @@ from typing import Annotated
 import typer
 
 from robodyn.cli.options import Model, Out
-from robodyn.equation_c import c99
-from robodyn.equation_json import as_json
-from robodyn.equation_latex import latex
-from robodyn.equation_python import python
-from robodyn.equation_text import WIDTH, text
 from robodyn.equations import equations as equations_of
+from robodyn.equations.c_code import c99
+from robodyn.equations.json_form import as_json
+from robodyn.equations.latex import latex
+from robodyn.equations.python_code import python
+from robodyn.equations.text import WIDTH, text
 from robodyn.mechanism import load
 from robodyn.output_file import open_output
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from robodyn.equation_blocks import Block, Definition
 from robodyn.equations import Equations
+from robodyn.equations.blocks import Block, Definition
+from robodyn.equations.factoring import Written
+from robodyn.equations.parameters import Parameter
 from robodyn.errors import printable
-from robodyn.factoring import Written
-from robodyn.parameters import Parameter
 from robodyn.scene import Point
 
 Place = tuple[int, int]  # row and column

@@ -6,12 +6,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from robodyn import equation_legend as legend
-from robodyn.equation_blocks import Block, Definition
-from robodyn.equations import Equations
-from robodyn.factoring import Written
-from robodyn.notation import GLUE, Notation, added, broken, six_digits
-from robodyn.symbolic import Number
+from robodyn.equations import Equations, legend
+from robodyn.equations.blocks import Block, Definition
+from robodyn.equations.factoring import Written
+from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
+from robodyn.equations.symbolic import Number
 
 WIDTH = 92  # of a formula on a page, in letters of an average width
 MATRIX_WIDTH = 84  # the same of a whole matrix; a wider one is given entry by entry

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 
-from robodyn import equation_legend as legend
-from robodyn.equation_blocks import Block
-from robodyn.equations import Equations
-from robodyn.factoring import Written
-from robodyn.notation import PYTHON, one_line
+from robodyn.equations import Equations, legend
+from robodyn.equations.blocks import Block
+from robodyn.equations.factoring import Written
+from robodyn.equations.notation import PYTHON, one_line
 
 
 def as_json(equations: Equations) -> str:

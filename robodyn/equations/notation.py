@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.factoring import Factor, Product, Root, Written
-from robodyn.symbolic import Angle, Call, Number, Rates, Smooth, Symbol
+from robodyn.equations.factoring import Factor, Product, Root, Written
+from robodyn.equations.symbolic import Angle, Call, Number, Rates, Smooth, Symbol
 
 GLUE = "\u00a0"  # a blank that is not broken at
 OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from robodyn import equation_legend as legend
-from robodyn.equation_blocks import Block
-from robodyn.equation_code import (
+from robodyn.equations import Equations, legend
+from robodyn.equations.blocks import Block
+from robodyn.equations.code import (
     CODE,
     TAB,
     definitions,
@@ -20,7 +20,6 @@ from robodyn.equation_code import (
     taken_off,
     told,
 )
-from robodyn.equations import Equations
 
 
 def python(equations: Equations) -> str:

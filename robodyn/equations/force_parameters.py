@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robodyn.parameters import Parameters
+from robodyn.equations.parameters import Parameters
+from robodyn.equations.symbolic import ZERO, Planar, Role, Sum, Symbol
 from robodyn.scene import Description, JointSpring, Load, Moment, Spring
-from robodyn.symbolic import ZERO, Planar, Role, Sum, Symbol
 
 
 class SceneParameters(Parameters):

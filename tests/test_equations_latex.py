@@ -11,8 +11,8 @@ import pytest
 from matplotlib.mathtext import MathTextParser
 
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
-from robodyn.equation_latex import latex, measure, subscripted
 from robodyn.equations import equations
+from robodyn.equations.latex import latex, measure, subscripted
 from robodyn.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
@@ -96,7 +96,7 @@ def test_environments_and_braces_match(name: str, numeric: bool) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_the_same_entries_as_in_plain_text(name: str) -> None:
     """Read back from LaTeX, formula by formula, they are those of the text format."""
-    from robodyn.notation import PLAIN, one_line
+    from robodyn.equations.notation import PLAIN, one_line
 
     found = equations(SCENES[name])
     document = re.sub(r"\s*\\\\\n&\\quad ", " ", latex(found))

@@ -9,12 +9,12 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from robodyn.equations.factoring import Key, Written, written
+from robodyn.equations.force_parameters import SceneParameters
+from robodyn.equations.symbolic import NOWHERE, Planar, Sum
 from robodyn.errors import InputError
-from robodyn.factoring import Key, Written, written
-from robodyn.force_parameters import SceneParameters
 from robodyn.mechanism import Mechanism
 from robodyn.scene import Point
-from robodyn.symbolic import NOWHERE, Planar, Sum
 
 
 class Body(NamedTuple):

@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import chain, combinations
 
-from robodyn.equation_blocks import BY_GRAVITY, BY_LINE, Block, Definition, written_rows
-from robodyn.factoring import Product, Root, Written
-from robodyn.scene import JointSpring, Load, Moment
-from robodyn.symbolic import (
+from robodyn.equations.blocks import BY_GRAVITY, BY_LINE, Block, Definition, written_rows
+from robodyn.equations.factoring import Product, Root, Written
+from robodyn.equations.scene_symbols import SymbolicScene
+from robodyn.equations.symbolic import (
     NOWHERE,
     ONE,
     ZERO,
@@ -35,7 +35,7 @@ from robodyn.symbolic import (
     of,
     total,
 )
-from robodyn.symbolic_scene import SymbolicScene
+from robodyn.scene import JointSpring, Load, Moment
 
 
 def gravity_vector(scene: SymbolicScene) -> Block | None:

@@ -22,9 +22,9 @@ from random_mechanisms import (
     sizes,
 )
 from robodyn import closed_form
-from robodyn.equation_c import c99
-from robodyn.equation_python import python
 from robodyn.equations import equations
+from robodyn.equations.c_code import c99
+from robodyn.equations.python_code import python
 from robodyn.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

@@ -2,7 +2,7 @@
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
-Each matrix and vector is a `Block` of `equation_blocks.py`; another term of either side is one
+Each matrix and vector is a `Block` of `blocks.py`; another term of either side is one
 more block in `_left` or `_right`.
 """
 
@@ -11,18 +11,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from robodyn.equation_blocks import (
+from robodyn.equations.blocks import (
     Block,
     closures,
     coriolis_matrix,
     damping_matrix,
     mass_matrix,
 )
-from robodyn.equation_forces import gravity_vector, other_forces
+from robodyn.equations.forces import gravity_vector, other_forces
+from robodyn.equations.parameters import Parameter
+from robodyn.equations.scene_symbols import SymbolicScene
+from robodyn.equations.symbolic import Smooth, Symbol
 from robodyn.mechanism import Mechanism
-from robodyn.parameters import Parameter
-from robodyn.symbolic import Smooth, Symbol
-from robodyn.symbolic_scene import SymbolicScene
 
 
 @dataclass(frozen=True, slots=True)

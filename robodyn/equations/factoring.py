@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import gcd
 from typing import Union
 
-from robodyn.symbolic import Atom, Call, Number, Role, Sum
+from robodyn.equations.symbolic import Atom, Call, Number, Role, Sum
 
 Factor = Union[Atom, "Written", "Root"]
 Key = Callable[["Product"], Hashable]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from robodyn import equation_legend as legend
-from robodyn.equation_blocks import Block
-from robodyn.equations import Equations
-from robodyn.notation import PLAIN, broken
+from robodyn.equations import Equations, legend
+from robodyn.equations.blocks import Block
+from robodyn.equations.notation import PLAIN, broken
 
 MARGIN = "  "
 LEAST_WIDTH = 40

@@ -6,9 +6,9 @@ from fractions import Fraction
 
 import pytest
 
-from robodyn.factoring import by_angle, by_function, by_role, written
-from robodyn.notation import GLUE, PLAIN, PYTHON, broken, one_line
-from robodyn.symbolic import ONE, ZERO, Call, Planar, Rates, Role, Sum, Symbol, of, total
+from robodyn.equations.factoring import by_angle, by_function, by_role, written
+from robodyn.equations.notation import GLUE, PLAIN, PYTHON, broken, one_line
+from robodyn.equations.symbolic import ONE, ZERO, Call, Planar, Rates, Role, Sum, Symbol, of, total
 
 M1, M2, M3 = (of(Symbol(f"m{k}", Role.mass, (k, "m"))) for k in (1, 2, 3))
 L1, L2 = (of(Symbol(f"l{k}", Role.length, (k, "l"))) for k in (1, 2))

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 from robodyn.errors import printable
 from robodyn.scene import Description, Point
-from robodyn.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from robodyn import equation_legend as legend
-from robodyn.equation_blocks import Block
-from robodyn.equations import Equations
-from robodyn.factoring import Root
-from robodyn.notation import PYTHON, Notation, added, broken, one_line
-from robodyn.symbolic import Angle, Call, Rates, Smooth
+from robodyn.equations import Equations, legend
+from robodyn.equations.blocks import Block
+from robodyn.equations.factoring import Root
+from robodyn.equations.notation import PYTHON, Notation, added, broken, one_line
+from robodyn.equations.symbolic import Angle, Call, Rates, Smooth
 
 WIDTH = 100
 TAB = "    "
