@@ -1,0 +1,217 @@
+"""What a picture of a mechanism shows, to scale: links, joints, centres of gravity, supports.
+
+Points of the plane are complex numbers, m.  Each shape is a polygon or a line in the frame of a
+rigid body; a pose says where each body is, `place + turn * points`.  So a figure, an animation and
+a terminal draw the same things.  Symbols are as large as a part of the mechanism's span.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.assembly import attempt
+from robodyn.closed_form import phases
+from robodyn.errors import AssemblyError
+from robodyn.mechanism import Mechanism, PlanarPoint
+from robodyn.outlines import Shape, centre_mark, circle, hatched, rounded_hull
+from robodyn.scene import Closure, Point
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+HALF_WIDTH = 0.024  # of a link, as a part of the span
+SUPPORT = 2.6  # depth of a ground support, half widths
+
+
+class Body(NamedTuple):
+    """Shapes that move together: with a link, along a slider's line (no turning), or not at all."""
+
+    link: int | None  # None: the ground
+    origin: PlanarPoint
+    turns: bool
+    shapes: tuple[Shape, ...]
+
+
+class Drawing(NamedTuple):
+    """The bodies of a mechanism at poses q (T, n), and the half width of its links, m."""
+
+    mechanism: Mechanism
+    q: Array
+    half_width: float
+    bodies: tuple[Body, ...]
+    place: Complex  # (T, bodies)
+    turn: Complex  # (T, bodies)
+
+    def placed(self, pose: int) -> Iterator[tuple[int, Shape, Complex]]:
+        """Each shape at a pose, with the index of its body and its points in the plane."""
+        for b, body in enumerate(self.bodies):
+            for shape in body.shapes:
+                yield b, shape, self.place[pose, b] + self.turn[pose, b] * shape.points
+
+    def box(self) -> tuple[float, float, float, float]:
+        """x and y of the least, x and y of the largest of all points at all poses, m."""
+        z = np.concatenate([z for pose in range(len(self.q)) for _, _, z in self.placed(pose)])
+        return float(z.real.min()), float(z.imag.min()), float(z.real.max()), float(z.imag.max())
+
+
+def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
+    """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n)."""
+    poses = np.atleast_2d(np.asarray(q, float))
+    E = phases(mechanism, poses)
+    half_width = HALF_WIDTH * span(mechanism, poses)
+    bodies = tuple(_bodies(mechanism, E, half_width))
+    place = np.stack([at(body.origin, E) for body in bodies], axis=-1)
+    ones = np.ones(len(poses), complex)
+    turn = [E[:, b.link] if b.turns and b.link is not None else ones for b in bodies]
+    return Drawing(mechanism, poses, half_width, bodies, place, np.stack(turn, axis=-1))
+
+
+def at(point: PlanarPoint, E: Complex) -> Complex:
+    """Where a point of the mechanism is, (...), m, with the links' directions E (..., n)."""
+    z = np.full(E.shape[:-1], point.constant, complex)
+    for k, coefficient in point.terms:
+        z = z + coefficient * E[..., k]
+    return z
+
+
+def span(mechanism: Mechanism, q: Array) -> float:
+    """The largest extent of joints, tips and centres of gravity over the poses q (T, n), m.
+
+    1 where they all are one point.
+    """
+    E = phases(mechanism, q)
+    points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
+    z = np.concatenate([at(point, E) for point in points])
+    return float(max(np.ptp(z.real), np.ptp(z.imag))) or 1.0
+
+
+def first_pose(mechanism: Mechanism) -> Array:
+    """A closed configuration (n,) to show a mechanism in: its start, zeros, or what closes first.
+
+    Raises AssemblyError where no turn of all actuated joints by a twelfth closes.
+    """
+    start = mechanism.description.start or (None,) * mechanism.n
+    if not mechanism.rows:
+        return np.array([angle or 0.0 for angle in start])
+    given = np.array([start[k] or 0.0 for k in mechanism.actuated])
+    turns = np.arange(12) * np.pi / 6
+    q, missing = attempt(mechanism, given + turns[:, None])
+    closes = np.flatnonzero(missing <= 0.0)
+    if not closes.size:
+        limit = "no pose found that closes: give --q"
+        raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
+    pose: Array = q[closes[0]]
+    return pose
+
+
+def link_points(mechanism: Mechanism, k: int) -> Complex:
+    """The points of link k in its frame: its joint, its tip, and what hangs or closes there, m."""
+    found = [0j, complex(mechanism.description.links[k].l)]
+    found += [link.hangs_from.at for link in mechanism.description.links if _on(link.hangs_from, k)]
+    for closure in mechanism.description.closures:
+        found += [side.at for side in _sides(closure) if _on(side, k)]
+    return np.array(list(dict.fromkeys(found)))
+
+
+def _on(point: Point, link: int | None) -> bool:
+    return point.link == link
+
+
+def _sides(closure: Closure) -> tuple[Point, ...]:
+    """The points that a closure joins; of a slider the one that slides."""
+    return (closure.first, closure.second) if closure.along is None else (closure.first,)
+
+
+# -- bodies --------------------------------------------------------------------------------------
+
+
+def _bodies(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Body]:
+    """The ground first, then guides, links from the ground outward, and the sliders' blocks."""
+    origin = PlanarPoint(0j, ())
+    yield Body(None, origin, False, tuple(_supports(mechanism, E, w)))
+    closures = mechanism.description.closures
+    sliding: dict[int, list[complex]] = {}
+    for closure in closures:
+        if closure.along is not None and closure.first.link is not None:
+            z = at(planar(mechanism, closure.first), E)
+            guide = _guide(closure.second.at, closure.along, z, w)
+            yield Body(None, origin, False, guide)
+            sliding.setdefault(closure.first.link, []).append(closure.first.at)
+    for k in mechanism.order:
+        shapes = tuple(_link(mechanism, k, sliding.get(k, []), w))
+        yield Body(k, mechanism.pivots[k], True, shapes)
+    for closure in closures:
+        if closure.along is not None and closure.first.link is not None:
+            block = np.array([-2.4 - 1.5j, 2.4 - 1.5j, 2.4 + 1.5j, -2.4 + 1.5j], complex)
+            block *= w * closure.along
+            shapes = (Shape("block", block), Shape("joint", circle(0.55 * w)))
+            yield Body(closure.first.link, planar(mechanism, closure.first), False, shapes)
+
+
+def planar(mechanism: Mechanism, point: Point) -> PlanarPoint:
+    """A point of a link, or of the ground, in terms of the links' directions."""
+    if point.link is None:
+        return PlanarPoint(point.at, ())
+    pivot = mechanism.pivots[point.link]
+    return PlanarPoint(pivot.constant, (*pivot.terms, (point.link, point.at)))
+
+
+def _link(mechanism: Mechanism, k: int, sliding: list[complex], w: float) -> Iterator[Shape]:
+    link, points = mechanism.description.links[k], link_points(mechanism, k)
+    yield Shape("link", rounded_hull(points, w))
+    if link.payload and link.l not in sliding:
+        yield Shape("payload", link.l + circle(1.5 * w))
+    yield from centre_mark(link.r, 0.8 * w)
+    # each pin is drawn once: by the link that hangs there, and by the first side of a closure
+    pins = [0j]
+    joined = [0j, *sliding]
+    for closure in mechanism.description.closures:
+        ends = [side.at for side in _sides(closure) if _on(side, k)]
+        joined += ends
+        other_is_ground = any(_on(side, None) for side in _sides(closure))
+        if closure.along is None and (_on(closure.first, k) or other_is_ground):
+            pins += ends
+    joined += [
+        child.hangs_from.at for child in mechanism.description.links if _on(child.hangs_from, k)
+    ]
+    for pin in pins:
+        yield Shape("joint", pin + circle(0.55 * w))
+    if link.l not in joined:
+        yield Shape("tip", link.l + circle(0.22 * w))
+
+
+def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:
+    """A triangle on a hatched line below each ground pivot, or above it if its links hang down."""
+    lean: dict[complex, list[float]] = {}
+    for k, link in enumerate(mechanism.description.links):
+        if link.hangs_from.link is None:
+            lean.setdefault(link.hangs_from.at, []).append(float(E[:, k].imag.mean()))
+    for closure in mechanism.description.closures:
+        if closure.along is None:
+            for side in _sides(closure):
+                if side.link is None:
+                    lean.setdefault(side.at, [])
+    for pivot, leans in lean.items():
+        hangs = bool(leans) and np.mean(leans) < -0.5
+        triangle = np.array([0j, -1.7 - 1j * SUPPORT, 1.7 - 1j * SUPPORT]) * complex(w)
+        base = np.array([-2.7 - 1j * SUPPORT, 2.7 - 1j * SUPPORT]) * complex(w)
+        for shape in (Shape("support", triangle), *hatched(base, w, 5)):
+            points = shape.points.conj() if hangs else shape.points
+            yield Shape(shape.kind, pivot + points, shape.closed)
+
+
+def _guide(through: complex, along: complex, z: Complex, w: float) -> tuple[Shape, ...]:
+    """The walls on both sides of a slider's way, and the line that its point keeps."""
+    travel = ((z - through) * along.conjugate()).real
+    low, high = float(travel.min()) - 4.0 * w, float(travel.max()) + 4.0 * w
+    strokes = max(4, round((high - low) / (1.1 * w)))
+    walls = [
+        *hatched(np.array([low - 1.7j * w, high - 1.7j * w], complex), w, strokes),
+        *hatched(np.array([high + 1.7j * w, low + 1.7j * w], complex), w, strokes),
+        Shape("axis", np.array([low - 1.5 * w, high + 1.5 * w], complex), False),
+    ]
+    return tuple(Shape(s.kind, through + along * s.points, s.closed) for s in walls)
