@@ -196,6 +196,7 @@ def _distance(centre: complex, box: complex, points: Complex) -> Array:
 
 
 def _inside(centre: complex, box: complex, shown: Frame) -> bool:
+    box += 0.6 * box.imag * (1 + 1j)  # some room to the edges
     return (
         shown.left <= centre.real - 0.5 * box.real
         and centre.real + 0.5 * box.real <= shown.right

@@ -28,7 +28,7 @@ def scene_schema() -> Schema:
             {
                 "name": _described("name", "Text for titles. Default: the file's name."),
                 "gravity": {
-                    "description": "m/s²: a number acts along -Y; or a vector [gx, gy]. Default: 0.",
+                    "description": "m/s²: a number acts along -Y; or [gx, gy]. Default: 0.",
                     "anyOf": [{"type": "number"}, _ref("vector")],
                 },
                 "closures": {

@@ -25,9 +25,7 @@ def init(
             autocompletion=scene_names,
         ),
     ] = None,
-    names: Annotated[
-        bool, typer.Option("--list", help="List the names, as without NAME.")
-    ] = False,
+    names: Annotated[bool, typer.Option("--list", help="List the names, as without NAME.")] = False,
     out: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(
