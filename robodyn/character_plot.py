@@ -22,8 +22,8 @@ BRAILLE = 0x2800
 DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # row from the top, side
 MARKS = "*+ox#@%&"  # of curves, where there are no dots
 COLOURS = (34, 33, 32, 35, 36, 31)  # of a terminal
-FRAMES = {False: ("┤", "└", "─", "┬"), True: ("+", "+", "-", "+")}  # True: plain ones
-LEAST_WIDTH, LEAST_HEIGHT = 20, 3  # of a panel's inside, characters
+FRAMES = {False: ("┤", "└", "─", "┬"), True: ("-", "+", "-", "+")}  # True: plain ones
+LEAST_WIDTH, LEAST_HEIGHT = 12, 3  # of a panel's inside, characters
 
 
 class Canvas:
@@ -159,7 +159,7 @@ def _plain(label: str, ascii: bool) -> str:
 
 def _y_ticks(panel: Panel, height: int) -> tuple[list[float], list[str]]:
     low, high = limits([curve.y for curve in panel.curves])
-    values = ticks(low, high, max(2, min(6, height // 2)))
+    values = ticks(low, high, max(3, min(6, height // 2)))
     return values, tick_texts(values)
 
 

@@ -174,15 +174,20 @@ def limits(values: Sequence[Array]) -> tuple[float, float]:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """At most `most` round numbers in [low, high], 1, 2 or 5 times a power of ten apart."""
-    step = (high - low) / max(most - 1, 1)
-    power = 10.0 ** math.floor(math.log10(step))
-    for factor in (1.0, 2.0, 5.0, 10.0, 20.0):
-        apart = factor * power
-        first, last = math.ceil(low / apart - 1e-9), math.floor(high / apart + 1e-9)
-        if last - first + 1 <= most and apart >= step * 0.999:
+    """At most `most` round numbers in [low, high], 1, 2 or 5 times a power of ten apart.
+
+    Two at least, which may then be farther apart.
+    """
+    power = 10.0 ** math.floor(math.log10((high - low) / most))
+    found: list[float] = []
+    for apart in (factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)):
+        finer = found
+        rounding = 1e-9 + 1e-15 * max(abs(low), abs(high)) / apart
+        first, last = math.ceil(low / apart - rounding), math.floor(high / apart + rounding)
+        found = [k * apart for k in range(first, last + 1)]
+        if len(found) <= most:
             break
-    return [k * apart for k in range(first, last + 1)]
+    return found if len(found) > 1 or len(finer) < 2 else [finer[0], finer[-1]]
 
 
 def tick_texts(values: Sequence[float]) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Complex = NDArray[np.complex128]
 
-ARC = 14  # points of half a circle
+ARC = 15  # points of half a circle, odd: one lies at the far end of a link
 
 
 class Shape(NamedTuple):
