@@ -1,8 +1,9 @@
 """What a picture of a mechanism shows, to scale: links, joints, centres of gravity, supports.
 
 Points of the plane are complex numbers, m.  Each shape is a polygon or a line in the frame of a
-rigid body; a pose says where each body is, `place + turn * points`.  So a figure, an animation and
-a terminal draw the same things.  Symbols are as large as a part of the mechanism's span.
+body; a pose says where each body is, `place + turn * points`, where |turn| = 1 but for springs:
+these are stretched along their x axis alone.  So a figure, an animation and a terminal draw the
+same things.  Symbols are as large as a part of the mechanism's span.
 """
 
 from __future__ import annotations
@@ -17,23 +18,41 @@ from robodyn.assembly import attempt
 from robodyn.closed_form import phases
 from robodyn.errors import AssemblyError
 from robodyn.mechanism import Mechanism, PlanarPoint
-from robodyn.outlines import Shape, centre_mark, circle, hatched, rounded_hull
-from robodyn.scene import Closure, Point
+from robodyn.outlines import (
+    Shape,
+    centre_mark,
+    circle,
+    coil_shapes,
+    dashpot_shapes,
+    hatched,
+    rounded_hull,
+)
+from robodyn.scene import Closure, Point, Spring
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
 SUPPORT = 2.6  # depth of a ground support, half widths
+SHORTEST = 1e-12  # m, of a spring whose ends coincide
 
 
 class Body(NamedTuple):
-    """Shapes that move together: with a link, along a slider's line (no turning), or not at all."""
+    """Shapes that move together: with a link, along a slider's line (no turning), or not at all.
 
-    link: int | None  # None: the ground
+    Those of a spring have x = 0 at its `origin` and x = 1 at its `end`.
+    """
+
+    link: int | None  # None: the ground, or a spring
     origin: PlanarPoint
     turns: bool
     shapes: tuple[Shape, ...]
+    end: PlanarPoint | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has not the same place at all poses."""
+        return self.link is not None or self.end is not None
 
 
 class Drawing(NamedTuple):
@@ -50,7 +69,9 @@ class Drawing(NamedTuple):
         """Each shape at a pose, with the index of its body and its points in the plane."""
         for b, body in enumerate(self.bodies):
             for shape in body.shapes:
-                yield b, shape, self.place[pose, b] + self.turn[pose, b] * shape.points
+                e = self.turn[pose, b]
+                across = shape.points.imag * (1j * e / abs(e))
+                yield b, shape, self.place[pose, b] + e * shape.points.real + across
 
     def box(self) -> tuple[float, float, float, float]:
         """x and y of the least, x and y of the largest of all points at all poses, m."""
@@ -65,9 +86,17 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
     half_width = HALF_WIDTH * span(mechanism, poses)
     bodies = tuple(_bodies(mechanism, E, half_width))
     place = np.stack([at(body.origin, E) for body in bodies], axis=-1)
-    ones = np.ones(len(poses), complex)
-    turn = [E[:, b.link] if b.turns and b.link is not None else ones for b in bodies]
+    turn = [_turn(body, E) for body in bodies]
     return Drawing(mechanism, poses, half_width, bodies, place, np.stack(turn, axis=-1))
+
+
+def _turn(body: Body, E: Complex) -> Complex:
+    if body.end is not None:
+        d: Complex = at(body.end, E) - at(body.origin, E)
+        return np.where(d == 0, SHORTEST, d)
+    if body.turns and body.link is not None:
+        return E[:, body.link]
+    return np.ones(len(E), complex)
 
 
 def at(point: PlanarPoint, E: Complex) -> Complex:
@@ -114,11 +143,17 @@ def link_points(mechanism: Mechanism, k: int) -> Complex:
     found += [link.hangs_from.at for link in mechanism.description.links if _on(link.hangs_from, k)]
     for closure in mechanism.description.closures:
         found += [side.at for side in _sides(closure) if _on(side, k)]
+    found += [end.at for end in _spring_ends(mechanism) if _on(end, k)]
     return np.array(list(dict.fromkeys(found)))
 
 
 def _on(point: Point, link: int | None) -> bool:
     return point.link == link
+
+
+def _spring_ends(mechanism: Mechanism) -> list[Point]:
+    springs = [s for s in mechanism.description.springs if isinstance(s, Spring)]
+    return [end for spring in springs for end in (spring.first, spring.second)]
 
 
 def _sides(closure: Closure) -> tuple[Point, ...]:
@@ -141,6 +176,9 @@ def _bodies(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Body]:
             guide = _guide(closure.second.at, closure.along, z, w)
             yield Body(None, origin, False, guide)
             sliding.setdefault(closure.first.link, []).append(closure.first.at)
+    for spring in mechanism.springs:
+        coil = coil_shapes(w) if spring.stiffness else dashpot_shapes(w)
+        yield Body(None, spring.ends[0], True, tuple(coil), spring.ends[1])
     for k in mechanism.order:
         shapes = tuple(_link(mechanism, k, sliding.get(k, []), w))
         yield Body(k, mechanism.pivots[k], True, shapes)
@@ -175,9 +213,14 @@ def _link(mechanism: Mechanism, k: int, sliding: list[complex], w: float) -> Ite
         other_is_ground = any(_on(side, None) for side in _sides(closure))
         if closure.along is None and (_on(closure.first, k) or other_is_ground):
             pins += ends
-    joined += [
-        child.hangs_from.at for child in mechanism.description.links if _on(child.hangs_from, k)
-    ]
+    hanging = [child.hangs_from for child in mechanism.description.links]
+    joined += [point.at for point in hanging if _on(point, k)]
+    ends = [end.at for end in _spring_ends(mechanism) if _on(end, k)]
+    joined += ends
+    for end in ends:
+        yield Shape("tip", end + circle(0.3 * w))
+    if any(spring.joint == k for spring in mechanism.joint_springs):
+        yield Shape("spring", spiral(w), False)
     for pin in pins:
         yield Shape("joint", pin + circle(0.55 * w))
     if link.l not in joined:
@@ -195,6 +238,9 @@ def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:
             for side in _sides(closure):
                 if side.link is None:
                     lean.setdefault(side.at, [])
+    for end in _spring_ends(mechanism):
+        if end.link is None:
+            lean.setdefault(end.at, [])
     for pivot, leans in lean.items():
         hangs = bool(leans) and np.mean(leans) < -0.5
         triangle = np.array([0j, -1.7 - 1j * SUPPORT, 1.7 - 1j * SUPPORT]) * complex(w)

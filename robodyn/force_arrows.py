@@ -1,4 +1,4 @@
-"""Forces as arrows: gravity on every mass, and the force in every pin, all to one scale."""
+"""Forces as arrows: weights, the force in every pin, loads and springs, all to one scale."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.closed_form import phases
+from robodyn.closed_form import absolute_rates, phases
 from robodyn.drawing import at, planar
 from robodyn.dynamics import pin_forces
+from robodyn.forces import spring_forces
 from robodyn.mechanism import Mechanism
 from robodyn.reaction_forces import reactions
+from robodyn.scene import Load, Spring
 
 Array = NDArray[np.float64]
 
@@ -22,7 +24,7 @@ SEEN = 1e-9  # forces below this part of the largest are none
 class Force(NamedTuple):
     """A force on a link: where it acts, m, and what it is, N, as complex numbers."""
 
-    kind: str  # gravity or pin
+    kind: str  # gravity, pin or load
     name: str
     place: complex
     force: complex
@@ -31,9 +33,10 @@ class Force(NamedTuple):
 def forces(
     mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array
 ) -> list[Force]:
-    """The weights, and the force in every pin, of one motion, each (n,).
+    """The weights, the force in every pin, loads and springs, of one motion, each (n,).
 
-    r1 is the force on link 1 at its own joint, f1 that on the side of closure 1 named first.
+    r1 is the force on link 1 at its own joint, f1 that on the side of closure 1 named first, s1
+    that of spring 1 on its end named first; springs at joints and loads without a point have none.
     Forces that are zero but for rounding are left out.
     """
     E = phases(mechanism, q)
@@ -51,6 +54,15 @@ def forces(
     for c, force in enumerate(pins.tolist()):
         pin = planar(mechanism, mechanism.description.closures[c].first)
         found.append(Force("pin", f"f{c + 1}", complex(at(pin, E)), force))
+    between = [k for k, s in enumerate(mechanism.description.springs) if isinstance(s, Spring)]
+    if between:
+        pulls = spring_forces(mechanism, E, absolute_rates(mechanism, qd))
+        for k, spring, pull in zip(between, mechanism.springs, pulls.tolist(), strict=True):
+            found.append(Force("load", f"s{k + 1}", complex(at(spring.ends[0], E)), pull))
+    forced = [k for k, x in enumerate(mechanism.description.loads) if isinstance(x, Load)]
+    for k, item in zip(forced, mechanism.forces, strict=True):
+        force = item.force * (complex(E[item.link]) if item.turns else 1.0)
+        found.append(Force("load", f"load {k + 1}", complex(at(item.point, E)), force))
     least = SEEN * max(abs(item.force) for item in found)
     return [item for item in found if abs(item.force) > least]
 

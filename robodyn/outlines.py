@@ -16,7 +16,7 @@ ARC = 15  # points of half a circle, odd: one lies at the far end of a link
 class Shape(NamedTuple):
     """A polygon, or a line that stays open, in the frame of its body, m.
 
-    Kinds: link, joint, tip, centre, quarter, payload, block, support, hatch, guide, axis.
+    Kinds: link, joint, tip, centre, quarter, payload, block, spring, support, hatch, guide, axis.
     """
 
     kind: str
@@ -89,3 +89,27 @@ def hatched(line: Complex, w: float, count: int) -> Iterator[Shape]:
     for part in (np.arange(count) + 0.8) / count:
         z = begin + part * (end - begin)
         yield Shape("hatch", np.array([z, z + along * w * (-0.8 - 0.9j)]), False)
+
+
+def coil_shapes(w: float) -> Iterator[Shape]:
+    """A spring from x = 0 to x = 1, in zigzag."""
+    turns = 8
+    x = 0.15 + 0.7 * (np.arange(turns) + 0.5) / turns
+    peaks = x + 1j * w * np.where(np.arange(turns) % 2, -1.0, 1.0)
+    yield Shape("spring", np.concatenate([[0j, 0.15], peaks, [0.85, 1.0]]), False)
+
+
+def dashpot_shapes(w: float) -> Iterator[Shape]:
+    """A damper from x = 0 to x = 1: a piston in a cylinder."""
+    side = 1j * w
+    cylinder = np.array([0.36 + side, 0.64 + side, 0.64 - side, 0.36 - side], complex)
+    piston = np.array([0.5 + 0.7 * side, 0.5 - 0.7 * side], complex)
+    for points in (cylinder, piston, np.array([0j, 0.5]), np.array([0.64, 1.0 + 0j])):
+        yield Shape("spring", points, False)
+
+
+def spiral(w: float) -> Complex:
+    """The spring of a joint, around it."""
+    angle = np.linspace(0.0, 4.5 * np.pi, 60)
+    points: Complex = w * (1.15 + 0.07 * angle) * np.exp(1j * angle)
+    return points

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from robodyn.description import BRANCHES
 from robodyn.quantities import ANGLE_PATTERN
+from robodyn.scene import BRANCHES, FRAMES
 
 Schema = dict[str, Any]
 
@@ -45,6 +45,19 @@ def scene_schema() -> Schema:
                     "each closure. Default: open.",
                     "anyOf": [_ref("branch"), _list("branch")],
                 },
+                "couplings": {
+                    "description": "Gears and belts: equations between joint angles, rad, such as "
+                    "q3 = -2 q1 + 0.1.",
+                    "anyOf": [_ref("coupling"), _list("coupling")],
+                },
+                "springs": {
+                    "description": "Springs and dampers, between points or at joints.",
+                    **_list("spring"),
+                },
+                "loads": {
+                    "description": "Constant forces and torques on links.",
+                    **_list("load"),
+                },
                 "start": {
                     "description": "Angles to assemble larger loops from, by link: {crank: 30deg}.",
                     "type": "object",
@@ -52,7 +65,7 @@ def scene_schema() -> Schema:
                 },
             },
         ),
-        "$defs": _definitions(),
+        "$defs": _definitions() | _force_definitions(),
     }
 
 
@@ -90,6 +103,9 @@ def _definitions() -> dict[str, Schema]:
                     "damping": _described(
                         "amount", "Viscous damping at its own joint, N m s/rad. Default: 0."
                     ),
+                    "friction": _described(
+                        "friction", "Coulomb friction at its own joint. Default: none."
+                    ),
                 },
             ),
         },
@@ -108,8 +124,9 @@ def _definitions() -> dict[str, Schema]:
             "anyOf": [_ref("name"), _ref("link_point"), _described("vector", "Of the ground, m.")]
         },
         "closure": {"anyOf": [_ref("pin"), _ref("slider")]},
-        "pin": {
-            "description": "Two points that coincide; one at least is a link's.",
+        "pin": _described("pair", "Two points that coincide."),
+        "pair": {
+            "description": "Two points, of which one at least is a link's.",
             "type": "array",
             "items": _ref("point"),
             "minItems": 2,
@@ -132,6 +149,77 @@ def _definitions() -> dict[str, Schema]:
                         },
                         {},
                     ),
+                },
+                {},
+            ),
+        },
+    }
+
+
+def _force_definitions() -> dict[str, Schema]:
+    return {
+        "friction": {
+            "description": "-torque tanh(qd/speed)",
+            **_mapping(
+                {
+                    "torque": _described("amount", "N m, far above that speed."),
+                    "speed": {
+                        "description": "rad/s, > 0, that smooths it through rest.",
+                        "type": "number",
+                        "exclusiveMinimum": 0,
+                    },
+                },
+                {},
+            ),
+        },
+        "coupling": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},
+        "spring": {"anyOf": [_ref("point_spring"), _ref("joint_spring")]},
+        "point_spring": {
+            "description": "A spring and damper between two points.",
+            **_mapping(
+                {
+                    "between": _described("pair", "Its ends, [POINT, POINT]."),
+                    "stiffness": _described("amount", "N/m; 0 for a damper alone."),
+                    "length": _described("amount", "Free length, m."),
+                },
+                {"damping": _described("amount", "N s/m. Default: 0.")},
+            ),
+        },
+        "joint_spring": {
+            "description": "A spring and damper at a joint.",
+            **_mapping(
+                {
+                    "joint": _described("name", "The link whose own joint it is."),
+                    "stiffness": _described("amount", "N m/rad; 0 for a damper alone."),
+                    "angle": _described("angle", "Free angle of the joint, rad or 30deg."),
+                },
+                {"damping": _described("amount", "N m s/rad. Default: 0.")},
+            ),
+        },
+        "load": {"anyOf": [_ref("force"), _ref("torque")]},
+        "force": {
+            "description": "A constant force at a point of a link.",
+            **_mapping(
+                {
+                    "link": _described("name", "The link's name."),
+                    "at": _described("vector", "x, y in the link's frame, m."),
+                    "force": _described("vector", "[Fx, Fy], N."),
+                },
+                {
+                    "frame": {
+                        "description": "ground: it keeps its direction; link: it turns with the "
+                        "link. Default: ground.",
+                        "enum": list(FRAMES),
+                    }
+                },
+            ),
+        },
+        "torque": {
+            "description": "A constant torque on a link.",
+            **_mapping(
+                {
+                    "link": _described("name", "The link's name."),
+                    "torque": {"description": "N m, from the ground.", "type": "number"},
                 },
                 {},
             ),

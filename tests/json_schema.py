@@ -48,6 +48,7 @@ KEYWORDS: dict[str, Callable[..., bool]] = {
     "not": lambda s, x, root, _: not accepts(s, x, root),
     "anyOf": lambda each, x, root, _: any(accepts(s, x, root) for s in each),
     "minimum": lambda low, x, *_: not TYPES["number"](x) or x >= low,
+    "exclusiveMinimum": lambda low, x, *_: not TYPES["number"](x) or x > low,
     "pattern": lambda p, x, *_: not isinstance(x, str) or re.search(p, x) is not None,
     "required": lambda names, x, *_: not isinstance(x, dict) or set(names) <= set(x),
     "properties": lambda each, x, root, _: (

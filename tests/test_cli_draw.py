@@ -132,7 +132,7 @@ def test_forces_are_those_of_reactions(robodyn: Run, tmp_path: Path, pictures: l
     expected["f1"] = abs(complex(row["fx1"], row["fy1"]))
     found = {}
     for text in texts(pictures[0]):
-        name, size = re.fullmatch(r"(.*) (\S+) N", text).groups()
+        name, size = re.fullmatch(r"(.*) = (\S+) N", text).groups()
         found[name] = float(size)
     assert found.keys() == expected.keys()
     for name, size in expected.items():

@@ -55,8 +55,8 @@ const at = document.getElementById("at"), play = document.getElementById("play")
 let running = true, offset = 0, now = 0;
 function show(k) {{
   bodies.forEach(g => {{
-    const [x, y, c, s] = poses[g.dataset.b][k];
-    g.setAttribute("transform", `matrix(${{c}} ${{s}} ${{-s}} ${{c}} ${{x}} ${{y}})`);
+    const [x, y, c, s] = poses[g.dataset.b][k], h = Math.hypot(c, s);
+    g.setAttribute("transform", `matrix(${{c}} ${{s}} ${{-s / h}} ${{c / h}} ${{x}} ${{y}})`);
   }});
   lines.forEach((p, i) => p.setAttribute("points", traces[i].slice(0, {finer} * k + 1).join(" ")));
   document.getElementById("t").textContent = `t = ${{(begin + k * step).toFixed({decimals})}} s`;
@@ -102,10 +102,11 @@ def write_page(
         for b, body in enumerate(drawn.bodies)
         for shape in body.shapes
     )
+    moving = [b for b, body in enumerate(drawn.bodies) if body.moves]
     groups = []
     for (b, in_front), paths in groupby(ordered, lambda item: (item[1], item[0] >= LINKS)):
         content = "".join(path for _, _, path in paths)
-        still = drawn.bodies[b].link is None
+        still = b not in moving
         groups.append(
             (in_front, f"<g>{content}</g>" if still else f'<g data-b="{b}">{content}</g>')
         )
@@ -116,8 +117,7 @@ def write_page(
             [round(x, decimals) for x in (z.real, z.imag)] + [round(x, 5) for x in (e.real, e.imag)]
             for z, e in zip(drawn.place[:, b].tolist(), drawn.turn[:, b].tolist(), strict=True)
         ]
-        for b, body in enumerate(drawn.bodies)
-        if body.link is not None
+        for b in moving
     }
     scale = _scale_bar(view)
     page = PAGE.format(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Okabe and Ito's colours, which colour-blind people tell apart, in pale, one a link
 LINK_COLOURS = ("#9ad0f3", "#f5c86e", "#7fd1b4", "#e3b4cf", "#f3ec9a", "#8fb8dd", "#efaa80")
 INK = "#222222"
-FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00"}
+FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00", "load": "#007a5a"}
 STYLES: dict[str, dict[str, Any]] = {
     "support": {"facecolor": "#e6e6e6", "edgecolor": INK, "linewidth": 0.8, "zorder": 1},
     "hatch": {"edgecolor": "#555555", "linewidth": 0.7, "zorder": 1},
@@ -28,6 +28,7 @@ STYLES: dict[str, dict[str, Any]] = {
     "payload": {"facecolor": "#888888", "edgecolor": INK, "linewidth": 0.9, "zorder": 3.1},
     "centre": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 5},
     "quarter": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5.1},
+    "spring": {"edgecolor": "#0b5a8a", "linewidth": 1.1, "zorder": 4},
     "tip": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5},
     "joint": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.9, "zorder": 6},
 }
@@ -73,7 +74,8 @@ class Picture:
 
         for b, patch in self._patches:
             z, e = self.drawn.place[pose, b], self.drawn.turn[pose, b]
-            moved = Affine2D.from_values(e.real, e.imag, -e.imag, e.real, z.real, z.imag)
+            u = e / abs(e)
+            moved = Affine2D.from_values(e.real, e.imag, -u.imag, u.real, z.real, z.imag)
             patch.set_transform(moved + self.axes.transData)
 
     def ghost(self, pose: int, strength: float) -> None:
@@ -166,4 +168,4 @@ class Picture:
 
 
 def force_text(force: Force) -> str:
-    return f"{force.name} {abs(force.force):.3g} N"
+    return f"{force.name} = {abs(force.force):.3g} N"
