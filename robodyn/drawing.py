@@ -15,44 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.assembly import attempt
+from robodyn.bodies import Body, at, bodies
 from robodyn.closed_form import phases
 from robodyn.errors import AssemblyError
-from robodyn.mechanism import Mechanism, PlanarPoint
-from robodyn.outlines import (
-    Shape,
-    centre_mark,
-    circle,
-    coil_shapes,
-    dashpot_shapes,
-    hatched,
-    rounded_hull,
-)
-from robodyn.scene import Closure, Point, Spring
+from robodyn.mechanism import Mechanism
+from robodyn.outlines import Shape
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
-SUPPORT = 2.6  # depth of a ground support, half widths
 SHORTEST = 1e-12  # m, of a spring whose ends coincide
-
-
-class Body(NamedTuple):
-    """Shapes that move together: with a link, along a slider's line (no turning), or not at all.
-
-    Those of a spring have x = 0 at its `origin` and x = 1 at its `end`.
-    """
-
-    link: int | None  # None: the ground, or a spring
-    origin: PlanarPoint
-    turns: bool
-    shapes: tuple[Shape, ...]
-    end: PlanarPoint | None = None
-
-    @property
-    def moves(self) -> bool:
-        """Whether it has not the same place at all poses."""
-        return self.link is not None or self.end is not None
 
 
 class Drawing(NamedTuple):
@@ -69,14 +42,23 @@ class Drawing(NamedTuple):
         """Each shape at a pose, with the index of its body and its points in the plane."""
         for b, body in enumerate(self.bodies):
             for shape in body.shapes:
-                e = self.turn[pose, b]
-                across = shape.points.imag * (1j * e / abs(e))
-                yield b, shape, self.place[pose, b] + e * shape.points.real + across
+                place, turn = self.place[pose, b], self.turn[pose, b]
+                yield b, shape, _moved(shape.points, place, turn)
 
     def box(self) -> tuple[float, float, float, float]:
         """x and y of the least, x and y of the largest of all points at all poses, m."""
-        z = np.concatenate([z for pose in range(len(self.q)) for _, _, z in self.placed(pose)])
-        return float(z.real.min()), float(z.imag.min()), float(z.real.max()), float(z.imag.max())
+        corners = []
+        for b, body in enumerate(self.bodies):
+            points = np.concatenate([shape.points for shape in body.shapes])
+            z = _moved(points, self.place[:, b, None], self.turn[:, b, None])
+            corners.append((z.real.min(), z.imag.min(), -z.real.max(), -z.imag.max()))
+        left, bottom, right, top = np.min(corners, axis=0).tolist()
+        return left, bottom, -right, -top
+
+
+def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
+    moved: Complex = place + turn * points.real + 1j * turn / np.abs(turn) * points.imag
+    return moved
 
 
 def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
@@ -84,10 +66,10 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
     poses = np.atleast_2d(np.asarray(q, float))
     E = phases(mechanism, poses)
     half_width = HALF_WIDTH * span(mechanism, poses)
-    bodies = tuple(_bodies(mechanism, E, half_width))
-    place = np.stack([at(body.origin, E) for body in bodies], axis=-1)
-    turn = [_turn(body, E) for body in bodies]
-    return Drawing(mechanism, poses, half_width, bodies, place, np.stack(turn, axis=-1))
+    found = tuple(bodies(mechanism, E, half_width))
+    place = np.stack([at(body.origin, E) for body in found], axis=-1)
+    turn = np.stack([_turn(body, E) for body in found], axis=-1)
+    return Drawing(mechanism, poses, half_width, found, place, turn)
 
 
 def _turn(body: Body, E: Complex) -> Complex:
@@ -97,14 +79,6 @@ def _turn(body: Body, E: Complex) -> Complex:
     if body.turns and body.link is not None:
         return E[:, body.link]
     return np.ones(len(E), complex)
-
-
-def at(point: PlanarPoint, E: Complex) -> Complex:
-    """Where a point of the mechanism is, (...), m, with the links' directions E (..., n)."""
-    z = np.full(E.shape[:-1], point.constant, complex)
-    for k, coefficient in point.terms:
-        z = z + coefficient * E[..., k]
-    return z
 
 
 def span(mechanism: Mechanism, q: Array) -> float:
@@ -135,129 +109,3 @@ def first_pose(mechanism: Mechanism) -> Array:
         raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
     pose: Array = q[closes[0]]
     return pose
-
-
-def link_points(mechanism: Mechanism, k: int) -> Complex:
-    """The points of link k in its frame: its joint, its tip, and what hangs or closes there, m."""
-    found = [0j, complex(mechanism.description.links[k].l)]
-    found += [link.hangs_from.at for link in mechanism.description.links if _on(link.hangs_from, k)]
-    for closure in mechanism.description.closures:
-        found += [side.at for side in _sides(closure) if _on(side, k)]
-    found += [end.at for end in _spring_ends(mechanism) if _on(end, k)]
-    return np.array(list(dict.fromkeys(found)))
-
-
-def _on(point: Point, link: int | None) -> bool:
-    return point.link == link
-
-
-def _spring_ends(mechanism: Mechanism) -> list[Point]:
-    springs = [s for s in mechanism.description.springs if isinstance(s, Spring)]
-    return [end for spring in springs for end in (spring.first, spring.second)]
-
-
-def _sides(closure: Closure) -> tuple[Point, ...]:
-    """The points that a closure joins; of a slider the one that slides."""
-    return (closure.first, closure.second) if closure.along is None else (closure.first,)
-
-
-# -- bodies --------------------------------------------------------------------------------------
-
-
-def _bodies(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Body]:
-    """The ground first, then guides, links from the ground outward, and the sliders' blocks."""
-    origin = PlanarPoint(0j, ())
-    yield Body(None, origin, False, tuple(_supports(mechanism, E, w)))
-    closures = mechanism.description.closures
-    sliding: dict[int, list[complex]] = {}
-    for closure in closures:
-        if closure.along is not None and closure.first.link is not None:
-            z = at(planar(mechanism, closure.first), E)
-            guide = _guide(closure.second.at, closure.along, z, w)
-            yield Body(None, origin, False, guide)
-            sliding.setdefault(closure.first.link, []).append(closure.first.at)
-    for spring in mechanism.springs:
-        coil = coil_shapes(w) if spring.stiffness else dashpot_shapes(w)
-        yield Body(None, spring.ends[0], True, tuple(coil), spring.ends[1])
-    for k in mechanism.order:
-        shapes = tuple(_link(mechanism, k, sliding.get(k, []), w))
-        yield Body(k, mechanism.pivots[k], True, shapes)
-    for closure in closures:
-        if closure.along is not None and closure.first.link is not None:
-            block = np.array([-2.4 - 1.5j, 2.4 - 1.5j, 2.4 + 1.5j, -2.4 + 1.5j], complex)
-            block *= w * closure.along
-            shapes = (Shape("block", block), Shape("joint", circle(0.55 * w)))
-            yield Body(closure.first.link, planar(mechanism, closure.first), False, shapes)
-
-
-def planar(mechanism: Mechanism, point: Point) -> PlanarPoint:
-    """A point of a link, or of the ground, in terms of the links' directions."""
-    if point.link is None:
-        return PlanarPoint(point.at, ())
-    pivot = mechanism.pivots[point.link]
-    return PlanarPoint(pivot.constant, (*pivot.terms, (point.link, point.at)))
-
-
-def _link(mechanism: Mechanism, k: int, sliding: list[complex], w: float) -> Iterator[Shape]:
-    link, points = mechanism.description.links[k], link_points(mechanism, k)
-    yield Shape("link", rounded_hull(points, w))
-    if link.payload and link.l not in sliding:
-        yield Shape("payload", link.l + circle(1.5 * w))
-    yield from centre_mark(link.r, 0.8 * w)
-    # each pin is drawn once: by the link that hangs there, and by the first side of a closure
-    pins = [0j]
-    joined = [0j, *sliding]
-    for closure in mechanism.description.closures:
-        ends = [side.at for side in _sides(closure) if _on(side, k)]
-        joined += ends
-        other_is_ground = any(_on(side, None) for side in _sides(closure))
-        if closure.along is None and (_on(closure.first, k) or other_is_ground):
-            pins += ends
-    hanging = [child.hangs_from for child in mechanism.description.links]
-    joined += [point.at for point in hanging if _on(point, k)]
-    ends = [end.at for end in _spring_ends(mechanism) if _on(end, k)]
-    joined += ends
-    for end in ends:
-        yield Shape("tip", end + circle(0.3 * w))
-    if any(spring.joint == k for spring in mechanism.joint_springs):
-        yield Shape("spring", spiral(w), False)
-    for pin in pins:
-        yield Shape("joint", pin + circle(0.55 * w))
-    if link.l not in joined:
-        yield Shape("tip", link.l + circle(0.22 * w))
-
-
-def _supports(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Shape]:
-    """A triangle on a hatched line below each ground pivot, or above it if its links hang down."""
-    lean: dict[complex, list[float]] = {}
-    for k, link in enumerate(mechanism.description.links):
-        if link.hangs_from.link is None:
-            lean.setdefault(link.hangs_from.at, []).append(float(E[:, k].imag.mean()))
-    for closure in mechanism.description.closures:
-        if closure.along is None:
-            for side in _sides(closure):
-                if side.link is None:
-                    lean.setdefault(side.at, [])
-    for end in _spring_ends(mechanism):
-        if end.link is None:
-            lean.setdefault(end.at, [])
-    for pivot, leans in lean.items():
-        hangs = bool(leans) and np.mean(leans) < -0.5
-        triangle = np.array([0j, -1.7 - 1j * SUPPORT, 1.7 - 1j * SUPPORT]) * complex(w)
-        base = np.array([-2.7 - 1j * SUPPORT, 2.7 - 1j * SUPPORT]) * complex(w)
-        for shape in (Shape("support", triangle), *hatched(base, w, 5)):
-            points = shape.points.conj() if hangs else shape.points
-            yield Shape(shape.kind, pivot + points, shape.closed)
-
-
-def _guide(through: complex, along: complex, z: Complex, w: float) -> tuple[Shape, ...]:
-    """The walls on both sides of a slider's way, and the line that its point keeps."""
-    travel = ((z - through) * along.conjugate()).real
-    low, high = float(travel.min()) - 4.0 * w, float(travel.max()) + 4.0 * w
-    strokes = max(4, round((high - low) / (1.1 * w)))
-    walls = [
-        *hatched(np.array([low - 1.7j * w, high - 1.7j * w], complex), w, strokes),
-        *hatched(np.array([high + 1.7j * w, low + 1.7j * w], complex), w, strokes),
-        Shape("axis", np.array([low - 1.5 * w, high + 1.5 * w], complex), False),
-    ]
-    return tuple(Shape(s.kind, through + along * s.points, s.closed) for s in walls)

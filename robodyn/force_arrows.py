@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.bodies import at, planar
 from robodyn.closed_form import absolute_rates, phases
-from robodyn.drawing import at, planar
 from robodyn.dynamics import pin_forces
 from robodyn.forces import spring_forces
 from robodyn.mechanism import Mechanism

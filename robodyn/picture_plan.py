@@ -21,7 +21,7 @@ Complex = NDArray[np.complex128]
 
 MARGIN = 0.05  # of the larger extent, on each side
 FLATTEST = 0.42  # the least ratio of a picture's sides that follows from what it shows
-OBSTACLES = ("link", "joint", "block", "support", "guide", "hatch", "payload")
+OBSTACLES = ("link", "joint", "block", "support", "guide", "hatch", "payload", "spring")
 ALONG = (0.5, 0.38, 0.62, 0.26, 0.74)  # where on its link a label may stand
 
 

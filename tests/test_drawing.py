@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 
 import oracles
 import robodyn
-from random_mechanisms import LOOPS, Pose, oracle_tree, seeded_scene, seeded_tree
+from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
+from robodyn.bodies import link_points
 from robodyn.description import from_text
-from robodyn.drawing import Drawing, drawing, first_pose, link_points, span
+from robodyn.drawing import Drawing, drawing, first_pose, span
 from robodyn.errors import AssemblyError
 from robodyn.mechanism import build
 from robodyn.outlines import rounded_hull
 from robodyn.picture_plan import frame, free_place, head_places, label_places, scale_bar
+from robodyn.scene import JointSpring, Spring
 
 ROBOTS = sorted(ROOT.glob("robots/*.yaml"))
 
@@ -100,6 +102,45 @@ def test_a_four_bar_through_a_turn() -> None:
             complex(p.d, p.e) + p.r3 * np.exp(1j * q[2]),
         ]
         assert_same_points(centres(drawn, "centre", pose), halves)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_springs_end_where_they_are_hung(seed: int) -> None:
+    """And dampers; stretched along themselves alone."""
+    scene = forced(seed, seeded_scene(seed, LOOPS["four-bar"]))
+    described = scene.mechanism.description
+    pose = Pose(oracle_tree(described), scene.q)
+    drawn = drawing(scene.mechanism, scene.q)
+    bodies = [b for b, body in enumerate(drawn.bodies) if body.end is not None]
+    springs = [s for s in described.springs if isinstance(s, Spring)]
+    assert len(bodies) == len(springs)
+    for b, spring in zip(bodies, springs, strict=True):
+        first, second = (pose.position((p.link, p.at)) for p in (spring.first, spring.second))
+        z = np.concatenate([z for body, _, z in drawn.placed(0) if body == b])
+        along = (second - first) / abs(second - first)
+        assert np.abs(z - first).min() < 1e-12
+        assert np.abs(z - second).min() < 1e-12
+        straight = (z - first) * np.conj(along)
+        assert straight.real.min() > -1e-12
+        assert straight.real.max() < abs(second - first) + 1e-12
+        assert np.abs(straight.imag).max() == pytest.approx(drawn.half_width)
+    coiled = sum(isinstance(s, JointSpring) for s in described.springs)
+    spirals = [s for body in drawn.bodies if body.turns for s in body.shapes if s.kind == "spring"]
+    assert len([s for s in spirals if len(s.points) > 20]) == coiled
+
+
+def test_a_damper_is_a_piston_and_ends_may_coincide() -> None:
+    text = (
+        "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0}]\n"
+        "springs: [{between: [a, [1, 0]], stiffness: 0, length: 0, damping: 2}]\n"
+    )
+    mech = build(from_text(text, "x.yaml"))
+    for angle in (0.0, 1.0):
+        drawn = drawing(mech, [angle])
+        parts = [z for _, shape, z in drawn.placed(0) if shape.kind == "spring"]
+        assert len(parts) == 4
+        assert np.isfinite(np.concatenate(parts)).all()
+    assert np.isfinite(drawn.box()).all()
 
 
 def test_a_sliders_block_lies_along_its_line() -> None:

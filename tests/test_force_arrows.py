@@ -7,9 +7,10 @@ import pytest
 from conftest import ROOT
 
 import robodyn
-from random_mechanisms import LOOPS, Pose, oracle_tree, seeded_scene
+from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn import description, dynamics, mechanism
 from robodyn.force_arrows import LONGEST, forces, metres_a_newton
+from robodyn.scene import Load, Spring
 
 
 def found_at(name: str, q, qd=None, qdd=None):
@@ -74,6 +75,36 @@ def test_all_forces_on_a_link_make_its_acceleration(seed: int, shape: str) -> No
         assert abs(total - inertia) < 1e-9 * (1 + abs(inertia))
         checked += 1
     assert checked
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_springs_and_loads(seed: int) -> None:
+    scene = forced(seed, seeded_tree(seed, 3))
+    mech, (q, qd, qdd) = scene.mechanism, scene.states
+    found = {f.name: f for f in forces(mech, q, qd, qdd, np.zeros(0))}
+    pose = Pose(oracle_tree(mech.description), q)
+    shown = 0
+    for k, spring in enumerate(mech.description.springs, start=1):
+        if not isinstance(spring, Spring):
+            assert f"s{k}" not in found
+            continue
+        ends = [(p.link, p.at) for p in (spring.first, spring.second)]
+        d = pose.position(ends[0]) - pose.position(ends[1])
+        rate = (np.conj(d) * ((pose.slope(ends[0]) - pose.slope(ends[1])) @ qd)).real / abs(d)
+        pull = spring.stiffness * (abs(d) - spring.length) + spring.damping * rate
+        assert found[f"s{k}"].force == pytest.approx(-pull * d / abs(d))
+        assert found[f"s{k}"].place == pytest.approx(pose.position(ends[0]))
+        shown += 1
+    for k, item in enumerate(mech.description.loads, start=1):
+        if not isinstance(item, Load):
+            assert f"load {k}" not in found
+            continue
+        turned = np.exp(1j * pose.alpha[item.point.link]) if item.turns else 1.0
+        assert found[f"load {k}"].force == pytest.approx(item.force * turned)
+        place = pose.position((item.point.link, item.point.at))
+        assert found[f"load {k}"].place == pytest.approx(place)
+        shown += 1
+    assert shown >= 2
 
 
 def test_forces_that_vanish_have_no_arrow() -> None:

@@ -8,8 +8,8 @@ from conftest import FOUR_BAR, ROOT
 
 import oracles
 import robodyn
+from robodyn.bodies import at
 from robodyn.closed_form import phases
-from robodyn.drawing import at
 from robodyn.errors import InputError
 from robodyn.motion_frames import FINER, frames, time_decimals, traced_point, unwrapped
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import re
 from importlib.util import find_spec
 from typing import Any
@@ -14,8 +13,7 @@ from conftest import ROOT
 from json_schema import accepts
 from test_description import ARM, EVERYTHING, LOOP
 
-from random_mechanisms import LOOPS, seeded_scene, seeded_tree
-from robodyn import description
+from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.description import from_text
 from robodyn.errors import DescriptionError
 from robodyn.scene_schema import scene_schema
@@ -47,6 +45,18 @@ def obeys(text: str) -> bool:
     return verdict
 
 
+FORCES = (
+    LOOP.replace("I: 0.008", "I: 0.008, friction: {torque: 0.5, speed: 0.01}")
+    + """\
+couplings: ["q3 = -2 q1 + 30deg"]
+springs:
+  - {between: [coupler, [0.5, 0.9]], stiffness: 400, length: 0.3, damping: 2}
+  - {joint: crank, stiffness: 5, angle: 30deg}
+loads:
+  - {link: coupler, at: [0.5, 0], force: [10, 0], frame: link}
+  - {link: crank, torque: -1.5}
+"""
+)
 SHIPPED = [*ROOT.glob("robots/*.yaml"), *ROOT.glob("tests/hard_cases/*.yaml")]
 
 
@@ -56,7 +66,7 @@ def test_shipped_scenes_obey(path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [ARM, LOOP, EVERYTHING, "links: [{name: a, m: 1, l: 2, r: 0, I: 0}]"]
+    "text", [ARM, LOOP, EVERYTHING, FORCES, "links: [{name: a, m: 1, l: 2, r: 0, I: 0}]"]
 )
 def test_good_scenes_obey(text: str) -> None:
     from_text(text, "my.yaml")
@@ -66,7 +76,9 @@ def test_good_scenes_obey(text: str) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_random_scenes_obey(seed: int) -> None:
     assert obeys(seeded_tree(seed, 4).text)
-    assert obeys(seeded_scene(seed, list(LOOPS.values())[seed % len(LOOPS)]).text)
+    loop = seeded_scene(seed, list(LOOPS.values())[seed % len(LOOPS)])
+    assert obeys(loop.text)
+    assert obeys(forced(seed, loop).text)
 
 
 ODD = [
@@ -78,6 +90,10 @@ ODD = [
     (EVERYTHING, "plate: 30deg", "plate: 3pi/2"),
     (EVERYTHING, "plate: 30deg", "plate: 1/3"),
     (EVERYTHING, "along: [3, 4]", "along: [0, -2]"),
+    (FORCES, 'couplings: ["q3 = -2 q1 + 30deg"]', "couplings: q2 = 20/37 q1"),
+    (FORCES, "stiffness: 400", "stiffness: 0"),
+    (FORCES, ", frame: link", ""),
+    (FORCES, "frame: link", "frame: ground"),
 ]
 
 
@@ -126,6 +142,23 @@ FAULTS = [
     (LOOP, "actuated: [crank]", "actuated: [crank, crank]"),
     (LOOP, "assembly: open", "assembly: closed"),
     (LOOP, "assembly: open", "assembly: [closed]"),
+    (FORCES, "q3 = -2 q1 + 30deg", "q3 + 2 q1 = 0"),
+    (FORCES, '["q3 = -2 q1 + 30deg"]', "3"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: 0.5"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: 0.5, speed: 0"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: -0.5, speed: 1"),
+    (FORCES, "between: [coupler, [0.5, 0.9]]", "between: [[0, 0], [0.5, 0.9]]"),
+    (FORCES, "between: [coupler, [0.5, 0.9]], ", ""),
+    (FORCES, "stiffness: 400", "stiffness: -400"),
+    (FORCES, "length: 0.3, ", ""),
+    (FORCES, "damping: 2", "damper: 2"),
+    (FORCES, "angle: 30deg", "angle: steep"),
+    (FORCES, "joint: crank, ", "joint: crank, length: 1, "),
+    (FORCES, "force: [10, 0]", "force: 10"),
+    (FORCES, "at: [0.5, 0], ", ""),
+    (FORCES, "frame: link", "frame: world"),
+    (FORCES, "torque: -1.5", "torque: -1.5, at: [0, 0]"),
+    (FORCES, "torque: -1.5", "torque: strong"),
     (EVERYTHING, "plate: 30deg", "plate: 30degrees"),
     (EVERYTHING, "plate: 30deg", "plate: [1]"),
     (EVERYTHING, "start: {plate: 30deg, right: -pi/4, slide: 0.5}", "start: 30deg"),
@@ -151,15 +184,16 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 def read_keys() -> set[tuple[frozenset[str], frozenset[str]]]:
     """(needed, optional) of every mapping that the reader of scenes knows."""
     found = set()
-    for node in ast.walk(ast.parse(inspect.getsource(description))):
-        if (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Attribute)
-            and node.func.attr == "keys"
-        ):
-            lists = [argument for argument in node.args if isinstance(argument, ast.List)]
-            if len(lists) == 2:
-                found.add(tuple(frozenset(map(ast.literal_eval, x.elts)) for x in lists))
+    for source in (ROOT / "robodyn").glob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr == "keys"
+            ):
+                lists = [argument for argument in node.args if isinstance(argument, ast.List)]
+                if len(lists) == 2:
+                    found.add(tuple(frozenset(map(ast.literal_eval, x.elts)) for x in lists))
     return found
 
 
@@ -179,7 +213,7 @@ def schema_keys(part: object) -> set[tuple[frozenset[str], frozenset[str]]]:
 
 
 def test_the_schema_knows_the_keys_that_the_reader_knows() -> None:
-    assert len(read_keys()) >= 5
+    assert len(read_keys()) >= 10
     assert schema_keys(SCHEMA) == read_keys()
 
 
