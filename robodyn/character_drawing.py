@@ -12,7 +12,7 @@ from robodyn.drawing import Drawing
 
 Complex = NDArray[np.complex128]
 
-LINES = ("link", "support", "guide", "block")
+LINES = ("link", "support", "guide", "block", "spring")
 SHAPE = 2.0  # a character is so much higher than it is wide
 
 

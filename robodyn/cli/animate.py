@@ -74,8 +74,8 @@ def animate(
 
     \b
     Examples:
-      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
       robodyn animate robots/four-bar.yaml run.csv --trace coupler,centre2 -o run.html
+      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
     """
     suffix = Path(out).suffix.lower()
     if suffix not in SUFFIXES:

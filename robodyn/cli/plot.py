@@ -50,8 +50,8 @@ def plot(
 
     \b
     Examples:
-      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn plot - -o motion.svg
       robodyn plot motion.csv --y "q*,energy"
+      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn plot - -o motion.svg
       robodyn plot one.csv two.csv --x q1 --y qd1 -o phase.png
     """
     extent = parse_size(size)
