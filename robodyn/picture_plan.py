@@ -177,12 +177,15 @@ def _beside(drawn: Drawing, pose: int, k: int, box: complex) -> Iterator[complex
     b = next(b for b, body in enumerate(drawn.bodies) if body.link == k and body.turns)
     place, direction = complex(drawn.place[pose, b]), complex(drawn.turn[pose, b])
     outline = next(s.points for s in drawn.bodies[b].shapes if s.kind == "link")
+    outline = _dense(np.append(outline, outline[0]), 0.2 * box.imag)
     length = drawn.mechanism.description.links[k].l
+    along = 0.5 * (abs(direction.real) * box.real + abs(direction.imag) * box.imag)
     for part in ALONG:
         foot = part * length
         for side in (1j, -1j):
             normal = side * direction
-            reach = float(((outline - foot) * side.conjugate()).real.max())
+            near = outline[np.abs(outline.real - foot) <= along]
+            reach = float((near * side.conjugate()).real.max(initial=0.0))
             half = 0.5 * (abs(normal.real) * box.real + abs(normal.imag) * box.imag)
             yield place + foot * direction + normal * (reach + half + 0.2 * box.imag)
 
