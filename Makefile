@@ -2,6 +2,7 @@
 # make test   lint, type-check and run the whole test suite
 # make hard   the hard cases of simulation, one table
 # make bench  speed, each figure a ratio to a yardstick measured in the same run
+# make pictures  the pictures of the example scenes in the README, again
 # make peers  agreement and speed beside engines that others wrote, in an environment of their own
 
 PYTHON ?= python3
@@ -9,7 +10,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test hard bench peers clean
+.PHONY: demo test hard bench pictures peers clean
 
 $(READY): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("robodyn needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
@@ -32,6 +33,17 @@ hard: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py
+
+PICTURES := robots/pictures
+DRAW     := $(BIN)/robodyn draw --size 3.2x2.4
+
+pictures: $(READY)
+	for scene in robots/*.yaml; do \
+		$(DRAW) "$$scene" --labels names $$(sed -n 's/^# try: //p' "$$scene") \
+		-o $(PICTURES)/$$(basename "$$scene" .yaml).png || exit; \
+	done
+	$(DRAW) robots/four-bar.yaml --q 60deg --qd 5 --forces -o $(PICTURES)/forces.png
+	(echo q1; seq 0 1.0472 5.3) | $(DRAW) robots/slider-crank.yaml - -o $(PICTURES)/poses.png
 
 PEERS := .venv-peers
 

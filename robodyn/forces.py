@@ -88,20 +88,27 @@ def spring_energy(mechanism: Mechanism, q: Array, E: Complex) -> Array:
 
 def forces_on_links(mechanism: Mechanism, E: Complex, rates: Array) -> Complex:
     """What springs and loads put on each link, (..., n), N, as Fx + i Fy."""
-    x = _constants(mechanism)
     total = np.zeros(E.shape, complex)
     if mechanism.springs:
-        d, s = _stretched(mechanism, x, E)
-        pull = x.stiffness * (1.0 - x.length / s)
-        if x.damping.any():
-            pull = pull + x.damping * _stretching(x, E, rates, d, s)
+        F = spring_forces(mechanism, E, rates)
         for p, spring in enumerate(mechanism.springs):
-            for link, sign in ((spring.first, -1.0), (spring.second, 1.0)):
+            for link, sign in ((spring.first, 1.0), (spring.second, -1.0)):
                 if link is not None:
-                    total[..., link] += sign * pull[..., p] * d[..., p]
+                    total[..., link] += sign * F[..., p]
     for load in mechanism.forces:
         total[..., load.link] += load.force * (E[..., load.link] if load.turns else 1.0)
     return total
+
+
+def spring_forces(mechanism: Mechanism, E: Complex, rates: Array) -> Complex:
+    """F of each spring between points, damper included, on its first end, (..., p), N."""
+    x = _constants(mechanism)
+    d, s = _stretched(mechanism, x, E)
+    pull = x.stiffness * (1.0 - x.length / s)
+    if x.damping.any():
+        pull = pull + x.damping * _stretching(x, E, rates, d, s)
+    F: Complex = -pull * d
+    return F
 
 
 def load_wrench(mechanism: Mechanism, E: Complex) -> tuple[Complex, Array]:

@@ -11,11 +11,11 @@ from robodyn.errors import InputError
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _PLAIN = re.compile(rf"[+-]?{_NUMBER}", re.ASCII)
-_ANGLE = re.compile(
+ANGLE_PATTERN = (
     rf"(?P<sign>[+-]?)(?:(?P<number>{_NUMBER})?(?P<pi>\*?pi)|(?P<value>{_NUMBER}))"
-    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?",
-    re.ASCII,
+    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?"
 )
+_ANGLE = re.compile(ANGLE_PATTERN, re.ASCII)
 
 _JOINT = re.compile(
     rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d+)", re.ASCII

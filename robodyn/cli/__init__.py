@@ -23,6 +23,7 @@ from robodyn.errors import RobodynError
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "trajectory"),
     *("terms", "equations", "assemble", "energy", "check", "bench", "export"),
+    *("plot", "draw", "animate", "init", "schema"),
 )
 
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from robodyn.benchmark import Benchmark
+from robodyn.chart import Chart, Panel, limits, spread
+from robodyn.cli.options import PictureFormat
 from robodyn.errors import InputError, RobodynError
 from robodyn.output_file import open_output
 
+if TYPE_CHECKING:
+    from robodyn.benchmark import Benchmark
+
 SUFFIXES = (".png", ".svg", ".pdf")
 MARKS = "osD^vP*X"
+# Okabe and Ito's colours, which colour-blind people tell apart
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#222222")
+LINE_STYLES = ("-", "--", ":", "-.")
+DOTS = 150  # an inch
+LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
 
 
 def check_plot(path: str) -> None:
@@ -21,8 +30,52 @@ def check_plot(path: str) -> None:
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError("--plot", value=path, limit=f"must end in {', '.join(SUFFIXES)}")
     check_directory(path)
+    check_matplotlib("--plot")
+
+
+def check_matplotlib(what: str) -> None:
+    """Raise where the extra is missing."""
     if find_spec("matplotlib") is None:
-        raise RobodynError("--plot", limit="needs the extra `plot`: pip install 'robodyn[plot]'")
+        raise RobodynError(what, limit="needs the extra `plot`: pip install 'robodyn[plot]'")
+
+
+def picture_format(format: PictureFormat | None, out: str | None) -> PictureFormat:
+    """The form that the options ask for: by --format, by the suffix, or text on a terminal.
+
+    Raises before the work where it could not be made.
+    """
+    if format is None and out not in (None, "-"):
+        suffix = Path(out or "").suffix.lower()
+        if suffix not in (*SUFFIXES, ".txt"):
+            limit = f"must end in {', '.join(SUFFIXES)} or .txt; or give --format"
+            raise InputError("--out", value=out, limit=limit)
+        format = PictureFormat.text if suffix == ".txt" else PictureFormat(suffix[1:])
+    elif format is None:
+        if not sys.stdout.isatty():
+            limit = "give a file (.png, .svg, .pdf), or --format text for a picture of characters"
+            raise InputError("--out", limit=limit)
+        format = PictureFormat.text
+    if out not in (None, "-"):
+        check_directory(out or "")
+    elif format is not PictureFormat.text and sys.stdout.isatty():
+        raise InputError("--format", value=format.value, limit="is not for a terminal: give --out")
+    if format is not PictureFormat.text:
+        check_matplotlib(f"a picture ({format.value})")
+    return format
+
+
+def parse_size(size: str | None) -> tuple[float, float] | None:
+    """Width and height of `8x5`, inches."""
+    if size is None:
+        return None
+    try:
+        width, height = map(float, size.lower().split("x"))
+    except ValueError:
+        width = height = math.nan
+    if not all(LEAST_SIZE <= side <= MOST_SIZE for side in (width, height)):
+        limit = f"must be two numbers from {LEAST_SIZE:g} to {MOST_SIZE:g}, inches, such as 8x5"
+        raise InputError("--size", value=size, limit=limit)
+    return width, height
 
 
 def check_directory(path: str) -> None:
@@ -33,11 +86,9 @@ def check_directory(path: str) -> None:
 
 def work_precision(result: Benchmark, title: str, path: str) -> None:
     """Milliseconds against error, log-log, each method's line labelled at its end."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    import numpy as np
 
-    figure = Figure(figsize=(8.0, 5.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((8.0, 5.5), layout="constrained")
     axes = figure.add_subplot()
     labelled: list[tuple[float, float]] = []
     names = list(dict.fromkeys(x.method for x in result.measurements))
@@ -74,9 +125,108 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
     axes.grid(True, which="major", color="0.9")
     low, high = axes.get_xlim()
     axes.set_xlim(low / 30.0, min(high, 10.0))
-    _save(figure, path)
+    save(figure, path, Path(path).suffix[1:].lower())
 
 
-def _save(figure: Any, path: str) -> None:
-    with open_output(path) as stream:
-        figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+def chart_figure(content: Chart, size: tuple[float, float] | None) -> Any:
+    """A chart's panels, stacked; each curve has its name at its end, or in a box if they are many.
+
+    Columns have colours and files line styles; where there is one column files have both.
+    """
+    panels = content.panels
+    height = 4.5 if len(panels) == 1 else 1.0 + 2.0 * len(panels)
+    figure = new_figure(size or (8.0, height), layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.06, w_pad=0.06)
+    stacked = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
+    x_limits = limits([curve.x for curve in content.curves])
+    for axes, panel in zip(stacked, panels, strict=True):
+        columns = list(dict.fromkeys(curve.column for curve in panel.curves))
+        styles = []
+        for curve in panel.curves:
+            shade = columns.index(curve.column) if len(columns) > 1 else curve.file
+            colour = COLOURS[shade % len(COLOURS)]
+            style = LINE_STYLES[curve.file % len(LINE_STYLES)]
+            single = {"marker": "o", "ms": 4} if len(curve.x) == 1 else {}
+            axes.plot(curve.x, curve.y, color=colour, ls=style, lw=1.4, label=curve.label, **single)
+            styles.append(colour)
+        if panel is panels[0] or not content.to_scale:
+            axes.margins(x=0.0 if _rises(panel) else 0.04, y=0.06)
+        axes.set_ylabel(panel.label)
+        axes.grid(True, color="0.9", lw=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+        if content.to_scale:
+            axes.set_aspect("equal", adjustable="datalim")
+        elif _rises(panel):
+            axes.set_xlim(*x_limits)
+        y_limits = limits([curve.y for curve in panel.curves])
+        margin = 0.06 * (y_limits[1] - y_limits[0])
+        if not content.to_scale:
+            axes.set_ylim(y_limits[0] - margin, y_limits[1] + margin)
+    stacked[-1].set_xlabel(content.x_label)
+    figure.align_ylabels(stacked)
+    inches = figure.get_size_inches()[1] / len(panels) - 0.5
+    for axes, panel in zip(stacked, panels, strict=True):
+        _name_curves(axes, panel, inches)
+    return figure
+
+
+def _name_curves(axes: Any, panel: Panel, inches: float) -> None:
+    """Names at the curves' ends, one below another where they would overlap."""
+    lines = axes.get_lines()
+    ends = [int(curve.x.argmax()) if _rises(panel) else -1 for curve in panel.curves]
+    low, high = axes.get_ylim()
+    gap = 0.17 / max(inches, 0.3) * (high - low)
+    heights = [float(curve.y[end]) for curve, end in zip(panel.curves, ends, strict=True)]
+    places = spread(heights, gap, low, high)
+    if places is None:
+        columns = 1 + len(lines) * gap // (high - low)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=int(columns), frameon=False)
+        return
+    for line, curve, end, place in zip(lines, panel.curves, ends, places, strict=True):
+        if not _rises(panel):
+            axes.plot(curve.x[-1], curve.y[-1], "o", ms=4, color=line.get_color())
+        axes.annotate(
+            *(curve.label, (curve.x[end], place)),
+            xytext=(5, 0),
+            textcoords="offset points",
+            ha="left",
+            va="center",
+            color=line.get_color(),
+            fontsize=9,
+            annotation_clip=False,
+        )
+
+
+def _rises(panel: Panel) -> bool:
+    """Whether all curves go to the right, as those against time do."""
+    return all((curve.x[1:] >= curve.x[:-1]).all() for curve in panel.curves)
+
+
+def new_figure(size: tuple[float, float], **options: Any) -> Any:
+    """A figure of this size, inches, that draws without a screen."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, **options)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, path: str | None, format: str) -> None:
+    """Write the figure, all or nothing; the same figure makes the same bytes."""
+    from io import BytesIO
+
+    from matplotlib import rc_context
+
+    dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
+    drawn = BytesIO()
+    with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
+        figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
+        if format == "png":
+            from PIL import Image
+
+            with Image.open(drawn) as image:  # 256 colours are enough, in a third of the bytes
+                small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+            small.save(stream, format="PNG", optimize=True, dpi=(DOTS, DOTS))
+        else:
+            stream.write(drawn.getvalue())

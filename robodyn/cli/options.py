@@ -23,6 +23,15 @@ class StructuredFormat(StrEnum):
     json = "json"
 
 
+class PictureFormat(StrEnum):
+    """How a picture is written."""
+
+    text = "text"
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
 def named(value: str | None) -> str | None:
     """A file's name as it is; an empty one is a usage error."""
     if value == "":
@@ -87,5 +96,36 @@ Out = Annotated[
         help="Write here, all or nothing.",
         show_default=False,
         callback=named,
+    ),
+]
+PictureOut = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="FILE",
+        help="Write here, all or nothing: .png, .svg, .pdf, or .txt.",
+        show_default=False,
+        callback=named,
+    ),
+]
+OutputPicture = Annotated[
+    Optional[PictureFormat],  # noqa: UP045
+    typer.Option(
+        "--format",
+        help="Default: by the suffix of --out; on a terminal text, made of characters.",
+        show_default=False,
+    ),
+]
+Ascii = Annotated[
+    bool, typer.Option("--ascii", help="Text of plain characters, not of braille dots.")
+]
+Size = Annotated[
+    Optional[str],  # noqa: UP045
+    typer.Option(
+        "--size",
+        metavar="WxH",
+        help="Of the picture, inches (at 150 dots an inch), such as 8x5.",
+        show_default=False,
     ),
 ]

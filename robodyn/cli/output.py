@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
+from robodyn.column_units import unit_of
 from robodyn.output_file import open_output
 from robodyn.table_writer import WRITERS
 
@@ -17,24 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import Group
 
-UNITS = {
-    "t": "s",
-    "q": "rad",
-    "qd": "rad/s",
-    "qdd": "rad/s²",
-    "tau": "N m",
-    "fx": "N",
-    "fy": "N",
-    "tc": "N m",
-    "rx": "N",
-    "ry": "N",
-    "shake_fx": "N",
-    "shake_fy": "N",
-    "shake_m": "N m",
-    "KE": "J",
-    "PE": "J",
-    "energy": "J",
-}
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 
 
@@ -185,8 +168,8 @@ def render(tables: Sequence[Group], on_terminal: bool) -> str:
 
 def with_unit(name: str) -> str:
     """A column's name with its unit, `tau1 [N m]`."""
-    unit = UNITS.get(name.rstrip("0123456789"))
-    return name if unit is None else f"{name} [{unit}]"
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else name
 
 
 def note(text: str) -> None:

@@ -1,0 +1,157 @@
+"""`robodyn animate`: a motion as a moving picture."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Optional
+
+import numpy as np
+import typer
+
+from robodyn.bodies import at
+from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
+from robodyn.cli.options import Model, Size, named
+from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
+from robodyn.closed_form import phases
+from robodyn.csv_fields import shown
+from robodyn.drawing import drawing
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanism import Mechanism, load
+from robodyn.motion_frames import Frames, frames, traced_point, unwrapped
+from robodyn.table import Reader
+
+SUFFIXES = (".gif", ".mp4", ".html")
+FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
+
+
+def animate(
+    model: Model,
+    states: Annotated[
+        str,
+        typer.Argument(
+            metavar="CSV",
+            help="Rows with t and q1..; - is stdin.",
+            show_default=False,
+            callback=named,
+        ),
+    ],
+    out: Annotated[
+        str,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Write here, all or nothing: .gif, .mp4 or .html.",
+            show_default=False,
+            callback=named,
+        ),
+    ],
+    trace: Annotated[
+        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+        typer.Option(
+            "--trace",
+            metavar="POINTS",
+            help="Paths of points: links (their tips), or tip2, centre1, joint3; by commas.",
+            show_default=False,
+        ),
+    ] = None,
+    fps: Annotated[float, typer.Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", help="Seconds of the motion in one second.")
+    ] = 1.0,
+    size: Size = None,
+) -> None:
+    """A motion as a moving picture, in real time.
+
+    The rows are those that simulate, torque and others write: t and q1.., or the q of the actuated
+    joints alone; with qd1.. what is between rows is smoother.  A gif plays anywhere, an html page
+    holds everything in itself and can be halted and turned by hand (it needs no extra), an mp4
+    needs the program ffmpeg.
+
+    \b
+    Examples:
+      robodyn animate robots/four-bar.yaml run.csv --trace coupler,centre2 -o run.html
+      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
+    """
+    suffix = Path(out).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError("--out", value=out, limit=f"must end in {', '.join(SUFFIXES)}")
+    if not 0.0 < fps <= FASTEST[suffix]:
+        limit = f"must be > 0 and at most {FASTEST[suffix]:g} in a {suffix[1:]}"
+        raise InputError("--fps", value=fps, limit=limit)
+    if not 0.0 < speed < float("inf"):
+        raise InputError("--speed", value=speed, limit="must be > 0 and finite")
+    extent = parse_size(size)
+    mechanism = load(model)
+    wanted = [name.strip() for name in trace.split(",")] if trace is not None else []
+    points = [traced_point(mechanism, name) for name in wanted]
+    check_directory(out)
+    if suffix != ".html":
+        check_matplotlib(f"an animation ({suffix[1:]})")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        limit = "needs the program ffmpeg, which is not on the path; .gif and .html do not"
+        raise RobodynError("an animation (mp4)", limit=limit)
+    with remarks():
+        shown_frames = _read(mechanism, states, fps, speed)
+    drawn = drawing(mechanism, shown_frames.q)
+    E = phases(mechanism, shown_frames.fine)
+    traces = [at(point, E) for point in points]
+    if suffix == ".html":
+        from robodyn.cli.animation_page import write_page
+
+        write_page(drawn, shown_frames, speed, traces, extent, out)
+        return
+    from robodyn.cli.animation_files import Film, write_gif, write_mp4
+
+    film = Film(drawn, shown_frames.t, traces, extent)
+    write = write_gif if suffix == ".gif" else write_mp4
+    with _progress() as watch:
+        write(film, fps, out, watch)
+
+
+def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:
+    """The poses of the frames, from the rows of a table."""
+    with open_input(states) as (stream, name):
+        reader = Reader(stream, name)
+        if "t" not in reader.header:
+            limit = f"an animation needs the time of each row; there are {', '.join(reader.header)}"
+            raise InputError("column t is missing", where=name, limit=shown(limit))
+        quantities = [Quantity("q", None, True), Quantity("qd", None)]
+        sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
+        if not sources[1].columns:
+            sources.pop()
+        columns = [column for source in sources for column in source.columns]
+        blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]
+    values = np.concatenate(blocks) if blocks else np.zeros((0, 1 + len(columns)))
+    try:
+        if len(values) < 2:
+            raise InputError("rows", value=len(values), limit="a motion needs two or more")
+        given, begin = [], 1
+        for source in sources:
+            given.append(values[:, begin : begin + len(source.columns)])
+            begin += len(source.columns)
+        motion = complete(mechanism, sources, given)
+        q = motion[0] if sources[0].whole else unwrapped(motion[0])
+        qd = motion[1] if len(motion) > 1 else None
+        return frames(mechanism, values[:, 0], q, qd, fps, speed)
+    except RobodynError as error:
+        error.add_place(name)
+        raise
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[float], object]]:
+    """A watch that moves a bar on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda part: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("drawing", total=1.0)
+        yield lambda part: progress.update(task, completed=part)

@@ -1,0 +1,136 @@
+"""Animations as files of pictures: gif and mp4, drawn by matplotlib (the extra `plot`)."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from subprocess import CalledProcessError
+from typing import Any
+
+import numpy as np
+
+from robodyn.cli.figures import COLOURS
+from robodyn.cli.pictures import FONT, Picture
+from robodyn.drawing import Drawing
+from robodyn.errors import RobodynError
+from robodyn.motion_frames import FINER, time_decimals
+from robodyn.output_file import open_output
+
+DOTS = 100  # an inch
+COLOURS_OF_GIF = 128
+APART = 8  # of 255, the least difference of two of them
+Watch = Callable[[float], object]  # the part that is done
+
+
+class Film:
+    """A picture that is moved from frame to frame, with the paths of traced points behind it."""
+
+    def __init__(
+        self,
+        drawn: Drawing,
+        t: np.ndarray,
+        traces: Sequence[np.ndarray],  # (FINER T - FINER + 1,) each
+        size: tuple[float, float] | None,
+    ) -> None:
+        self.count = len(drawn.q)
+        self._picture = Picture(drawn, size)
+        self.figure = self._picture.figure
+        self.figure.set_dpi(DOTS)
+        self._t, self._traces = t, traces
+        axes, shown = self._picture.axes, self._picture.frame
+        self._lines = [
+            axes.plot([], [], color=COLOURS[(k + 1) % len(COLOURS)], lw=1.3, zorder=2.5)[0]
+            for k in range(len(traces))
+        ]
+        place = shown.right - 0.12 * shown.scale, shown.bottom + 0.1 * shown.scale
+        self._time = axes.text(*place, "", ha="right", fontsize=FONT, color="#555555")
+        self._decimals = time_decimals(t)
+
+    def show(self, pose: int) -> None:
+        """Move to a frame."""
+        self._picture.show(pose)
+        for line, z in zip(self._lines, self._traces, strict=True):
+            end = FINER * pose + 1
+            line.set_data(z.real[:end], z.imag[:end])
+        self._time.set_text(f"t = {self._t[pose]:.{self._decimals}f} s")
+
+    def image(self, pose: int) -> Any:
+        """A frame as an image of Pillow's."""
+        from PIL import Image
+
+        self.show(pose)
+        canvas = self.figure.canvas
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def durations(count: int, rate: float) -> list[int]:
+    """Milliseconds of each frame, as gif has them in steps of 10, that keep real time in sum."""
+    ends = np.round(100.0 / rate * np.arange(count + 1)).astype(int)
+    return [int(10 * step) for step in np.diff(ends)]
+
+
+def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
+    """A gif that repeats, all frames with one palette."""
+    palette = _palette(film)
+
+    def images() -> Iterator[Any]:
+        for pose in range(film.count):
+            watch(pose / film.count)
+            yield film.image(pose).quantize(palette=palette, dither=0)
+
+    each = images()
+    with open_output(out) as stream:
+        next(each).save(
+            stream,
+            format="GIF",
+            save_all=True,
+            append_images=each,
+            duration=durations(film.count, rate),
+            loop=0,
+        )
+
+
+def _palette(film: Film) -> Any:
+    """The commonest colours of a few frames, an image of Pillow's."""
+    from PIL import Image
+
+    counts: Counter[tuple[int, int, int]] = Counter()
+    for pose in sorted({0, film.count // 2, film.count - 1}):
+        image = film.image(pose)
+        for count, colour in image.getcolors(image.width * image.height):
+            counts[colour] += count
+    chosen: list[tuple[int, int, int]] = []
+    for colour, _ in counts.most_common():
+        # Pillow finds the nearest colour in coarse steps: those too near would be mixed up
+        if all(max(abs(a - b) for a, b in zip(colour, c, strict=True)) > APART for c in chosen):
+            chosen.append(colour)
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in chosen[:COLOURS_OF_GIF] for value in colour])
+    return palette
+
+
+def write_mp4(film: Film, rate: float, out: str, watch: Watch) -> None:
+    """A film by the program ffmpeg."""
+    from matplotlib.animation import FFMpegWriter
+
+    logging.getLogger("matplotlib.animation").setLevel(logging.CRITICAL)  # it is told below
+
+    with tempfile.TemporaryDirectory() as directory, open_output(out) as stream:
+        path = Path(directory) / "film.mp4"
+        writer: Any = FFMpegWriter(fps=rate)  # type: ignore[arg-type]  # need not be whole
+        try:
+            with writer.saving(film.figure, str(path), DOTS):
+                for pose in range(film.count):
+                    watch(pose / film.count)
+                    film.show(pose)
+                    writer.grab_frame()
+            stream.write(path.read_bytes())
+        except (CalledProcessError, OSError) as error:
+            told = getattr(error, "stderr", None) or getattr(error, "output", None) or str(error)
+            text = told.decode(errors="replace") if isinstance(told, bytes) else str(told)
+            last = (text.strip().splitlines() or ["no reason told"])[-1]
+            raise RobodynError("ffmpeg failed", where=out, limit=last) from None

@@ -1,0 +1,60 @@
+"""Pictures of characters to a terminal, a pipe or a file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+
+from robodyn.character_drawing import drawing_lines
+from robodyn.character_plot import chart_lines
+from robodyn.chart import Chart
+from robodyn.drawing import Drawing
+from robodyn.output_file import open_output
+
+WIDTH, HEIGHT = 80, 24  # where there is no terminal
+ROWS = 12  # of a panel
+
+
+def write_chart(chart: Chart, ascii: bool, out: str | None) -> None:
+    """The chart, as wide as the terminal."""
+    width, height = _size()
+    panels = len(chart.panels)
+    rows = max(5, min(ROWS + 6 // panels, (height - 4) // panels - 1))
+    ascii = ascii or not _has_dots(out)
+    _write(chart_lines(chart, width - 1, rows, ascii, _colour(out)), out)
+
+
+def write_drawing(drawn: Drawing, names: Sequence[str], ascii: bool, out: str | None) -> None:
+    """The mechanism to scale, as large as the terminal allows."""
+    width, height = _size()
+    ascii = ascii or not _has_dots(out)
+    _write(drawing_lines(drawn, names, width - 1, height - 2, ascii, _colour(out)), out)
+
+
+def _size() -> tuple[int, int]:
+    size = shutil.get_terminal_size((WIDTH, HEIGHT))
+    return max(30, size.columns), max(10, size.lines)
+
+
+def _has_dots(out: str | None) -> bool:
+    """Whether the output can hold braille; files are UTF-8."""
+    if out not in (None, "-"):
+        return True
+    try:
+        "\u2801┤".encode(sys.stdout.encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def _colour(out: str | None) -> bool:
+    on_terminal = out in (None, "-") and sys.stdout.isatty()
+    return on_terminal and not os.environ.get("NO_COLOR")
+
+
+def _write(lines: Sequence[str], out: str | None) -> None:
+    encoding = "utf-8" if out not in (None, "-") else sys.stdout.encoding or "utf-8"
+    with open_output(out) as stream:
+        stream.write(("\n".join(lines) + "\n").encode(encoding, "replace"))

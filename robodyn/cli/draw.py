@@ -1,0 +1,200 @@
+"""`robodyn draw`: the mechanism in a pose, to scale."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import numpy as np
+import typer
+
+from robodyn.cli.figures import parse_size, picture_format, save
+from robodyn.cli.options import (
+    Ascii,
+    Model,
+    OutputPicture,
+    PictureFormat,
+    PictureOut,
+    Q,
+    Qd,
+    Qdd,
+    Size,
+    States,
+)
+from robodyn.cli.output import note
+from robodyn.cli.states import Quantity, complete, open_input, remarks, single_state, table_source
+from robodyn.drawing import Drawing, drawing, first_pose, span
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism, load
+
+if TYPE_CHECKING:
+    from robodyn.force_arrows import Force
+
+DEFAULT_POSES = 8
+MOST_POSES = 200
+
+
+class Labels(StrEnum):
+    """What is written beside the links."""
+
+    names = "names"
+    numbers = "numbers"
+
+
+def draw(
+    model: Model,
+    states: States = None,
+    q: Q = None,
+    qd: Qd = None,
+    qdd: Qdd = None,
+    tau: Annotated[
+        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+        typer.Option(
+            "--tau",
+            metavar="VECTOR",
+            help="Joint torques, N m, in place of --qdd, for --forces.",
+            show_default=False,
+        ),
+    ] = None,
+    forces: Annotated[
+        bool, typer.Option("--forces", help="Arrows: weights, and the force in every pin.")
+    ] = False,
+    labels: Annotated[
+        Optional[Labels],  # noqa: UP045
+        typer.Option("--labels", help="Beside each link.", show_default=False),
+    ] = None,
+    poses: Annotated[
+        int, typer.Option("--poses", metavar="N", help="Of STATES, the most that are drawn.")
+    ] = DEFAULT_POSES,
+    size: Size = None,
+    format: OutputPicture = None,
+    ascii: Ascii = False,
+    out: PictureOut = None,
+) -> None:
+    """The mechanism in a pose, to scale.
+
+    Circles are joints, quartered circles centres of gravity, hatched lines the ground; a slider
+    moves between walls.  Without --q the scene's `start`, all angles zero, or the first pose
+    found that closes.  Of the rows of STATES the last is drawn in full, and others, evenly chosen,
+    pale behind it.
+
+    With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
+    on the side of closure 1 that the scene names first, as in `reactions`.
+
+    Without --out a terminal gets a picture of characters.
+
+    \b
+    Examples:
+      robodyn draw robots/four-bar.yaml --q 60deg --labels names -o four-bar.svg
+      robodyn draw robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
+      robodyn draw robots/five-bar.yaml --q 120deg,60deg --format text
+    """
+    mechanism = load(model)
+    extent = parse_size(size)
+    if qdd is not None and tau is not None:
+        raise InputError("--qdd and --tau", limit="exclude each other")
+    if not forces:
+        for name, value in (("--qd", qd), ("--qdd", qdd), ("--tau", tau)):
+            if value is not None:
+                raise InputError(name, value=value, limit="is for --forces: give that too")
+    if states is not None and (forces or q is not None):
+        raise InputError("STATES", limit="are drawn without --q and --forces")
+    if not 1 <= poses <= MOST_POSES:
+        raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
+    chosen = picture_format(format, out)
+    if forces and chosen is PictureFormat.text:
+        raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
+    found: list[Force] = []
+    with remarks():
+        if states is not None:
+            drawn = drawing(mechanism, _chosen_rows(mechanism, states, poses))
+        elif q is None:
+            if forces:
+                raise InputError("--q", limit="missing: --forces needs a state")
+            drawn = drawing(mechanism, _default_pose(mechanism))
+        elif forces:
+            state = [Quantity("q", q, True), Quantity("qd", qd)]
+            drawn, found = _loaded(mechanism, [*state, Quantity("qdd", qdd), Quantity("tau", tau)])
+        else:
+            (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+            drawn = drawing(mechanism, pose)
+    texts = _texts(mechanism, labels)
+    if chosen is PictureFormat.text:
+        from robodyn.cli.characters import write_drawing
+
+        write_drawing(drawn, texts, ascii, out)
+        return
+    _figure(drawn, texts, found, extent, out, chosen)
+
+
+def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
+    if labels is None:
+        return []
+    if labels is Labels.names:
+        return list(mechanism.link_names)
+    return [str(k + 1) for k in range(mechanism.n)]
+
+
+def _figure(
+    drawn: Drawing,
+    texts: list[str],
+    found: list[Force],
+    size: tuple[float, float] | None,
+    out: str | None,
+    format: PictureFormat,
+) -> None:
+    from robodyn.cli.pictures import Picture
+
+    scale, around = 0.0, []
+    if found:
+        from robodyn.force_arrows import metres_a_newton
+
+        scale = metres_a_newton(found, span(drawn.mechanism, drawn.q))
+        room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
+        around = [f.place + scale * f.force + d for f in found for d in (room, -room)]
+    picture = Picture(drawn, size, around)
+    last = len(drawn.q) - 1
+    for pose in range(last):
+        picture.ghost(pose, 0.15 + 0.35 * (pose + 1) / (last + 1))
+    picture.show(last)
+    picture.annotate(last, texts, found, scale)
+    save(picture.figure, out, format.value)
+
+
+def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
+    """The drawing of one state, and its forces."""
+    from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+    from robodyn.force_arrows import forces
+    from robodyn.loop_rates import check_way_on
+
+    given, tau = quantities[:3], quantities[3]
+    if tau.option is None:
+        q, qd, qdd = single_state(mechanism, given)
+        multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
+    else:
+        q, qd, torques = single_state(mechanism, [*given[:2], tau])
+        check_way_on(mechanism, q[None, :], qd[None, :])
+        qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, torques)
+    return drawing(mechanism, q), forces(mechanism, q, qd, qdd, multipliers)
+
+
+def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:
+    """Closed configurations (T, n) of a table's rows, evenly chosen, the last one included."""
+    from robodyn.table import Reader
+
+    with open_input(states) as (stream, name):
+        reader = Reader(stream, name)
+        source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
+        rows = [chunk.values for chunk in reader.chunks(source.columns)]
+    values = np.concatenate(rows) if rows else np.zeros((0, len(source.columns)))
+    if not len(values):
+        raise InputError("no rows", where=name, limit="the header is followed by no state")
+    wanted = np.unique(np.linspace(len(values) - 1, 0, min(poses, len(values))).round().astype(int))
+    return complete(mechanism, [source], [values[wanted]])[0]
+
+
+def _default_pose(mechanism: Mechanism) -> np.ndarray:
+    """The pose without --q, and a note that tells it."""
+    pose = first_pose(mechanism)
+    note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
+    return pose

@@ -1,0 +1,69 @@
+"""`robodyn init`: a scene to start from."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from typing import Annotated, Optional
+
+import typer
+
+from robodyn.cli.options import OutputFormat, named
+from robodyn.cli.output import note, row_writer
+from robodyn.errors import InputError
+from robodyn.example_scenes import example_options, scene_names, scene_text, summary
+from robodyn.output_file import open_output
+
+
+def init(
+    name: Annotated[
+        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
+        typer.Argument(
+            metavar="[NAME]",
+            help="Of the scene, such as four-bar.",
+            show_default=False,
+            autocompletion=scene_names,
+        ),
+    ] = None,
+    names: Annotated[bool, typer.Option("--list", help="List the names, as without NAME.")] = False,
+    out: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Write here, - for stdout. Default: NAME.yaml in this directory.",
+            show_default=False,
+            callback=named,
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    format: OutputFormat = None,
+) -> None:
+    """Write a commented scene to start from.
+
+    Without NAME the scenes are listed: an arm, a four-bar, a slider-crank and others.  A file
+    that exists is replaced with --force only.
+
+    \b
+    Examples:
+      robodyn init
+      robodyn init four-bar -o my.yaml
+    """
+    if name is None or names:
+        if name is not None or out is not None:
+            raise InputError("--list", limit="goes without NAME and --out")
+        with row_writer(format, None, ["name", "scene"]) as writer:
+            for each in scene_names():
+                writer.write_row([each, summary(scene_text(each))])
+        return
+    if format is not None:
+        raise InputError("--format", value=format.value, limit="is for the list")
+    text = scene_text(name)
+    path = f"{name}.yaml" if out is None else out
+    if os.path.isfile(path) and not force:
+        raise InputError("exists already", where=path, limit="give --force to replace it, or --out")
+    with open_output(path) as stream:
+        stream.write(text.encode())
+    if path != "-":
+        note(f"wrote {path}; try: robodyn terms {shlex.quote(path)} {example_options(text)}")

@@ -1,0 +1,171 @@
+"""Pictures of mechanisms, by matplotlib (the extra `plot`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robodyn.cli.figures import new_figure
+from robodyn.drawing import Drawing
+from robodyn.picture_plan import frame, head_places, label_places, obstacles, scale_bar
+
+if TYPE_CHECKING:
+    from robodyn.force_arrows import Force
+
+# Okabe and Ito's colours, which colour-blind people tell apart, in pale, one a link
+LINK_COLOURS = ("#9ad0f3", "#f5c86e", "#7fd1b4", "#e3b4cf", "#f3ec9a", "#8fb8dd", "#efaa80")
+INK = "#222222"
+FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00", "load": "#007a5a"}
+STYLES: dict[str, dict[str, Any]] = {
+    "support": {"facecolor": "#e6e6e6", "edgecolor": INK, "linewidth": 0.8, "zorder": 1},
+    "hatch": {"edgecolor": "#555555", "linewidth": 0.7, "zorder": 1},
+    "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
+    "axis": {"edgecolor": "#777777", "linewidth": 0.7, "linestyle": (0, (8, 3, 1, 3)), "zorder": 1},
+    "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
+    "link": {"edgecolor": INK, "linewidth": 0.9, "zorder": 3},
+    "payload": {"facecolor": "#888888", "edgecolor": INK, "linewidth": 0.9, "zorder": 3.1},
+    "centre": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 5},
+    "quarter": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5.1},
+    "spring": {"edgecolor": "#0b5a8a", "linewidth": 1.1, "zorder": 4},
+    "tip": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5},
+    "joint": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.9, "zorder": 6},
+}
+ARROW = {"arrowstyle": "-|>", "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
+GHOSTS = ("link", "block", "joint")
+LONGEST = 6.0  # inches of the longer side, where no size is given
+FOOT = 0.3  # inches kept free for the scale bar
+FONT = 9.0  # points
+
+
+class Picture:
+    """A figure of a drawing; what moves is moved by `show`."""
+
+    def __init__(
+        self,
+        drawn: Drawing,
+        size: tuple[float, float] | None = None,
+        further: Sequence[complex] = (),
+    ) -> None:
+        self.drawn = drawn
+        box = drawn.box()
+        if len(further):
+            z = np.array(further)
+            low, high = (min(box[0], z.real.min()), min(box[1], z.imag.min())), box[2:]
+            box = (*low, max(high[0], z.real.max()), max(high[1], z.imag.max()))
+        self.frame = frame(box, LONGEST, size, FOOT)
+        self.figure = new_figure((self.frame.width, self.frame.height), facecolor="white")
+        self.axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self.axes.set_axis_off()
+        self.axes.set_xlim(self.frame.left, self.frame.right)
+        self.axes.set_ylim(self.frame.bottom, self.frame.top)
+        self._patches: list[tuple[int, Any]] = []
+        for b, body in enumerate(drawn.bodies):
+            for order, shape in enumerate(body.shapes):
+                patch = self._polygon(shape.kind, shape.points, shape.closed, body.link)
+                patch.set_zorder(patch.get_zorder() + 0.01 * b + 1e-4 * order)
+                self._patches.append((b, patch))
+        self._scale_bar()
+
+    def show(self, pose: int) -> None:
+        """Move all bodies to a pose."""
+        from matplotlib.transforms import Affine2D
+
+        for b, patch in self._patches:
+            z, e = self.drawn.place[pose, b], self.drawn.turn[pose, b]
+            u = e / abs(e)
+            moved = Affine2D.from_values(e.real, e.imag, -u.imag, u.real, z.real, z.imag)
+            patch.set_transform(moved + self.axes.transData)
+
+    def ghost(self, pose: int, strength: float) -> None:
+        """The outlines of the links at another pose, pale, behind the picture."""
+        for b, shape, z in self.drawn.placed(pose):
+            body = self.drawn.bodies[b]
+            if shape.kind in GHOSTS and body.link is not None:
+                patch = self._polygon(shape.kind, z, shape.closed, body.link)
+                patch.set(alpha=strength, zorder=2 + 0.001 * pose + 1e-5 * b, linewidth=0.6)
+
+    def annotate(
+        self,
+        pose: int,
+        names: Sequence[str],
+        found: Sequence[Force] = (),
+        metres_a_newton: float = 0.0,
+    ) -> None:
+        """The links' names beside them, and arrows of forces with their sizes at their heads."""
+        arrows = [(f.place, f.place + metres_a_newton * f.force) for f in found]
+        shafts = np.array([a + p * (b - a) for a, b in arrows for p in np.linspace(0, 1, 12)])
+        boxes = [self.extent(text) for text in names]
+        places = label_places(self.drawn, pose, boxes, self.frame, shafts)
+        for text, z in zip(names, places, strict=True):
+            self._text(z, text, INK, 8)
+        texts = [force_text(item) for item in found]
+        points = np.append(obstacles(self.drawn, pose, self.drawn.half_width)[0], shafts)
+        heads = [self.extent(text) for text in texts]
+        labels = list(zip(places, boxes, strict=True))
+        around = head_places(arrows, heads, points, self.frame, labels)
+        for item, text, z, (tail, head) in zip(found, texts, around, arrows, strict=True):
+            colour = FORCE_COLOURS[item.kind]
+            self._text(z, text, colour, 9)
+            self.axes.annotate(
+                "",
+                (head.real, head.imag),
+                (tail.real, tail.imag),
+                arrowprops=ARROW | {"color": colour},
+                zorder=7,
+            )
+
+    def extent(self, text: str) -> complex:
+        """The size of a text: width + i height, m."""
+        from matplotlib.font_manager import FontProperties
+        from matplotlib.textpath import TextPath
+
+        ends = TextPath((0.0, 0.0), text, size=FONT, prop=FontProperties()).get_extents()
+        return complex(ends.width + 2.0, FONT) / 72.0 * self.frame.scale
+
+    def _text(self, z: complex, text: str, colour: str, zorder: float) -> None:
+        from matplotlib.patheffects import withStroke
+
+        self.axes.text(
+            *(z.real, z.imag, text),
+            ha="center",
+            va="center",
+            color=colour,
+            fontsize=FONT,
+            zorder=zorder,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )
+
+    def _polygon(self, kind: str, z: Any, closed: bool, link: int | None) -> Any:
+        from matplotlib.patches import Polygon
+
+        style = dict(STYLES[kind])
+        if kind in ("link", "block"):
+            style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
+        if not closed:
+            style["fill"] = False
+        points = np.column_stack([z.real, z.imag])
+        patch = Polygon(points, closed=closed, joinstyle="round", capstyle="round", **style)
+        self.axes.add_patch(patch)
+        return patch
+
+    def _scale_bar(self) -> None:
+        length, text = scale_bar(self.frame)
+        inch = self.frame.scale
+        x, y = self.frame.left + 0.14 * inch, self.frame.bottom + 0.14 * inch
+        ends = np.array([x, x, x + length, x + length])
+        ticks = y + np.array([0.04, -0.04, -0.04, 0.04]) * inch
+        self.axes.plot(ends, ticks, color="#555555", lw=1.0, solid_joinstyle="miter", zorder=9)
+        self.axes.text(
+            *(x + length + 0.06 * inch, y - 0.045 * inch, text),
+            ha="left",
+            va="baseline",
+            color="#555555",
+            fontsize=FONT - 1.5,
+            zorder=9,
+        )
+
+
+def force_text(force: Force) -> str:
+    return f"{force.name} = {abs(force.force):.3g} N"

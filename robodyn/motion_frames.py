@@ -1,0 +1,97 @@
+"""The poses of a motion at the times of an animation's frames, and the points that it traces."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.assembly import close_positions
+from robodyn.csv_fields import shown
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism, PlanarPoint, joint_index
+
+Array = NDArray[np.float64]
+
+MOST_FRAMES = 20_000
+FINER = 4  # points of a trace from frame to frame
+PARTS = ("joint", "tip", "centre")
+
+
+class Frames(NamedTuple):
+    """Times of the motion (T,), s, the closed configurations there (T, n), and frames a second.
+
+    `fine` (FINER (T - 1) + 1, n) are those and configurations between them, for smooth traces.
+    """
+
+    t: Array
+    q: Array
+    rate: float
+    fine: Array
+
+
+def frames(
+    mechanism: Mechanism, t: Array, q: Array, qd: Array | None, rate: float, speed: float
+) -> Frames:
+    """The motion of the rows t (R,), q and qd (R, n) at `rate` frames a second of watching.
+
+    `speed` seconds of the motion pass in one of watching.  Between rows q is a cubic where qd is
+    given, else linear, and is closed again.  Rows that run backwards are shown forwards.  Raises
+    InputError where the times do not rise or fall throughout, and for too many frames.
+    """
+    if len(t) < 2:
+        raise InputError("rows", value=len(t), limit="a motion needs two or more")
+    if t[-1] < t[0]:
+        t, q, qd = t[::-1], q[::-1], None if qd is None else qd[::-1]
+    steps = np.diff(t)
+    if not (steps > 0.0).all():
+        row = int(np.argmax(steps <= 0.0))
+        limit = f"must differ from {t[row]:.9g} before it, and all must rise, or all fall"
+        raise InputError("t", value=f"{t[row + 1]:.9g}", limit=limit)
+    count = (t[-1] - t[0]) / speed * rate
+    if not count < MOST_FRAMES:
+        raise InputError("frames", value=f"{count:.6g}", limit=f"must be at most {MOST_FRAMES}")
+    shown = int(count + 1e-9) + 1
+    times = t[0] + np.arange(FINER * (shown - 1) + 1) * (speed / rate / FINER)
+    fine = close_positions(mechanism, _between(t, q, qd, np.minimum(times, t[-1])))
+    return Frames(times[::FINER], fine[::FINER], rate, fine)
+
+
+def _between(t: Array, q: Array, qd: Array | None, times: Array) -> Array:
+    """q at times within t."""
+    row = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
+    h = np.diff(t)[row, None]
+    s = (times - t[row])[:, None] / h
+    poses: Array = q[row] + s * (q[row + 1] - q[row])
+    if qd is not None:  # Hermite's cubic: what it adds to the straight line
+        slope = (q[row + 1] - q[row]) / h
+        poses += h * s * (1 - s) * ((1 - s) * (qd[row] - slope) - s * (qd[row + 1] - slope))
+    return poses
+
+
+def time_decimals(t: Array) -> int:
+    """Decimals of a second that tell two hundred times of t apart."""
+    return max(0, min(4, math.ceil(-math.log10((t[-1] - t[0]) / 200.0)))) if t[-1] > t[0] else 2
+
+
+def unwrapped(q: Array) -> Array:
+    """Assembled angles, which lie in one turn, (R, n), as they go on from row to row."""
+    return np.unwrap(q, axis=0)
+
+
+def traced_point(mechanism: Mechanism, name: str) -> PlanarPoint:
+    """`tip2`, `centre1`, `joint3`, or a link's name for its tip; InputError for any other."""
+    links = joint_index(mechanism)
+    if name in links:
+        return mechanism.tips[links[name]]
+    match = re.fullmatch(rf"({'|'.join(PARTS)})(\d{{1,6}})", name)
+    if match is None or not 1 <= int(match[2]) <= mechanism.n:
+        limit = f"must be a link ({', '.join(links)}) or one of tip1, centre1, joint1, ..."
+        raise InputError("--trace", value=shown(name), limit=f"{limit} to {mechanism.n}")
+    k = int(match[2]) - 1
+    if match[1] == "joint":
+        return mechanism.pivots[k]
+    return mechanism.tips[k] if match[1] == "tip" else mechanism.centres[k]

@@ -1,0 +1,229 @@
+"""What a chart shows: the columns chosen, their panels, round ticks, places of names."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robodyn.chart import (
+    MOST_POINTS,
+    chart,
+    choose_columns,
+    choose_x,
+    limits,
+    short_names,
+    spread,
+    thinned,
+    tick_texts,
+    ticks,
+)
+from robodyn.column_units import UNITS, unit_of
+from robodyn.errors import InputError
+
+MOTION = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "fx1", "fy1", "energy", "gap")
+
+
+# Columns
+
+
+@pytest.mark.parametrize(
+    ("patterns", "expected"),
+    [
+        (None, ["q1", "q2", "tau1"]),
+        (["q*"], ["q1", "q2"]),
+        (["qd*", "q1"], ["qd1", "qd2", "q1"]),
+        (["q1", "q*"], ["q1", "q2"]),
+        (["f*"], ["fx1", "fy1"]),
+        (["*1"], ["q1", "qd1", "qdd1", "tau1", "fx1", "fy1"]),
+        (["*"], list(MOTION)),
+        (["t"], ["t"]),
+    ],
+)
+def test_columns(patterns: list[str] | None, expected: list[str]) -> None:
+    assert choose_columns(MOTION, patterns, "t", "x.csv") == expected
+
+
+def test_columns_where_the_usual_are_missing() -> None:
+    assert choose_columns(["t", "KE", "note", "PE"], None, "t", "x.csv") == ["KE", "PE"]
+    assert choose_columns(["t", "a", "b"], None, "t", "x.csv") == ["a", "b"]
+    assert choose_columns(["t", "shake_fx", "shake_m"], ["shake_*"], "t", "") == [
+        *("shake_fx", "shake_m")
+    ]
+
+
+@pytest.mark.parametrize("pattern", ["q3", "Q1", "x*", "q.", "[q]1", ""])
+def test_a_column_that_is_not_there_is_told_with_those_that_are(pattern: str) -> None:
+    with pytest.raises(InputError) as caught:
+        choose_columns(MOTION, [pattern], "t", "x.csv")
+    assert str(caught.value) == f"x.csv: --y = {pattern}: is no column; there are " + ", ".join(
+        MOTION
+    )
+
+
+def test_the_only_column_cannot_be_drawn_against_itself() -> None:
+    with pytest.raises(InputError, match=r"x\.csv: no column to draw: there is only t"):
+        choose_columns(["t"], None, "t", "x.csv")
+
+
+def test_x() -> None:
+    assert choose_x(MOTION, None, "x.csv") == "t"
+    assert choose_x(["q1"], None, "x.csv") is None
+    assert choose_x(MOTION, "q2", "x.csv") == "q2"
+    with pytest.raises(InputError, match=r"x\.csv: --x = q3: is no column; there are t, q1"):
+        choose_x(MOTION, "q3", "x.csv")
+
+
+# Panels
+
+
+def table(names: tuple[str, ...], rows: int = 5) -> dict[str, np.ndarray]:
+    return {name: np.arange(rows) * (k + 1.0) for k, name in enumerate(names)}
+
+
+def test_curves_of_one_unit_share_a_panel() -> None:
+    content = chart(["x.csv"], ["t"], [table(MOTION)])
+    assert content.x_label == "t [s]"
+    assert [panel.label for panel in content.panels] == [
+        *("q [rad]", "qd [rad/s]", "qdd [rad/s²]", "tau1 [N m]", "fx, fy [N]", "energy [J]"),
+        "gap [m]",
+    ]
+    assert [[curve.column for curve in panel.curves] for panel in content.panels][:2] == [
+        *(["q1", "q2"], ["qd1", "qd2"])
+    ]
+    for curve in content.curves:
+        assert curve.label == curve.column
+        assert np.array_equal(curve.x, table(MOTION)["t"])
+        assert np.array_equal(curve.y, table(MOTION)[curve.column])
+
+
+def test_files_are_told_apart_by_their_names() -> None:
+    content = chart(
+        ["a/one.csv", "b/two.csv"], ["t", "t"], [table(("t", "q1")), table(("t", "q1"))]
+    )
+    (panel,) = content.panels
+    assert [(curve.label, curve.file) for curve in panel.curves] == [("q1 one", 0), ("q1 two", 1)]
+    assert panel.label == "q1 [rad]"
+    assert short_names(["a/x.csv", "b/x.csv"]) == ["a/x.csv", "b/x.csv"]
+    assert short_names(["stdin", "x.csv"]) == ["stdin", "x"]
+
+
+def test_without_t_rows_are_counted_from_1() -> None:
+    content = chart(["x.csv"], [None], [table(("q1",))])
+    assert content.x_label == "row"
+    assert content.curves[0].x.tolist() == [1, 2, 3, 4, 5]
+
+
+def test_points_of_the_plane_are_to_scale() -> None:
+    assert chart(["x"], ["tip_x1"], [table(("tip_x1", "tip_y1"))]).to_scale
+    assert not chart(["x"], ["tip_x1"], [table(("tip_x1", "q1"))]).to_scale
+    assert not chart(["x"], ["t"], [table(("t", "tip_y1"))]).to_scale
+
+
+def test_tables_that_cannot_be_drawn() -> None:
+    with pytest.raises(InputError, match=r"b\.csv: no rows: .* nothing to draw"):
+        chart(["a.csv", "b.csv"], ["t", "t"], [table(("t", "q1")), table(("t", "q1"), 0)])
+    with pytest.raises(InputError, match=r"different x = a\.csv: t, b\.csv: row: give --x"):
+        chart(["a.csv", "b.csv"], ["t", None], [table(("t", "q1")), table(("q1",))])
+
+
+def test_units_are_those_of_the_readme() -> None:
+    from conftest import ROOT
+
+    rows = (ROOT / "README.md").read_text().split("## CSV columns")[1].split("\n\n")[2]
+    told = 0
+    for row in rows.splitlines()[2:]:
+        names, unit = (cell.strip() for cell in row.strip("|").split("|")[:2])
+        for name in names.replace("`", "").replace("...", "").split(","):
+            if name.strip() and unit:
+                assert unit_of(name.strip()) == unit
+                told += 1
+    assert told >= 20
+    assert unit_of("note") == ""
+    assert set(UNITS.values()) == {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s"}
+
+
+# Thinning
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_long_curve_keeps_what_can_be_seen(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.sort(rng.uniform(0, 9, 3 * MOST_POINTS))
+    y = rng.normal(size=len(x)).cumsum()
+    x_, y_ = thinned(x, y)
+    assert len(x_) <= MOST_POINTS
+    assert (y_.min(), y_.max()) == (y.min(), y.max())
+    assert (x_[0], x_[-1], y_[0], y_[-1]) == (x[0], x[-1], y[0], y[-1])
+    assert (np.diff(x_) >= 0).all()
+    assert set(zip(x_, y_, strict=True)) <= set(zip(x, y, strict=True))
+
+
+def test_short_curves_and_loops_stay_whole() -> None:
+    x = np.cos(np.arange(3.0 * MOST_POINTS))
+    assert thinned(x, x)[0] is x
+    x = np.arange(float(MOST_POINTS))
+    assert thinned(x, x)[0] is x
+
+
+# Ticks
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 12))
+def test_ticks_are_few_round_and_inside(low: float, width: float, most: int) -> None:
+    high = low + width
+    found = ticks(low, high, most)
+    assert len(found) <= most
+    assert all(low - 1e-8 * width <= value <= high + 1e-8 * width for value in found)
+    if len(found) > 2:
+        step = found[1] - found[0]
+        digits = step / 10.0 ** math.floor(math.log10(step) + 1e-9)
+        assert min(abs(digits - good) for good in (1, 2, 5, 10)) < 1e-3
+    assert len(found) >= 2
+    texts = tick_texts(found)
+    assert len(set(texts)) == len(texts)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "most", "texts"),
+    [
+        (0, 10, 6, "0 2 4 6 8 10"),
+        (0, 1, 5, "0 0.5 1"),
+        (-0.9, 2.2, 6, "-0.5 0 0.5 1 1.5 2"),
+        (0, 3e-9, 4, "0 1e-9 2e-9 3e-9"),
+        (1e6, 1.3e6, 4, "1e6 1.1e6 1.2e6 1.3e6"),
+        (12.643595001, 12.643595004, 5, "12.643595001 12.643595002 12.643595003 12.643595004"),
+    ],
+)
+def test_ticks_of(low: float, high: float, most: int, texts: str) -> None:
+    assert " ".join(tick_texts(ticks(low, high, most))) == texts
+
+
+def test_limits() -> None:
+    assert limits([np.array([1.0, 2]), np.array([-3.0])]) == (-3, 2)
+    for value in (0.0, 5.0, -2e-9, 1e12):
+        low, high = limits([np.array([value, value])])
+        assert low < value < high
+
+
+# Names at the ends of curves
+
+
+@given(st.lists(st.floats(-1, 11), min_size=1, max_size=10), st.floats(0.1, 1))
+def test_spread_keeps_order_distance_and_room(wanted: list[float], gap: float) -> None:
+    places = spread(wanted, gap, 0, 10)
+    assert places is not None
+    ordered = [places[k] for k in sorted(range(len(wanted)), key=lambda k: wanted[k])]
+    assert all(b - a >= gap * (1 - 1e-9) for a, b in itertools.pairwise(ordered))
+    assert all(-1e-9 <= place <= 10 + 1e-9 for place in places)
+
+
+def test_spread_moves_only_what_it_must() -> None:
+    assert spread([1, 5, 9], 1, 0, 10) == [1, 5, 9]
+    assert spread([5, 5], 1, 0, 10) == [4.5, 5.5]
+    assert spread([10, 10, 2], 1, 0, 10) == [9, 10, 2]
+    assert spread([1, 2, 3], 6, 0, 10) is None

@@ -1,0 +1,323 @@
+"""`robodyn animate`: gifs in real time, pages that hold everything, films, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR, Outcome
+
+import oracles
+from robodyn.cli import animate, figures
+from robodyn.cli.animation_files import durations
+
+Run = Callable[..., Outcome]
+BAR = "robots/four-bar.yaml"
+# a crank that turns evenly: t and the actuated joint alone
+TURN = "t,q1\n" + "".join(f"{k / 10},{0.8 * k / 10}\n" for k in range(11))
+
+
+def images(path: Path) -> list[tuple[np.ndarray, int]]:
+    """The frames of a gif, with their milliseconds."""
+    from PIL import Image, ImageSequence
+
+    with Image.open(path) as gif:
+        return [
+            (np.asarray(frame.convert("RGB")).astype(int), frame.info["duration"])
+            for frame in ImageSequence.Iterator(gif)
+        ]
+
+
+# gif
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        ((), 26),
+        (("--fps", "10"), 11),
+        (("--fps", "15", "--speed", "0.5"), 31),
+        (("--fps", "30"), 31),
+    ],
+)
+def test_a_gif_lasts_as_long_as_the_motion(
+    robodyn: Run, tmp_path: Path, options: tuple[str, ...], count: int
+) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    from PIL import Image
+
+    path = tmp_path / "x.gif"
+    robodyn("animate", BAR, "-", "-o", path, "--size", "3x2", *options, stdin=TURN).succeeds()
+    frames = images(path)
+    assert len(frames) == count
+    seconds = sum(time for _, time in frames) / 1000
+    rate = float(options[1]) if options else 25.0
+    speed = float(options[3]) if len(options) > 2 else 1.0
+    assert seconds == pytest.approx(1 / speed + 1 / rate, abs=0.011)  # the last frame stays, too
+    with Image.open(path) as gif:
+        assert gif.size == (300, 200)
+        assert gif.info["loop"] == 0
+    assert [each.name for each in tmp_path.iterdir()] == ["x.gif"]
+
+
+@pytest.mark.parametrize("rate", [7.0, 24.0, 25.0, 30.0, 48.0])
+def test_durations_add_up(rate: float) -> None:
+    found = durations(500, rate)
+    assert all(time % 10 == 0 for time in found)
+    assert np.abs(np.cumsum(found) - np.arange(1, 501) * 1000 / rate).max() <= 5.001
+    assert np.ptp(found) <= 10
+
+
+def test_what_a_frame_shows(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At each frame the crank's pin, a white circle, is where the oracle has it."""
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    from robodyn.cli import pictures
+
+    kept = []
+    begin = pictures.Picture.__init__
+    monkeypatch.setattr(
+        pictures.Picture, "__init__", lambda self, *a: begin(self, *a) or kept.append(self)
+    )
+    path = tmp_path / "x.gif"
+    robodyn("animate", BAR, "-", "-o", path, "--fps", "10", "--trace", "coupler", stdin=TURN)
+    shown = kept[0].frame
+    trace = np.array([0xD5, 0x5E, 0x00])
+    for k, (pixels, _) in enumerate(images(path)):
+        dots = pixels.shape[1] / (shown.right - shown.left)
+        q = oracles.four_bar_position(FOUR_BAR, 0.08 * k)
+        A = FOUR_BAR.l1 * np.exp(1j * q[0])
+        P = A + FOUR_BAR.l2 * np.exp(1j * (q[0] + q[1]))
+        for z in (0, A, P, 1.1):
+            row, column = (shown.top - z.imag) * dots, (z.real - shown.left) * dots
+            assert (pixels[int(row), int(column)] >= 250).all()
+        assert (pixels[0, 0] == 255).all()
+        traced = (np.abs(pixels - trace).max(axis=-1) < 12).sum()
+        assert (traced > 0) == (k > 1)
+
+
+# html
+
+
+class Page(HTMLParser):
+    """The elements of a page, with their attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def named(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+
+def constant(page: str, name: str) -> object:
+    """A constant of the page's script."""
+    start = re.search(rf"\b{name} = ", page).end()
+    return json.JSONDecoder().raw_decode(page, start)[0]
+
+
+def page_of(robodyn: Run, path: Path, *options: object) -> str:
+    robodyn("animate", BAR, "-", "-o", path, *options, stdin=TURN).succeeds()
+    return path.read_text()
+
+
+def test_a_page_holds_everything_in_itself(robodyn: Run, tmp_path: Path) -> None:
+    text = page_of(robodyn, tmp_path / "x.html")
+    page = Page(text)
+    assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
+    for _, attributes in page.found:
+        assert not {"src", "href"} & attributes.keys()
+    assert {"svg", "script", "button", "input"} <= {tag for tag, _ in page.found}
+    assert len(text) < 60_000
+
+
+def test_the_poses_of_a_page_are_those_of_the_motion(robodyn: Run, tmp_path: Path) -> None:
+    text = page_of(robodyn, tmp_path / "x.html", "--trace", "coupler,centre3", "--fps", 20)
+    poses, traces = constant(text, "poses"), constant(text, "traces")
+    assert constant(text, "rate") == 20
+    assert constant(text, "step") == 0.05
+    assert sorted(poses) == sorted({g["data-b"] for g in Page(text).named("g") if "data-b" in g})
+    crank, rocker, coupler = (poses[key] for key in sorted(poses, key=int))
+    assert len(crank) == 21
+    for k in range(21):
+        q = oracles.four_bar_position(FOUR_BAR, 0.04 * k)
+        A = FOUR_BAR.l1 * np.exp(1j * q[0])
+        P = A + FOUR_BAR.l2 * np.exp(1j * (q[0] + q[1]))
+        for pose, z, angle in (
+            (crank[k], 0, q[0]),
+            (coupler[k], A, q[0] + q[1]),
+            (rocker[k], 1.1, q[2]),
+        ):
+            expected = [np.real(z), np.imag(z), np.cos(angle), np.sin(angle)]
+            assert np.abs(np.array(pose) - expected).max() < 5e-4  # lines between the rows
+        x, y = map(float, traces[0][4 * k].split(","))
+        assert abs(complex(x, y) - P) < 5e-4
+    assert len(Page(text).named("polyline")) == len(traces) == 2
+
+
+def test_a_small_mechanism_keeps_its_digits(robodyn: Run, tmp_path: Path, scene: Run) -> None:
+    model = scene("links: [{name: a, m: 1, l: 1.0e-6, r: 5.0e-7, I: 0}]")
+    robodyn("animate", model, "-", "-o", tmp_path / "x.html", "--trace", "a", stdin=TURN).succeeds()
+    traces = constant((tmp_path / "x.html").read_text(), "traces")
+    x, y = map(float, traces[0][-1].split(","))
+    assert abs(complex(x, y) - 1e-6 * np.exp(0.8j)) < 1e-9
+
+
+def test_a_name_is_no_html(robodyn: Run, tmp_path: Path, four_bar_text: str, scene: Run) -> None:
+    name = "crank-rocker four-bar"
+    model = scene(four_bar_text.replace(f"name: {name}", "name: '<b>\"&</script>'"))
+    robodyn("animate", model, "-", "-o", tmp_path / "x.html", stdin=TURN).succeeds()
+    text = (tmp_path / "x.html").read_text()
+    assert "<b>" not in text
+    assert "&lt;b&gt;&quot;&amp;&lt;/script&gt;" in text
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no JavaScript at hand")
+def test_the_script_runs(robodyn: Run, tmp_path: Path) -> None:
+    """Against a document of its own making: which frame is shown when."""
+    text = page_of(robodyn, tmp_path / "x.html", "--fps", 10, "--trace", "coupler")
+    script = re.search(r"<script>(.*)</script>", text, re.DOTALL)[1]
+    stub = """
+    const set = {setAttribute(name, value) { this[name] = value; }};
+    const g = ["BODIES"].map(b => ({dataset: {b}, ...set})), p = {...set};
+    const parts = {at: {}, play: {}, t: {}};
+    globalThis.document = {
+      querySelectorAll: s => s.startsWith("g") ? g : [p], getElementById: id => parts[id]};
+    let next; globalThis.requestAnimationFrame = f => { next = f; };
+    SCRIPT
+    const told = () => console.log(
+      [parts.at.value, parts.t.textContent, p.points.split(" ").length, parts.play.textContent]
+      .join("|"));
+    next(5000); told(); next(5350); told(); next(5000 + 1150); told();
+    parts.play.onclick(); next(9000); told();
+    parts.at.value = 7; parts.at.oninput(); told();
+    parts.play.onclick(); next(9250); told();
+    """
+    stub = stub.replace("BODIES", '","'.join(constant(text, "poses"))).replace("SCRIPT", script)
+    done = subprocess.run(["node", "-e", stub], capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    assert done.stdout.splitlines() == [
+        "0|t = 0.000 s|1|",
+        "3|t = 0.300 s|13|",
+        "0|t = 0.000 s|1|",  # eleven frames, and again
+        "0|t = 0.000 s|1|play",
+        "7|t = 0.700 s|29|play",
+        "9|t = 0.900 s|37|pause",
+    ]
+
+
+def test_a_page_needs_no_extra(
+    robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    page_of(robodyn, tmp_path / "x.html")
+    robodyn("animate", BAR, "-", "-o", tmp_path / "x.gif", stdin=TURN).fails(
+        1, "pip install 'robodyn[plot]'"
+    )
+
+
+# mp4
+
+
+def test_a_film_takes_what_ffmpeg_makes(
+    shell: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stand-in for ffmpeg counts the pictures that it is given."""
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text('#!/bin/sh\nfor last; do :; done\nwc -c > "$last"\necho "$@" >> "$last"\n')
+    program.chmod(0o755)
+    (tmp_path / "turn.csv").write_text(TURN)
+    path = f"{program.parent}:{Path(os.sys.executable).parent}:{os.environ['PATH']}"
+    film = tmp_path / "x.mp4"
+    line = f"robodyn animate {BAR} {tmp_path / 'turn.csv'} -o {film} --size 3x2 --fps 20"
+    shell(line, env={"PATH": path}).succeeds()
+    size, arguments = film.read_text().splitlines()
+    assert int(size) == 21 * 300 * 200 * 4
+    assert "-framerate 20" in arguments
+    film.write_text("older")
+    program.write_text("#!/bin/sh\ncat > /dev/null\necho 'no such codec' >&2\nexit 3\n")
+    shell(line, env={"PATH": path}).fails(1, "ffmpeg failed", str(film))
+    assert film.read_text() == "older"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bin", "turn.csv", "x.mp4"]
+
+
+def test_without_ffmpeg(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    monkeypatch.setattr(animate.shutil, "which", lambda name: None)
+    given = robodyn("animate", BAR, "-", "-o", tmp_path / "x.mp4", stdin=TURN)
+    given.fails(1, "ffmpeg", ".gif and .html")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Rows
+
+
+def test_rows_of_simulate_and_torque(shell: Run, tmp_path: Path) -> None:
+    start = "robodyn simulate robots/2r.yaml --q 1,0 --time 0.2 --quiet"
+    for k, line in enumerate([start, f"{start} | robodyn torque robots/2r.yaml -"]):
+        out = tmp_path / f"{k}.html"
+        shell(f"{line} | robodyn animate robots/2r.yaml - --trace tip2 -o {out}").succeeds()
+    assert (tmp_path / "0.html").read_bytes() == (tmp_path / "1.html").read_bytes()
+
+
+def test_a_progress_bar_is_for_terminals(robodyn: Run, tmp_path: Path) -> None:
+    given = robodyn("animate", BAR, "-", "-o", tmp_path / "x.html", stdin=TURN)
+    assert (given.code, given.out, given.err) == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("-o", "x.avi"), ("--out = x.avi", ".gif, .mp4, .html")),
+        (("-o", ""), ("empty",)),
+        (("-o", "nowhere/x.gif"), ("no such directory",)),
+        (("-o", "x.gif", "--fps", "0"), ("--fps", "> 0")),
+        (("-o", "x.gif", "--fps", "60"), ("--fps = 60", "at most 50 in a gif")),
+        (("-o", "x.html", "--fps", "nan"), ("--fps",)),
+        (("-o", "x.html", "--speed", "0"), ("--speed", "> 0")),
+        (("-o", "x.html", "--speed", "inf"), ("--speed",)),
+        (("-o", "x.html", "--trace", "elbow"), ("--trace = elbow", "crank, coupler, rocker")),
+        (("-o", "x.html", "--size", "big"), ("--size = big",)),
+        (("-o", "x.html", "--speed", "1e-9"), ("frames", "at most")),
+        ((), ("--out",)),
+    ],
+)
+def test_what_is_refused(robodyn: Run, options: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    assert robodyn("animate", BAR, "-", *options, stdin=TURN).fails(2, *parts).out == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ("stdin", "empty")),
+        ("q1\n1\n2\n", ("stdin: column t is missing", "there are q1")),
+        ("t\n1\n2\n", ("stdin", "column q1 is missing")),
+        ("t,q1\n", ("stdin: rows = 0", "two or more")),
+        ("t,q1\n0,1\n", ("stdin: rows = 1",)),
+        ("t,q1\n0,1\n0,2\n", ("stdin: t = 0", "must differ")),
+        ("t,q1\n0,1\n1,2\n0.5,2\n", ("stdin: t = 0.5",)),
+        ("t,q1\n0,1\n1,nan\n", ("stdin: line 3", "q1 = nan")),
+        ("t,q1,q2,q3\n0,1,1,1\n1,1,1,1\n", ("stdin", "closed")),
+    ],
+)
+def test_rows_that_are_refused(
+    robodyn: Run, tmp_path: Path, text: str, parts: tuple[str, ...]
+) -> None:
+    old = tmp_path / "x.html"
+    old.write_text("older")
+    robodyn("animate", BAR, "-", "-o", old, stdin=text).fails(2, *parts)
+    assert old.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [old]

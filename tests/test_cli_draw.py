@@ -1,0 +1,268 @@
+"""`robodyn draw`: pictures of every kind, what they show, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, TWO_LINK, Outcome
+
+from robodyn.cli import draw, figures
+
+Run = Callable[..., Outcome]
+FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+ARM = ("draw", "robots/2r.yaml", "--q", "30deg,45deg")
+BAR = ("draw", "robots/four-bar.yaml", "--q", "60deg")
+
+
+@pytest.fixture
+def pictures(monkeypatch: pytest.MonkeyPatch) -> list:
+    """The pictures that are made, kept to be asked."""
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    from robodyn.cli import pictures
+
+    kept = []
+    begin = pictures.Picture.__init__
+
+    def keep(self: object, *arguments: object) -> None:
+        begin(self, *arguments)
+        kept.append(self)
+
+    monkeypatch.setattr(pictures.Picture, "__init__", keep)
+    return kept
+
+
+def texts(picture) -> list[str]:
+    """What is written, less the scale bar's length."""
+    return [text.get_text() for text in picture.axes.texts if text.get_text()][1:]
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(int)
+
+
+@pytest.mark.parametrize("suffix", FIRST)
+@pytest.mark.parametrize("scene", sorted(ROOT.glob("robots/*.yaml")), ids=lambda path: path.stem)
+def test_every_scene_in_every_kind(robodyn: Run, tmp_path: Path, scene: Path, suffix: str) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    path = tmp_path / f"x{suffix}"
+    given = robodyn("draw", scene, "--labels", "names", "-o", path)
+    assert (given.code, given.out) == (0, "")
+    assert given.err.startswith("Note: without --q drawn at q = ")
+    assert path.read_bytes().startswith(FIRST[suffix])
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_joints_are_where_they_are_to_the_pixel(
+    robodyn: Run, tmp_path: Path, pictures: list
+) -> None:
+    """White circles in coloured links, at the places of the elbow and the shoulder."""
+    robodyn(*ARM, "--size", "6x6", "-o", tmp_path / "x.png").succeeds()
+    pixels = pixels_of(tmp_path / "x.png")
+    assert pixels.shape == (900, 900, 3)
+    shown = pictures[0].frame
+    assert (shown.right - shown.left) == pytest.approx(shown.top - shown.bottom)
+    dots = 900 / (shown.right - shown.left)
+    elbow = TWO_LINK.l1 * np.exp(1j * np.pi / 6)
+    tip = elbow + TWO_LINK.l2 * np.exp(1j * np.radians(75))
+
+    def colour(z: complex) -> np.ndarray:
+        row, column = round((shown.top - z.imag) * dots), round((z.real - shown.left) * dots)
+        return pixels[row, column]
+
+    assert (colour(0) == 255).all()
+    assert (colour(elbow) == 255).all()
+    assert (colour(tip) < 60).all()  # a dark dot
+    for middle, expected in ((0.7 * elbow, "#9ad0f3"), (elbow + 0.7 * (tip - elbow), "#f5c86e")):
+        wanted = [int(expected[k : k + 2], 16) for k in (1, 3, 5)]
+        assert np.abs(colour(middle) - wanted).max() <= 3
+    for corner in pixels[0, 0], pixels[0, -1], pixels[-1, -1]:
+        assert (corner == 255).all()
+
+
+def test_nothing_is_clipped(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    """A rim of white, and all texts inside."""
+    for k, options in enumerate(
+        [(*BAR, "--labels", "names"), (*BAR, "--qd", "5", "--forces"), (*ARM, "--size", "3x9")]
+    ):
+        robodyn(*options, "-o", tmp_path / "x.png").succeeds()
+        pixels = pixels_of(tmp_path / "x.png")
+        for rim in (pixels[:3], pixels[-3:], pixels[:, :3], pixels[:, -3:]):
+            assert (rim == 255).all()
+        picture = pictures[k]
+        picture.figure.canvas.draw()
+        for text in picture.axes.texts:
+            box = text.get_window_extent()
+            assert 0 <= box.x0 < box.x1 <= picture.figure.bbox.x1
+            assert 0 <= box.y0 < box.y1 <= picture.figure.bbox.y1
+
+
+def test_labels(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    for options in ((), ("--labels", "names"), ("--labels", "numbers")):
+        robodyn(*BAR, *options, "-o", tmp_path / "x.svg").succeeds()
+    assert [texts(picture) for picture in pictures] == [
+        [],
+        ["crank", "coupler", "rocker"],
+        ["1", "2", "3"],
+    ]
+
+
+def test_a_labels_size_is_foreseen(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    robodyn(*BAR, "--labels", "names", "-o", tmp_path / "x.png").succeeds()
+    picture = pictures[0]
+    picture.figure.canvas.draw()
+    for text in picture.axes.texts[1:]:
+        box = text.get_window_extent()
+        expected = picture.extent(text.get_text()) / picture.frame.scale * picture.figure.dpi
+        assert box.width == pytest.approx(expected.real, rel=0.15)
+
+
+def test_forces_are_those_of_reactions(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    state = ("robots/four-bar.yaml", "--q", "60deg", "--qd", "5")
+    robodyn("draw", *state, "--forces", "-o", tmp_path / "x.svg").succeeds()
+    row = robodyn("reactions", *state).row
+    expected = {f"r{k}": abs(complex(row[f"rx{k}"], row[f"ry{k}"])) for k in (1, 2, 3)}
+    expected |= {f"m{k} g": m * 9.81 for k, m in ((1, 0.6), (2, 1.3), (3, 1.0))}
+    expected["f1"] = abs(complex(row["fx1"], row["fy1"]))
+    found = {}
+    for text in texts(pictures[0]):
+        name, size = re.fullmatch(r"(.*) = (\S+) N", text).groups()
+        found[name] = float(size)
+    assert found.keys() == expected.keys()
+    for name, size in expected.items():
+        assert found[name] == pytest.approx(size, rel=6e-3)
+    arrows = [a for a in pictures[0].axes.texts if a.get_text() == ""]
+    assert len(arrows) == len(expected)
+
+
+def test_forces_by_tau(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    """The torque that torque finds makes the same forces as the accelerations."""
+    state = ("draw", "robots/2r.yaml", "--q", "0.3,0.4", "--qd", "1,2", "--forces")
+    tau = robodyn("torque", "robots/2r.yaml", "--q", "0.3,0.4", "--qd", "1,2").succeeds().out
+    robodyn(*state, "-o", tmp_path / "x.svg").succeeds()
+    robodyn(*state, "--tau", tau.splitlines()[1], "-o", tmp_path / "x.svg").succeeds()
+    assert texts(pictures[0]) == texts(pictures[1])
+
+
+def test_poses_of_a_table(robodyn: Run, tmp_path: Path, pictures: list) -> None:
+    rows = "note,q1\n" + "".join(f"x,{angle}\n" for angle in np.linspace(0, 5, 40))
+    slider = ("draw", "robots/slider-crank.yaml", "-", "-o", tmp_path / "x.svg")
+    robodyn(*slider, "--poses", 5, stdin=rows).succeeds()
+    q1 = pictures[0].drawn.q[:, 0]
+    assert len(q1) == 5
+    assert (q1[0], q1[-1]) == (0, 5)
+    assert np.ptp(np.diff(q1)) < 0.3
+    robodyn(*slider, stdin="q1\n2\n").succeeds()
+    assert len(pictures[1].drawn.q) == 1
+    robodyn(*slider, "--poses", 1, stdin=rows).succeeds()
+    assert pictures[2].drawn.q[:, 0].tolist() == [5]
+
+
+# Characters
+
+
+def test_text(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("LINES", "20")
+    given = robodyn(*BAR, "--format", "text", "--labels", "numbers").succeeds()
+    lines = given.out.splitlines()
+    assert len(lines) <= 20
+    assert max(map(len, lines)) <= 59
+    assert sum(line.count("o") for line in lines) == 4
+    robodyn(*BAR, "-o", tmp_path / "x.txt", "--labels", "numbers").succeeds()
+    assert (tmp_path / "x.txt").read_text() == given.out
+    assert robodyn(*BAR, "--format", "text", "--ascii").succeeds().out.isascii()
+
+
+def test_on_a_terminal() -> None:
+    from test_pipes import on_terminal
+
+    shown = on_terminal(*BAR, columns=70)
+    assert "\x1b[3" in shown
+    assert re.search("[\u2801-\u28ff]", shown)
+
+
+def test_text_needs_no_matplotlib(shell: Run) -> None:
+    code = f"import sys; from robodyn import cli; cli.run({[*BAR, '--format', 'text']!r}); "
+    code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
+    assert shell(f'python -c "{code}"').code == 0
+
+
+# Refused
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        ((*ARM,), ("--out", "--format text")),
+        ((*ARM, "-o", "x.gif"), ("--out = x.gif",)),
+        ((*ARM, "-o", "nowhere/x.svg"), ("no such directory",)),
+        ((*ARM, "-o", "x.svg", "--size", "8"), ("--size",)),
+        ((*ARM, "-o", "x.svg", "--qd", "1,1"), ("--qd", "--forces")),
+        ((*ARM, "-o", "x.svg", "--tau", "1,1"), ("--tau", "--forces")),
+        ((*ARM, "-o", "x.svg", "--forces", "--tau", "1,1", "--qdd", "1,1"), ("exclude",)),
+        ((*ARM, "--format", "text", "--forces"), ("--forces", "needs a picture")),
+        ((*ARM, "-", "-o", "x.svg"), ("STATES",)),
+        ((*ARM[:2], "-o", "x.svg", "--forces"), ("--q", "--forces needs a state")),
+        ((*ARM[:2], "-", "-o", "x.svg", "--forces"), ("STATES",)),
+        ((*ARM, "-o", "x.svg", "--poses", "0"), ("--poses", "from 1 to 200")),
+        ((*ARM, "-o", "x.svg", "--labels", "all"), ("names", "numbers")),
+        (("draw", "robots/2r.yaml", "--q", "1", "-o", "x.svg"), ("--q = 1", "2 values")),
+        (("draw", "robots/none.yaml", "-o", "x.svg"), ("no such file",)),
+    ],
+)
+def test_what_is_refused(robodyn: Run, options: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    assert robodyn(*options).fails(2, *parts).out == ""
+    assert not (ROOT / "x.svg").exists()
+
+
+@pytest.mark.parametrize(
+    ("stdin", "parts"),
+    [
+        ("", ("stdin", "empty")),
+        ("q1,q2\n", ("stdin: no rows",)),
+        ("q1\n1\n", ("column q2 is missing",)),
+        ("q1,q2\n1,x\n", ("line 2", "q2 = x")),
+    ],
+)
+def test_tables_that_are_refused(robodyn: Run, stdin: str, parts: tuple[str, ...]) -> None:
+    robodyn("draw", "robots/2r.yaml", "-", "--format", "text", stdin=stdin).fails(2, *parts)
+
+
+def test_a_pose_that_cannot_close(robodyn: Run, four_bar_text: str, scene: Run) -> None:
+    path = scene(four_bar_text.replace("l: 0.80", "l: 0.01"))
+    robodyn("draw", path, "--q", "60deg", "--format", "text").fails(1, "cannot be closed")
+
+
+def test_without_the_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    robodyn(*ARM, "-o", tmp_path / "x.svg").fails(1, "pip install 'robodyn[plot]'")
+    assert list(tmp_path.iterdir()) == []
+    robodyn(*ARM, "--format", "text").succeeds()
+
+
+def test_the_pictures_of_the_readme_are_there_and_small() -> None:
+    from PIL import Image
+
+    readme = (ROOT / "README.md").read_text()
+    named = set(re.findall(r"robots/pictures/[\w-]+\.png", readme))
+    assert {f"robots/pictures/{path.stem}.png" for path in ROOT.glob("robots/*.yaml")} <= named
+    there = {str(path.relative_to(ROOT)) for path in ROOT.glob("robots/pictures/*")}
+    assert named == there
+    drawn = sorted(named - {"robots/pictures/work-precision.png"})
+    assert sum((ROOT / path).stat().st_size for path in drawn) < 150_000
+    for path in drawn:
+        with Image.open(ROOT / path) as image:
+            assert image.size == (480, 360)
+            assert image.convert("RGB").getpixel((1, 1)) == (255, 255, 255)
+
+
+def test_the_most_poses_are_named_in_the_help(robodyn: Run) -> None:
+    shown = robodyn("draw", "--help").succeeds().out
+    assert re.search(rf"\[default:\s+{draw.DEFAULT_POSES}\]", shown)

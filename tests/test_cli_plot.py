@@ -1,0 +1,294 @@
+"""`robodyn plot`: files of every kind, what they show, the terminal's chart, what is refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Outcome
+
+from robodyn.cli import characters, figures
+
+Run = Callable[..., Outcome]
+FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".txt": b" "}
+ROWS = "t,q1,q2,tau1,note\n0,0,1,5,a\n1,1,0,5,b\n2,2,-1,5,c\n"
+
+
+@pytest.fixture
+def motion(tmp_path: Path) -> Path:
+    path = tmp_path / "motion.csv"
+    path.write_text(ROWS)
+    return path
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list:
+    """The figures that are made, kept to be asked."""
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    kept = []
+    make = figures.chart_figure
+    monkeypatch.setattr(figures, "chart_figure", lambda *a: kept.append(make(*a)) or kept[-1])
+    return kept
+
+
+# Files
+
+
+@pytest.mark.parametrize("suffix", [*FIRST, ".PNG"])
+def test_files_by_suffix(robodyn: Run, motion: Path, tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    path = tmp_path / f"chart{suffix}"
+    robodyn("plot", motion, "-o", path).succeeds()
+    assert path.read_bytes().startswith(FIRST[suffix.lower()])
+    assert sorted(each.name for each in tmp_path.iterdir()) == [path.name, "motion.csv"]
+
+
+@pytest.mark.parametrize("format", ["svg", "pdf", "png"])
+def test_stdout_by_format_and_the_same_bytes_twice(
+    robodyn: Run, motion: Path, shell: Run, format: str
+) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    for name in "ab":
+        robodyn("plot", motion, "-o", motion.parent / f"{name}.{format}").succeeds()
+    first, second = ((motion.parent / f"{name}.{format}").read_bytes() for name in "ab")
+    assert first == second
+    line = f"robodyn plot {motion} --format {format} | cmp - {motion.parent / f'a.{format}'}"
+    shell(line).succeeds()
+
+
+def test_size_and_colours_of_the_picture(robodyn: Run, motion: Path, tmp_path: Path) -> None:
+    """The curve q1 runs from the lower left to the upper right, dark on white."""
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    from PIL import Image
+
+    robodyn("plot", motion, "--y", "q1", "--size", "6x3", "-o", tmp_path / "x.png").succeeds()
+    with Image.open(tmp_path / "x.png") as image:
+        assert image.size == (900, 450)
+        pixels = np.asarray(image.convert("RGB")).astype(int)
+    assert (pixels[0, 0] == 255).all()
+    blue = np.argwhere(np.abs(pixels - [0, 0x72, 0xB2]).sum(axis=-1) < 30)
+    curve = blue[blue[:, 1] < 840]  # less the name at its end
+    row, column = curve.T
+    slope = np.corrcoef(row, column)[0, 1]
+    assert slope < -0.99
+    assert np.ptp(column) > 600
+
+
+# Panels and curves
+
+
+def test_panels_by_units(robodyn: Run, motion: Path, tmp_path: Path, drawn: list) -> None:
+    robodyn("plot", motion, "-o", tmp_path / "x.svg").succeeds()
+    (figure,) = drawn
+    assert [axes.get_ylabel() for axes in figure.axes] == ["q [rad]", "tau1 [N m]"]
+    assert figure.axes[-1].get_xlabel() == "t [s]"
+    curves = [line.get_xydata().tolist() for axes in figure.axes for line in axes.get_lines()]
+    assert curves == [
+        [[0, 0], [1, 1], [2, 2]],
+        [[0, 1], [1, 0], [2, -1]],
+        [[0, 5], [1, 5], [2, 5]],
+    ]
+    names = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert names == ["q1", "q2", "tau1"]
+    assert all(axes.get_legend() is None for axes in figure.axes)
+
+
+def test_names_stand_beside_their_ends_inside_the_picture(
+    robodyn: Run, motion: Path, tmp_path: Path, drawn: list
+) -> None:
+    robodyn("plot", motion, "-o", tmp_path / "x.png").succeeds()
+    (figure,) = drawn
+    renderer = figure.canvas.get_renderer()
+    for axes in figure.axes:
+        for line, text in zip(axes.get_lines(), axes.texts, strict=True):
+            assert text.get_color() == line.get_color()
+            box = text.get_window_extent(renderer)
+            end = axes.transData.transform(line.get_xydata()[-1])
+            assert abs(box.x0 - end[0]) < 0.15 * figure.dpi
+            assert abs((box.y0 + box.y1) / 2 - end[1]) < 0.2 * figure.dpi
+            assert box.x1 < figure.bbox.x1
+
+
+def test_many_curves_get_a_box(robodyn: Run, tmp_path: Path, drawn: list) -> None:
+    names = [f"q{k}" for k in range(1, 41)]
+    text = f"t,{','.join(names)}\n0{',1' * 40}\n1{',2' * 40}\n"
+    robodyn("plot", "-", "-o", tmp_path / "x.svg", stdin=text).succeeds()
+    (axes,) = drawn[0].axes
+    assert [x.get_text() for x in axes.get_legend().get_texts()] == names
+    assert not axes.texts
+
+
+def test_files_are_overlaid(robodyn: Run, motion: Path, tmp_path: Path, drawn: list) -> None:
+    other = tmp_path / "other.csv"
+    other.write_text("q2,t,q1\n3,0,1\n4,3,1\n")
+    robodyn("plot", motion, other, "--y", "q*", "-o", tmp_path / "x.svg").succeeds()
+    (axes,) = drawn[0].axes
+    styles = {line.get_label(): (line.get_color(), line.get_linestyle()) for line in axes.lines}
+    assert sorted(styles) == ["q1 motion", "q1 other", "q2 motion", "q2 other"]
+    assert styles["q1 motion"][0] == styles["q1 other"][0] != styles["q2 other"][0]
+    assert styles["q1 motion"][1] != styles["q1 other"][1] == styles["q2 other"][1]
+    robodyn("plot", motion, other, "--y", "q1", "-o", tmp_path / "x.svg").succeeds()
+    one, two = drawn[1].axes[0].lines
+    assert one.get_color() != two.get_color()
+
+
+def test_columns_against_each_other(
+    robodyn: Run, motion: Path, tmp_path: Path, drawn: list
+) -> None:
+    robodyn("plot", motion, "--x", "q1", "--y", "q2", "-o", tmp_path / "x.svg").succeeds()
+    (axes,) = drawn[0].axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("q1 [rad]", "q2 [rad]")
+    assert axes.lines[0].get_xydata().tolist() == [[0, 1], [1, 0], [2, -1]]
+
+
+def test_paths_in_the_plane_are_to_scale(robodyn: Run, tmp_path: Path, drawn: list) -> None:
+    angle = np.linspace(0, 6.3, 50)
+    rows = "".join(f"{np.cos(a)},{np.sin(a)}\n" for a in angle)
+    robodyn(
+        *("plot", "-", "--x", "tip_x2", "--y", "tip_y2", "-o", tmp_path / "x.png"),
+        stdin="tip_x2,tip_y2\n" + rows,
+    ).succeeds()
+    (axes,) = drawn[0].axes
+    drawn[0].canvas.draw()
+    a, b = axes.transData.transform([(0, 0), (1, 1)])
+    assert abs(b - a)[0] == pytest.approx(abs(b - a)[1], rel=5e-3)
+
+
+# Characters
+
+
+def test_text_in_a_pipe(robodyn: Run, motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("LINES", "20")
+    given = robodyn("plot", motion, "--format", "text").succeeds()
+    lines = given.out.splitlines()
+    assert lines[0].strip() == "q [rad]"
+    assert lines[-1].strip() == "t [s]"
+    assert max(map(len, lines)) <= 59
+    assert len(lines) <= 20
+    assert "\x1b" not in given.out
+    plain = robodyn("plot", motion, "--format", "text", "--ascii").succeeds().out
+    assert plain.isascii()
+    assert "* q1" in plain
+
+
+def test_an_output_without_braille_gets_plain_characters(shell: Run, motion: Path) -> None:
+    line = f"robodyn plot {motion} --format text"
+    given = shell(line, env={"PYTHONIOENCODING": "ascii"}).succeeds()
+    assert given.out.isascii()
+    assert "+ q2" in given.out
+    assert not shell(line, env={"PYTHONIOENCODING": "utf-8"}).succeeds().out.isascii()
+
+
+def test_on_a_terminal(motion: Path) -> None:
+    from test_pipes import on_terminal
+
+    shown = on_terminal("plot", str(motion), columns=70)
+    assert "\x1b[34m" in shown
+    plain = re.sub(r"\x1b\[\d*m", "", shown)
+    assert max(map(len, plain.splitlines())) <= 70
+    assert max(map(len, plain.splitlines())) > 60
+    assert "q [rad]" in plain
+
+
+def test_no_color(motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert characters._colour(None)
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert not characters._colour(None)
+
+
+# Refused
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        ((), ("--out", ".png, .svg, .pdf", "--format text")),
+        (("-o", "x.gif"), ("--out = x.gif", ".png, .svg, .pdf or .txt")),
+        (("-o", "x"), ("--out = x",)),
+        (("-o", ""), ("empty",)),
+        (("-o", "nowhere/x.png"), ("nowhere/x.png", "no such directory")),
+        (("--format", "gif"), ("gif",)),
+        (("--format", "text", "--y", "q3"), ("--y = q3", "there are t, q1, q2, tau1, note")),
+        (("--format", "text", "--y", ","), ("--y", "names no column")),
+        (("--format", "text", "--x", "time"), ("--x = time", "there are t, q1")),
+        (("--format", "text", "--y", "note"), ("line 2", "note = a", "finite number")),
+        (("--format", "text", "--size", "8"), ("--size = 8", "8x5")),
+        (("--format", "text", "--size", "0x5"), ("--size", "from 1 to 50")),
+        (("--format", "text", "--size", "nanx5"), ("--size",)),
+    ],
+)
+def test_what_is_refused(
+    robodyn: Run, motion: Path, options: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
+    assert robodyn("plot", motion, *options).fails(2, *parts).out == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ("stdin", "the input is empty")),
+        ("t,q1\n", ("stdin: no rows", "nothing to draw")),
+        ("t\n1\n", ("stdin", "no column to draw")),
+        ("t,q1\n0,1\n1,nan\n", ("stdin: line 3", "q1 = nan", "finite number")),
+        ("t,q1\n0,1\n1,\n", ("stdin: line 3", "q1", "empty")),
+        ("t,q1\n0,1\n1,inf\n", ("line 3",)),
+        ("t,q1\n0,1\n1\n", ("line 3", "number of fields")),
+        ("t,t\n0,1\n", ("twice",)),
+    ],
+)
+def test_tables_that_are_refused(robodyn: Run, text: str, parts: tuple[str, ...]) -> None:
+    given = robodyn("plot", "-", "--format", "text", stdin=text).fails(2, *parts)
+    assert given.out == ""
+
+
+def test_stdin_can_be_read_once(robodyn: Run, motion: Path) -> None:
+    robodyn("plot", "-", motion, "-", "--format", "text").fails(2, "given twice")
+    robodyn("plot", "none.csv", "--format", "text").fails(2, "none.csv", "no such file")
+    robodyn("plot", "").fails(2, "empty")
+    assert robodyn("plot", motion, "-", "--format", "text", stdin=ROWS).code == 0
+
+
+def test_one_row_is_a_point(robodyn: Run, tmp_path: Path, drawn: list) -> None:
+    text = "t,q1\n3,7\n"
+    assert "q1" in robodyn("plot", "-", "--format", "text", stdin=text).succeeds().out
+    robodyn("plot", "-", "-o", tmp_path / "x.png", stdin=text).succeeds()
+    (line,) = drawn[0].axes[0].lines
+    assert line.get_marker() == "o"
+
+
+def test_without_the_extra(
+    robodyn: Run, motion: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    path = tmp_path / "x.png"
+    robodyn("plot", motion, "-o", path).fails(1, "pip install 'robodyn[plot]'")
+    assert not path.exists()
+    robodyn("plot", motion, "--format", "text").succeeds()
+
+
+def test_a_failure_leaves_the_older_file(
+    robodyn: Run, motion: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    figure = pytest.importorskip("matplotlib.figure", reason="the extra `plot`")
+    path = tmp_path / "x.png"
+    path.write_text("older")
+
+    def fails(self: object, stream: object, **_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(figure.Figure, "savefig", fails)
+    robodyn("plot", motion, "-o", path).fails(1, "No space left on device")
+    assert path.read_text() == "older"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["motion.csv", "x.png"]
+
+
+def test_text_needs_no_matplotlib(shell: Run, motion: Path) -> None:
+    code = "import sys; from robodyn import cli; "
+    code += f"cli.run(['plot', {str(motion)!r}, '--format', 'text']); "
+    code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
+    assert shell(f'python -c "{code}"').code == 0

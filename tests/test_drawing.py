@@ -1,0 +1,332 @@
+"""What is drawn: points where independent kinematics has them, outlines of the right width."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR, ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import oracles
+import robodyn
+from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
+from robodyn.bodies import link_points
+from robodyn.description import from_text
+from robodyn.drawing import Drawing, drawing, first_pose, span
+from robodyn.errors import AssemblyError
+from robodyn.mechanism import build
+from robodyn.outlines import rounded_hull
+from robodyn.picture_plan import frame, free_place, head_places, label_places, scale_bar
+from robodyn.scene import JointSpring, Spring
+
+ROBOTS = sorted(ROOT.glob("robots/*.yaml"))
+
+
+def centres(drawn: Drawing, kind: str, pose: int = 0) -> list[complex]:
+    """The centres of all shapes of a kind, circles."""
+    return [complex(z.mean()) for _, shape, z in drawn.placed(pose) if shape.kind == kind]
+
+
+def assert_same_points(found: list[complex], expected: list[complex]) -> None:
+    """The same points, in any order, each as often."""
+    assert len(found) == len(expected)
+    rest = list(found)
+    for point in expected:
+        nearest = min(rest, key=lambda z: abs(z - point))
+        assert abs(nearest - point) < 1e-12 * (1 + abs(point))
+        rest.remove(nearest)
+
+
+def segment_distance(z: np.ndarray, a: complex, b: complex) -> np.ndarray:
+    t = np.clip(((z - a) * np.conj(b - a)).real / abs(b - a) ** 2, 0, 1) if a != b else 0 * z.real
+    return np.abs(z - (a + t * (b - a)))
+
+
+# Where things are
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("shape", LOOPS)
+def test_points_are_those_of_independent_kinematics(seed: int, shape: str) -> None:
+    scene = seeded_scene(seed, LOOPS[shape])
+    check_points(scene)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_points_of_trees(seed: int) -> None:
+    check_points(seeded_tree(seed, 5))
+
+
+def check_points(scene) -> None:
+    description = scene.mechanism.description
+    tree = oracle_tree(description)
+    pose = Pose(tree, scene.q)
+    drawn = drawing(scene.mechanism, scene.q)
+    n = len(tree)
+    joints = list(pose.joints)
+    for closure in description.closures:
+        side = closure.first if closure.first.link is not None else closure.second
+        joints.append(pose.position((side.link, side.at)))
+    assert_same_points(centres(drawn, "joint"), joints)
+    own = [pose.position((k, link.r)) for k, link in enumerate(description.links)]
+    assert_same_points(centres(drawn, "centre"), own)
+    grounded = [link.hangs_from.at for link in description.links if link.hangs_from.link is None]
+    for closure in description.closures:
+        if closure.along is None:
+            grounded += [s.at for s in (closure.first, closure.second) if s.link is None]
+    tops = [complex(z[0]) for _, shape, z in drawn.placed(0) if shape.kind == "support"]
+    assert_same_points(tops, list(dict.fromkeys(grounded)))
+    loads = [
+        pose.position((k, complex(link.l)))
+        for k, link in enumerate(description.links)
+        if link.payload
+    ]
+    assert_same_points(centres(drawn, "payload"), loads)
+    assert sum(shape.kind == "link" for body in drawn.bodies for shape in body.shapes) == n
+
+
+def test_a_four_bar_through_a_turn() -> None:
+    mech = robodyn.load(ROOT / "robots/four-bar.yaml")
+    theta = np.linspace(0, 6, 7)
+    drawn = drawing(mech, robodyn.assemble(mech, theta[:, None]))
+    p = FOUR_BAR
+    for pose, angle in enumerate(theta):
+        q = oracles.four_bar_position(p, angle)
+        A = p.l1 * np.exp(1j * q[0])
+        P = A + p.l2 * np.exp(1j * (q[0] + q[1]))
+        assert_same_points(centres(drawn, "joint", pose), [0j, A, complex(p.d, p.e), P])
+        halves = [
+            p.r1 * np.exp(1j * q[0]),
+            A + p.r2 * np.exp(1j * (q[0] + q[1])),
+            complex(p.d, p.e) + p.r3 * np.exp(1j * q[2]),
+        ]
+        assert_same_points(centres(drawn, "centre", pose), halves)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_springs_end_where_they_are_hung(seed: int) -> None:
+    """And dampers; stretched along themselves alone."""
+    scene = forced(seed, seeded_scene(seed, LOOPS["four-bar"]))
+    described = scene.mechanism.description
+    pose = Pose(oracle_tree(described), scene.q)
+    drawn = drawing(scene.mechanism, scene.q)
+    bodies = [b for b, body in enumerate(drawn.bodies) if body.end is not None]
+    springs = [s for s in described.springs if isinstance(s, Spring)]
+    assert len(bodies) == len(springs)
+    for b, spring in zip(bodies, springs, strict=True):
+        first, second = (pose.position((p.link, p.at)) for p in (spring.first, spring.second))
+        z = np.concatenate([z for body, _, z in drawn.placed(0) if body == b])
+        along = (second - first) / abs(second - first)
+        assert np.abs(z - first).min() < 1e-12
+        assert np.abs(z - second).min() < 1e-12
+        straight = (z - first) * np.conj(along)
+        assert straight.real.min() > -1e-12
+        assert straight.real.max() < abs(second - first) + 1e-12
+        assert np.abs(straight.imag).max() == pytest.approx(drawn.half_width)
+    coiled = sum(isinstance(s, JointSpring) for s in described.springs)
+    spirals = [s for body in drawn.bodies if body.turns for s in body.shapes if s.kind == "spring"]
+    assert len([s for s in spirals if len(s.points) > 20]) == coiled
+
+
+def test_a_damper_is_a_piston_and_ends_may_coincide() -> None:
+    text = (
+        "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0}]\n"
+        "springs: [{between: [a, [1, 0]], stiffness: 0, length: 0, damping: 2}]\n"
+    )
+    mech = build(from_text(text, "x.yaml"))
+    for angle in (0.0, 1.0):
+        drawn = drawing(mech, [angle])
+        parts = [z for _, shape, z in drawn.placed(0) if shape.kind == "spring"]
+        assert len(parts) == 4
+        assert np.isfinite(np.concatenate(parts)).all()
+    assert np.isfinite(drawn.box()).all()
+
+
+def test_a_sliders_block_lies_along_its_line() -> None:
+    text = (ROOT / "robots/slider-crank.yaml").read_text()
+    text = text.replace("through: [0, 0.02], along: [1, 0]", "through: [0, 0.02], along: [2, 1]")
+    mech = build(from_text(text, "x.yaml"))
+    drawn = drawing(mech, robodyn.assemble(mech, [[0.3], [2.0], [4.0]]))
+    along = (2 + 1j) / abs(2 + 1j)
+    travelled = []
+    for pose in range(3):
+        (block,) = [z for _, shape, z in drawn.placed(pose) if shape.kind == "block"]
+        on_line = (block.mean() - 0.02j) * np.conj(along)
+        assert abs(on_line.imag) < 1e-12
+        travelled.append(on_line.real)
+        sides = (np.roll(block, -1) - block) * np.conj(along)
+        assert np.allclose(np.minimum(np.abs(sides.real), np.abs(sides.imag)), 0, atol=1e-14)
+    walls = [z for _, shape, z in drawn.placed(0) if shape.kind == "axis"]
+    reach = ((walls[0] - 0.02j) * np.conj(along)).real
+    assert reach.min() < min(travelled)
+    assert reach.max() > max(travelled)
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_links_keep_their_shape_from_pose_to_pose(path) -> None:
+    mech = robodyn.load(path)
+    pose = first_pose(mech)
+    q = np.array([pose, robodyn.assemble(mech, pose[list(mech.actuated)] + 0.7)])
+    drawn = drawing(mech, q)
+    for (_, shape, a), (_, _, b) in zip(drawn.placed(0), drawn.placed(1), strict=True):
+        if shape.kind == "link":
+            assert np.allclose(np.abs(a - a[0]), np.abs(b - b[0]), rtol=1e-12)
+            gaps = np.abs(a[:, None] - a[None, :])
+            ends = link_points(mech, drawn_link(drawn, shape))
+            length = np.abs(ends[:, None] - ends[None, :]).max()
+            assert gaps.max() == pytest.approx(length + 2 * drawn.half_width, rel=1e-3)
+
+
+def drawn_link(drawn: Drawing, shape) -> int:
+    (link,) = [body.link for body in drawn.bodies if any(s is shape for s in body.shapes)]
+    return link
+
+
+def test_ground_pivots_of_hanging_links_hang_from_above() -> None:
+    mech = robodyn.load(ROOT / "robots/pendulum.yaml")
+    for angle, side in ((-1.2, 1), (1.2, -1), (0.0, -1)):
+        drawn = drawing(mech, [angle])
+        hatches = [z for _, shape, z in drawn.placed(0) if shape.kind == "hatch"]
+        assert all((np.sign(z.imag) == side).all() for z in hatches)
+
+
+# Outlines
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 8))
+def test_an_outline_runs_at_its_distance_around_the_hull(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=count) + 1j * rng.normal(size=count)
+    outline = rounded_hull(points, 0.3)
+    pairs = [(a, b) for a in points for b in points]
+    near = np.min([segment_distance(outline, a, b) for a, b in pairs], axis=0)
+    assert np.allclose(near, 0.3, rtol=1e-9)  # from the hull's edge, which is one of the segments
+    for point in points:
+        assert np.abs(outline - point).min() >= 0.3 * (1 - 1e-9)
+    # counter-clockwise and convex
+    steps = np.roll(outline, -1) - outline
+    steps = steps[np.abs(steps) > 1e-12]
+    turns = (np.conj(steps) * np.roll(steps, -1)).imag
+    assert turns.min() > -1e-9
+    area = 0.5 * (np.conj(outline) * np.roll(outline, -1)).imag.sum()
+    assert area > 0
+
+
+def test_a_bar_and_a_ternary_link() -> None:
+    bar = rounded_hull(np.array([0j, 2, 1]), 0.5)
+    area = 0.5 * (np.conj(bar) * np.roll(bar, -1)).imag.sum()
+    assert area == pytest.approx(2 + np.pi / 4, rel=0.01)
+    mech = build(
+        from_text(
+            "links:\n"
+            "  - {name: plate, m: 1, l: 1, r: 0.5, I: 0}\n"
+            "  - {name: a, m: 1, l: 1, r: 0.5, I: 0, from: {link: plate, at: [0.4, 0.3]}}\n",
+            "x.yaml",
+        )
+    )
+    assert set(link_points(mech, 0).tolist()) == {0, 1, 0.4 + 0.3j}
+    assert set(link_points(mech, 1).tolist()) == {0, 1}
+
+
+def test_span_and_size() -> None:
+    mech = robodyn.load(ROOT / "robots/2r.yaml")
+    assert span(mech, np.zeros((1, 2))) == pytest.approx(1.4)
+    assert span(mech, np.array([[0, 0], [np.pi / 2, 0], [np.pi, 0]])) == pytest.approx(2.8)
+    dot = build(from_text("links: [{name: a, m: 1, l: 0, r: 0, I: 1}]", "x.yaml"))
+    assert span(dot, np.zeros((1, 1))) == 1.0
+    assert drawing(dot, [0.3]).box()[2] > 0
+
+
+# The pose without --q
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_the_first_pose_closes(path) -> None:
+    mech = robodyn.load(path)
+    assert np.abs(robodyn.closure_gap(mech, first_pose(mech))).max(initial=0.0) < 1e-9
+
+
+def test_the_first_pose_goes_by_the_start_and_takes_what_closes() -> None:
+    arm = "links:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 0}\n"
+    assert first_pose(build(from_text(arm, "x.yaml"))) == 0.0
+    assert first_pose(build(from_text(arm + "start: {a: 0.4}\n", "x.yaml"))) == 0.4
+    slider = "{point: b, on: {through: [0, 1.9], along: [1, 0]}}"
+    loop = arm + f"  - {{name: b, m: 1, l: 1, r: 0.5, I: 0}}\nclosures: [{slider}]\n"
+    pose = first_pose(build(from_text(loop, "x.yaml")))
+    assert pose[0] == pytest.approx(np.pi / 2)  # the one twelfth at which the crank is above 0.9
+    with pytest.raises(AssemblyError, match="give --q"):
+        first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")))
+
+
+# Frames, scale bars and labels
+
+
+def test_a_frame_is_to_scale_and_holds_its_box() -> None:
+    for size in (None, (8.0, 3.0), (3.0, 8.0)):
+        for box in ((0, 0, 2, 1), (-1, -3, 0, 4), (0, 0, 5, 0.01)):
+            shown = frame(box, 6.0, size, 0.3)
+            across = (shown.right - shown.left) / shown.width
+            up = (shown.top - shown.bottom) / shown.height
+            assert across == pytest.approx(up)
+            assert shown.left < box[0] < box[2] < shown.right
+            assert shown.bottom + 0.29 * up < box[1] < box[3] < shown.top
+            if size is None:
+                assert max(shown.width, shown.height - 0.3) == pytest.approx(6.0)
+            else:
+                assert (shown.width, shown.height) == size
+
+
+@pytest.mark.parametrize(
+    ("width", "expected"),
+    [(1.0, (0.2, "0.2 m")), (5.0, (1.0, "1 m")), (0.1, (0.02, "20 mm")), (500, (100.0, "100 m"))],
+)
+def test_scale_bar(width: float, expected: tuple[float, str]) -> None:
+    length, text = scale_bar(frame((0, 0, width / 1.1, width / 1.1), 6.0))
+    assert (length, text) == (pytest.approx(expected[0]), expected[1])
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_labels_hide_no_link_and_no_label(path) -> None:
+    mech = robodyn.load(path)
+    drawn = drawing(mech, robodyn.assemble(mech, 1.0 + 0.9 * np.arange(len(mech.actuated))))
+    shown = frame(drawn.box(), 6.0, None, 0.3)
+    boxes = [complex(0.6 * len(name), 1) * 9 / 72 * shown.scale for name in mech.link_names]
+    places = label_places(drawn, 0, boxes, shown, np.zeros(0, complex))
+    for k, (place, box) in enumerate(zip(places, boxes, strict=True)):
+        assert shown.left < place.real - box.real / 2 < place.real + box.real / 2 < shown.right
+        assert shown.bottom < place.imag - box.imag / 2 < place.imag + box.imag / 2 < shown.top
+        for _, shape, z in drawn.placed(0):
+            if shape.kind in ("link", "block", "support"):
+                ends = zip(z, np.roll(z, -1), strict=True)
+                dense = np.concatenate([np.linspace(a, b, 60) for a, b in ends])
+                hidden = (np.abs(dense.real - place.real) < box.real / 2) & (
+                    np.abs(dense.imag - place.imag) < box.imag / 2
+                )
+                assert not hidden.any()
+        for other, wide in list(zip(places, boxes, strict=True))[:k]:
+            apart, sizes = place - other, (box + wide) / 2
+            assert abs(apart.real) >= sizes.real or abs(apart.imag) >= sizes.imag
+
+
+def test_texts_of_arrows_stand_at_their_heads() -> None:
+    shown = frame((0, 0, 10, 10), 6.0)
+    arrows = [(5 + 5j, 7 + 5j), (5 + 5j, 5 + 7j), (5 + 5j, 7 + 5.1j)]
+    boxes = [complex(1.5, 0.4)] * 3
+    places = head_places(arrows, boxes, np.zeros(0, complex), shown)
+    assert abs(places[0] - 7.91 - 5j) < 0.01
+    for (_, head), place in zip(arrows, places, strict=True):
+        assert abs(place - head) < 2.2
+    for k, place in enumerate(places):
+        for other in places[:k]:
+            assert abs((place - other).real) >= 1.5 or abs((place - other).imag) >= 0.4
+
+
+def test_the_first_free_place_is_taken() -> None:
+    shown = frame((0, 0, 10, 10), 6.0)
+    candidates = [2 + 2j, 5 + 5j, 8 + 8j, 20 + 20j]
+    points = np.array([2.1 + 2j])
+    assert free_place(candidates, 1 + 1j, points, [], shown) == 5 + 5j
+    assert free_place(candidates, 1 + 1j, points, [(5.2 + 5j, 1 + 1j)], shown) == 8 + 8j
+    assert free_place(candidates[3:] + candidates[:1], 1 + 1j, points, [], shown) == 2 + 2j

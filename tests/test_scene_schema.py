@@ -1,0 +1,242 @@
+"""The scene's JSON Schema: it accepts what robodyn accepts, and knows the same keys."""
+
+from __future__ import annotations
+
+import ast
+import re
+from importlib.util import find_spec
+from typing import Any
+
+import pytest
+import yaml
+from conftest import ROOT
+from json_schema import accepts
+from test_description import ARM, EVERYTHING, LOOP
+
+from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
+from robodyn.description import from_text
+from robodyn.errors import DescriptionError
+from robodyn.scene_schema import scene_schema
+
+SCHEMA = scene_schema()
+
+
+class Loader(yaml.SafeLoader):
+    """YAML 1.2, as editors read it: 1e-3 is a number, and `on` a word."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+
+NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$")
+Loader.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER, list("-+.0123456789"))
+Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile("true$|false$"), list("tf"))
+Loader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile("$|~$|null$"), ["~", "n", ""])
+
+
+def obeys(text: str) -> bool:
+    """Whether the scene obeys the schema; where jsonschema is installed it is asked too."""
+    value = yaml.load(text, Loader)
+    verdict = accepts(SCHEMA, value)
+    if find_spec("jsonschema"):
+        import jsonschema
+
+        jsonschema.Draft202012Validator.check_schema(SCHEMA)
+        assert jsonschema.Draft202012Validator(SCHEMA).is_valid(value) == verdict
+    return verdict
+
+
+FORCES = (
+    LOOP.replace("I: 0.008", "I: 0.008, friction: {torque: 0.5, speed: 0.01}")
+    + """\
+couplings: ["q3 = -2 q1 + 30deg"]
+springs:
+  - {between: [coupler, [0.5, 0.9]], stiffness: 400, length: 0.3, damping: 2}
+  - {joint: crank, stiffness: 5, angle: 30deg}
+loads:
+  - {link: coupler, at: [0.5, 0], force: [10, 0], frame: link}
+  - {link: crank, torque: -1.5}
+"""
+)
+SHIPPED = [*ROOT.glob("robots/*.yaml"), *ROOT.glob("tests/hard_cases/*.yaml")]
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_scenes_obey(path: Any) -> None:
+    assert obeys(path.read_text())
+
+
+@pytest.mark.parametrize(
+    "text", [ARM, LOOP, EVERYTHING, FORCES, "links: [{name: a, m: 1, l: 2, r: 0, I: 0}]"]
+)
+def test_good_scenes_obey(text: str) -> None:
+    from_text(text, "my.yaml")
+    assert obeys(text)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_scenes_obey(seed: int) -> None:
+    assert obeys(seeded_tree(seed, 4).text)
+    loop = seeded_scene(seed, list(LOOPS.values())[seed % len(LOOPS)])
+    assert obeys(loop.text)
+    assert obeys(forced(seed, loop).text)
+
+
+ODD = [
+    (ARM, "name: upper", "name: 3"),
+    (ARM, "name: upper", "name: true"),
+    (ARM, "I: 0.031", "I: 1e-3"),
+    (ARM, "gravity: 9.81", "gravity: -9.81"),
+    (ARM, "gravity: 9.81", "gravity: [0, 0]"),
+    (EVERYTHING, "plate: 30deg", "plate: 3pi/2"),
+    (EVERYTHING, "plate: 30deg", "plate: 1/3"),
+    (EVERYTHING, "along: [3, 4]", "along: [0, -2]"),
+    (FORCES, 'couplings: ["q3 = -2 q1 + 30deg"]', "couplings: q2 = 20/37 q1"),
+    (FORCES, "stiffness: 400", "stiffness: 0"),
+    (FORCES, ", frame: link", ""),
+    (FORCES, "frame: link", "frame: ground"),
+]
+
+
+@pytest.mark.parametrize(("text", "old", "new"), ODD)
+def test_odd_but_good_scenes_obey(text: str, old: str, new: str) -> None:
+    assert text.count(old) == 1
+    from_text(text.replace(old, new), "my.yaml")
+    assert obeys(text.replace(old, new))
+
+
+FAULTS = [
+    (ARM, "name: arm\n", "nmae: arm\n"),
+    (ARM, "links:", "limbs:"),
+    (ARM, "gravity: 9.81", "gravity: heavy"),
+    (ARM, "gravity: 9.81", 'gravity: "9.81"'),
+    (ARM, "gravity: 9.81", "gravity: [0, 9.81, 0]"),
+    (ARM, "gravity: 9.81", "gravity: true"),
+    (ARM, "gravity: 9.81", "gravity: {y: -9.81}"),
+    (ARM, "name: upper, ", ""),
+    (ARM, "name: upper", "name: ''"),
+    (ARM, "name: upper", "name: [a]"),
+    (ARM, "m: 1.5, ", ""),
+    (ARM, "m: 1.5", "m: -1.5"),
+    (ARM, "m: 1.5", "m: 1.5 kg"),
+    (ARM, "l: 0.8", "l: -0.8"),
+    (ARM, "r: 0.36", "r: -0.36"),
+    (ARM, "r: 0.36", "r: [0.36]"),
+    (ARM, "r: 0.36", "r: [0.36, x]"),
+    (ARM, "I: 0.082", "I: [0, 0, 0.082]"),
+    (ARM, "I: 0.082", "I: 0.082, mass: 2"),
+    (ARM, "I: 0.082", "I: 0.082, payload: -1"),
+    (ARM, "I: 0.082", "I: 0.082, damping: none"),
+    (ARM, "I: 0.082", "I: 0.082, from: [1, 2, 3]"),
+    (ARM, "I: 0.082", "I: 0.082, from: {at: [1, 2]}"),
+    (ARM, "I: 0.082", "I: 0.082, from: {link: lower, at: 1}"),
+    (LOOP, "- [coupler, rocker]", "- [coupler]"),
+    (LOOP, "- [coupler, rocker]", "- [coupler, rocker, crank]"),
+    (LOOP, "- [coupler, rocker]", "- [[0, 0], [1, 1]]"),
+    (LOOP, "- [coupler, rocker]", "- coupler"),
+    (LOOP, "- [coupler, rocker]", "- {point: coupler}"),
+    (LOOP, "- [coupler, rocker]", "- {point: [0, 1], on: {through: [0, 0], along: [1, 0]}}"),
+    (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: [0, 0]}}"),
+    (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: [0, 0], along: [0, 0]}}"),
+    (LOOP, "- [coupler, rocker]", "- {point: coupler, on: {through: 0, along: [1, 0]}}"),
+    (LOOP, "actuated: [crank]", "actuated: crank"),
+    (LOOP, "actuated: [crank]", "actuated: [crank, crank]"),
+    (LOOP, "assembly: open", "assembly: closed"),
+    (LOOP, "assembly: open", "assembly: [closed]"),
+    (FORCES, "q3 = -2 q1 + 30deg", "q3 + 2 q1 = 0"),
+    (FORCES, '["q3 = -2 q1 + 30deg"]', "3"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: 0.5"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: 0.5, speed: 0"),
+    (FORCES, "torque: 0.5, speed: 0.01", "torque: -0.5, speed: 1"),
+    (FORCES, "between: [coupler, [0.5, 0.9]]", "between: [[0, 0], [0.5, 0.9]]"),
+    (FORCES, "between: [coupler, [0.5, 0.9]], ", ""),
+    (FORCES, "stiffness: 400", "stiffness: -400"),
+    (FORCES, "length: 0.3, ", ""),
+    (FORCES, "damping: 2", "damper: 2"),
+    (FORCES, "angle: 30deg", "angle: steep"),
+    (FORCES, "joint: crank, ", "joint: crank, length: 1, "),
+    (FORCES, "force: [10, 0]", "force: 10"),
+    (FORCES, "at: [0.5, 0], ", ""),
+    (FORCES, "frame: link", "frame: world"),
+    (FORCES, "torque: -1.5", "torque: -1.5, at: [0, 0]"),
+    (FORCES, "torque: -1.5", "torque: strong"),
+    (EVERYTHING, "plate: 30deg", "plate: 30degrees"),
+    (EVERYTHING, "plate: 30deg", "plate: [1]"),
+    (EVERYTHING, "start: {plate: 30deg, right: -pi/4, slide: 0.5}", "start: 30deg"),
+]
+
+
+@pytest.mark.parametrize(("text", "old", "new"), FAULTS)
+def test_faulty_scenes_do_not(text: str, old: str, new: str) -> None:
+    assert text.count(old) == 1
+    with pytest.raises(DescriptionError):
+        from_text(text.replace(old, new), "my.yaml")
+    assert not obeys(text.replace(old, new))
+
+
+@pytest.mark.parametrize("text", ["links: []", "[1, 2]", "hello"])
+def test_what_is_no_scene_does_not(text: str) -> None:
+    assert not obeys(text)
+
+
+# The same keys
+
+
+def read_keys() -> set[tuple[frozenset[str], frozenset[str]]]:
+    """(needed, optional) of every mapping that the reader of scenes knows."""
+    found = set()
+    for source in (ROOT / "robodyn").glob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Attribute)
+                and node.func.attr == "keys"
+            ):
+                lists = [argument for argument in node.args if isinstance(argument, ast.List)]
+                if len(lists) == 2:
+                    found.add(tuple(frozenset(map(ast.literal_eval, x.elts)) for x in lists))
+    return found
+
+
+def schema_keys(part: object) -> set[tuple[frozenset[str], frozenset[str]]]:
+    """(required, other) of every mapping with known keys in the schema."""
+    found = set()
+    if isinstance(part, dict):
+        if part.get("type") == "object" and "properties" in part:
+            required = frozenset(part["required"])
+            found.add((required, frozenset(part["properties"]) - required))
+        for value in part.values():
+            found |= schema_keys(value)
+    elif isinstance(part, list):
+        for value in part:
+            found |= schema_keys(value)
+    return found
+
+
+def test_the_schema_knows_the_keys_that_the_reader_knows() -> None:
+    assert len(read_keys()) >= 10
+    assert schema_keys(SCHEMA) == read_keys()
+
+
+def properties(part: Any) -> list[tuple[str, Any]]:
+    """Every key of the format with its schema."""
+    found = []
+    if isinstance(part, dict):
+        if part.get("type") == "object":
+            found += part.get("properties", {}).items()
+        for value in part.values():
+            found += properties(value)
+    return found
+
+
+def test_every_key_is_described() -> None:
+    undescribed = {"on"}  # its two keys are
+    for key, schema in properties(SCHEMA):
+        assert ("description" in schema) or key in undescribed, key
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"), [("m", "kg"), ("l", "m"), ("I", "kg m²"), ("damping", "N m s/rad"), ("r", "m")]
+)
+def test_amounts_tell_their_units(key: str, unit: str) -> None:
+    schema = dict(properties(SCHEMA))[key]
+    assert re.search(rf"\b{re.escape(unit)}(\b|\.|:)", schema["description"])
