@@ -40,6 +40,8 @@ def compile_expansion(
     one order, returns those of the torques, as `TorqueSeries` does.  With `work` a component for
     the work done by torques less dampers is appended to the state.
     """
+    if torques is not None and mechanism.has_forces:
+        raise ValueError("springs and the like are torques that change: they come by `push`")
     writer = _Writer(mechanism, order, torques, work)
     source = writer.function()
     names: dict[str, Any] = {}

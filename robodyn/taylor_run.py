@@ -58,7 +58,7 @@ def stepping_engine(
     if order is None:
         order = default_order(max(rtol, atol))
     torques: tuple[float, ...] | TorqueSeries
-    if actuation.constants is not None and not mechanism.has_forces:
+    if actuation.constants is not None:  # springs make a series of them
         torques = actuation.constants
     else:
         torques = TorqueSeries(actuation, mechanism)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.actuation import Actuation
 from robodyn.mechanism import Mechanism
 from robodyn.projection import FloatClosing, suspect_quality
 from robodyn.taylor import Chunk, Status, step_size
@@ -38,6 +39,8 @@ class SteppingEngine:
         torques: tuple[float, ...] | TorqueSeries,
         work: bool,
     ) -> None:
+        if mechanism.has_forces and not isinstance(torques, TorqueSeries):
+            torques = TorqueSeries(Actuation(tuple(torques)), mechanism)
         self.mechanism, self.closing, self.torques = mechanism, closing, torques
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
         self.order, self.work = order, work

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from test_simulation import SENSITIVITY, reference
+from test_simulation import SENSITIVITY, UNFORCED, reference
 
 from random_mechanisms import LOOPS, Shape, seeded_scene, seeded_tree
 from robodyn.actuation import constant
@@ -58,7 +58,7 @@ class TestPrecision:
         assert (np.abs(z - straight) / growth(z) ** np.arange(12)).max() < 2e-12
 
     @EXTENDED
-    @pytest.mark.parametrize("name", [name for name in SENSITIVITY if "driven" not in name])
+    @pytest.mark.parametrize("name", UNFORCED)
     def test_a_motion_in_extended_precision(self, name):
         """Steps of the series alone; A, of doubles, is what errs."""
         known = reference(name)
