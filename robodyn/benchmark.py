@@ -133,7 +133,8 @@ def _methods(
     if compiled_engine(mechanism, actuation, 1e-9, 1e-9, None) is not None:
         names.append(("taylor compiled", Settings("taylor", engine="compiled")))
     else:
-        left_out.append("taylor compiled: needs pip install 'robodyn[fast]' and constant torques")
+        needs = "pip install 'robodyn[fast]', constant torques, no springs, friction or couplings"
+        left_out.append(f"taylor compiled: needs {needs}")
     return names, left_out
 
 
