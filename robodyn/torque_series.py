@@ -1,8 +1,7 @@
 """The Taylor series of a torque along a motion, order by order.
 
-An expression of t, q and qd becomes a tree of nodes; each appends its next coefficient from those
-of its parts: products are convolutions, functions obey first-order differential equations.  What
-has no series (comparisons, abs, min, ... and functions of Python) is refused.
+An expression of t, q and qd becomes a tree of `series_nodes.py`.  What has no series (comparisons,
+abs, min, ... and functions of Python) is refused.
 """
 
 from __future__ import annotations
@@ -17,9 +16,22 @@ from robodyn.actuation import Actuation
 from robodyn.errors import InputError
 from robodyn.force_formulas import force_code
 from robodyn.mechanism import Mechanism
+from robodyn.series_nodes import (
+    Cosine,
+    Exponential,
+    Given,
+    HyperbolicTangent,
+    Node,
+    Power,
+    Primitive,
+    Product,
+    Quotient,
+    Sine,
+    Sum,
+)
 
 Push = Callable[[Sequence[float]], list[float]]
-NodeT = TypeVar("NodeT", bound="_Node")
+NodeT = TypeVar("NodeT", bound=Node)
 
 
 class TorqueSeries:
@@ -48,7 +60,7 @@ class TorqueSeries:
         push = self._reader.begin(t, y, self._taus + self._working * self.separate)
         if self.kinks:
             for node, value, slope in zip(self._given, *self._piece(t, y, direction), strict=True):
-                assert isinstance(node, _Given)
+                assert isinstance(node, Given)
                 node.coming = [value, slope]
         return push
 
@@ -96,17 +108,17 @@ class _Reader:
 
     def __init__(self, n: int) -> None:
         self.n = n
-        self.nodes: list[_Node] = []  # each after its parts
-        self.time: _Given | None = None  # made where an expression names it, as these
-        self.q: dict[int, _Given] = {}
-        self.qd: dict[int, _Given] = {}
-        self.names: dict[str, _Node] = {}
+        self.nodes: list[Node] = []  # each after its parts
+        self.time: Given | None = None  # made where an expression names it, as these
+        self.q: dict[int, Given] = {}
+        self.qd: dict[int, Given] = {}
+        self.names: dict[str, Node] = {}
 
-    def actuation(self, actuation: Actuation) -> list[_Node]:
+    def actuation(self, actuation: Actuation) -> list[Node]:
         """The nodes of the joint torques (n) of an actuation; those of a table are given."""
         if actuation.constants is not None:
             return [self.constant(value) for value in actuation.constants]
-        taus: list[_Node] = [self.keep(_Given()) for _ in range(self.n)]
+        taus: list[Node] = [self.keep(Given()) for _ in range(self.n)]
         if actuation.kinks:
             return taus
         for line in actuation.lines:
@@ -117,22 +129,22 @@ class _Reader:
                     raise _refused("a function of Python")
         return taus
 
-    def scene(self, mechanism: Mechanism, taus: list[_Node]) -> tuple[list[_Node], list[_Node]]:
+    def scene(self, mechanism: Mechanism, taus: list[Node]) -> tuple[list[Node], list[Node]]:
         """Those and the scene's own torques: without springs, and with them."""
         code = force_code(mechanism)
         for line in code.lines:
             name, _, text = line.partition(" = ")
             self.names[name] = self.read(ast.parse(text, mode="eval").body)
 
-        def plus(nodes: list[_Node], texts: tuple[str, ...]) -> list[_Node]:
+        def plus(nodes: list[Node], texts: tuple[str, ...]) -> list[Node]:
             parts = [self.read(ast.parse(text, mode="eval").body) for text in texts]
             pairs = zip(nodes, parts, texts, strict=True)
-            return [a if text == "0.0" else self.keep(_Sum(a, b, 1.0, 1.0)) for a, b, text in pairs]
+            return [a if text == "0.0" else self.keep(Sum(a, b, 1.0, 1.0)) for a, b, text in pairs]
 
         working = plus(taus, code.other)
         return working, plus(working, code.potential)
 
-    def begin(self, t: float, y: Sequence[float], outputs: list[_Node]) -> Push:
+    def begin(self, t: float, y: Sequence[float], outputs: list[Node]) -> Push:
         n = self.n
         for node in self.nodes:
             node.values = []
@@ -161,14 +173,14 @@ class _Reader:
         self.nodes.append(node)
         return node
 
-    def read(self, tree: ast.expr) -> _Node:
+    def read(self, tree: ast.expr) -> Node:
         """The node of an expression, after those of its parts."""
         match tree:
             case ast.Constant(value=int() | float() as value):
                 return self.constant(float(value))
             case ast.Name(id="t"):
                 if self.time is None:
-                    self.time = self.keep(_Given())
+                    self.time = self.keep(Given())
                 return self.time
             case ast.Name(id=name) if name in self.names:
                 return self.names[name]
@@ -179,15 +191,15 @@ class _Reader:
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.read(operand)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return self.keep(_Sum(self.read(operand), None, -1.0, 0.0))
+                return self.keep(Sum(self.read(operand), None, -1.0, 0.0))
             case ast.BinOp(left=left, op=ast.Add(), right=right):
-                return self.keep(_Sum(self.read(left), self.read(right), 1.0, 1.0))
+                return self.keep(Sum(self.read(left), self.read(right), 1.0, 1.0))
             case ast.BinOp(left=left, op=ast.Sub(), right=right):
-                return self.keep(_Sum(self.read(left), self.read(right), 1.0, -1.0))
+                return self.keep(Sum(self.read(left), self.read(right), 1.0, -1.0))
             case ast.BinOp(left=left, op=ast.Mult(), right=right):
                 return self.product(self.read(left), self.read(right))
             case ast.BinOp(left=left, op=ast.Div(), right=right):
-                return self.keep(_Quotient(self.read(left), self.read(right)))
+                return self.keep(Quotient(self.read(left), self.read(right)))
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return self.power(left, right)
             case ast.Call(func=ast.Name(id="_pow"), args=[left, right]):
@@ -196,20 +208,20 @@ class _Reader:
                 return self.function(name.removeprefix("_"), [self.read(x) for x in args])
         raise _refused(f"`{ast.unparse(tree)[:60]}`")
 
-    def given(self, nodes: dict[int, _Given], joint: int) -> _Given:
+    def given(self, nodes: dict[int, Given], joint: int) -> Given:
         if joint not in nodes:
-            nodes[joint] = self.keep(_Given())
+            nodes[joint] = self.keep(Given())
         return nodes[joint]
 
-    def constant(self, value: float) -> _Node:
-        node = self.keep(_Given())
+    def constant(self, value: float) -> Node:
+        node = self.keep(Given())
         node.first = value
         return node
 
-    def product(self, a: _Node, b: _Node) -> _Node:
-        return self.keep(_Product(a, b))
+    def product(self, a: Node, b: Node) -> Node:
+        return self.keep(Product(a, b))
 
-    def power(self, left: ast.expr, right: ast.expr) -> _Node:
+    def power(self, left: ast.expr, right: ast.expr) -> Node:
         base = self.read(left)
         try:
             exponent = float(ast.literal_eval(right))
@@ -221,200 +233,47 @@ class _Reader:
             for _ in range(int(exponent)):
                 result = self.product(result, base)
             return result
-        return self.keep(_Power(base, exponent))
+        return self.keep(Power(base, exponent))
 
-    def function(self, name: str, x: list[_Node]) -> _Node:
+    def function(self, name: str, x: list[Node]) -> Node:
         """sin' = cos x', exp' = exp x', and y' = x'/density for log and the inverse functions."""
         keep = self.keep
         match name:
             case "sin" | "cos" | "tan" | "sinh" | "cosh" | "tanh":
                 kind = name[:3] + "h" * name.endswith("h")
                 if name == "tanh":
-                    return keep(_HyperbolicTangent(x[0]))
-                sine = keep(_Sine(x[0], name.endswith("h")))
-                cosine = keep(_Cosine(sine))
+                    return keep(HyperbolicTangent(x[0]))
+                sine = keep(Sine(x[0], name.endswith("h")))
+                cosine = keep(Cosine(sine))
                 if kind == "tan":
-                    return keep(_Quotient(sine, cosine))
+                    return keep(Quotient(sine, cosine))
                 return sine if kind.startswith("sin") else cosine
             case "exp":
-                return keep(_Exponential(x[0]))
+                return keep(Exponential(x[0]))
             case "sqrt":
-                return keep(_Power(x[0], 0.5))
+                return keep(Power(x[0], 0.5))
             case "hypot":
                 total = self.product(x[0], x[0])
                 for other in x[1:]:
-                    total = keep(_Sum(total, self.product(other, other), 1.0, 1.0))
-                return keep(_Power(total, 0.5))
+                    total = keep(Sum(total, self.product(other, other), 1.0, 1.0))
+                return keep(Power(total, 0.5))
             case "log" if len(x) == 1:
-                return keep(_Primitive(x[0], x[0], math.log))
+                return keep(Primitive(x[0], x[0], math.log))
             case "log":
-                return keep(_Quotient(self.function("log", x[:1]), self.function("log", x[1:])))
+                return keep(Quotient(self.function("log", x[:1]), self.function("log", x[1:])))
             case "atan":
-                density = keep(_Sum(self.constant(1.0), self.product(x[0], x[0]), 1.0, 1.0))
-                return keep(_Primitive(x[0], density, math.atan))
+                density = keep(Sum(self.constant(1.0), self.product(x[0], x[0]), 1.0, 1.0))
+                return keep(Primitive(x[0], density, math.atan))
             case "asin" | "acos":
-                under = keep(_Sum(self.constant(1.0), self.product(x[0], x[0]), 1.0, -1.0))
-                root = keep(_Power(under, 0.5))
+                under = keep(Sum(self.constant(1.0), self.product(x[0], x[0]), 1.0, -1.0))
+                root = keep(Power(under, 0.5))
                 if name == "asin":
-                    return keep(_Primitive(x[0], root, math.asin))
-                density = keep(_Sum(root, None, -1.0, 0.0))
-                return keep(_Primitive(x[0], density, math.acos))
+                    return keep(Primitive(x[0], root, math.asin))
+                density = keep(Sum(root, None, -1.0, 0.0))
+                return keep(Primitive(x[0], density, math.acos))
         raise _refused(f"function {name}")
 
 
 def _refused(what: str) -> InputError:
     limit = "the Taylor series expands arithmetic and smooth functions: take --method DOP853"
     return InputError(f"torque: {what} has no series", limit=limit)
-
-
-class _Node:
-    """A series, known up to the order of its last coefficient."""
-
-    def __init__(self) -> None:
-        self.values: list[float] = []
-
-    def coefficient(self, k: int) -> float:
-        """The coefficient of order k, from those of the parts up to k and its own before."""
-        raise NotImplementedError
-
-
-class _Given(_Node):
-    """A constant, or what is given from outside order by order."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.first = 0.0
-        self.coming: list[float] = []
-
-    def coefficient(self, k: int) -> float:
-        if self.coming:
-            return self.coming.pop(0)
-        return self.first if k == 0 else 0.0
-
-
-class _Sum(_Node):
-    def __init__(self, a: _Node, b: _Node | None, u: float, v: float) -> None:
-        super().__init__()
-        self.a, self.b, self.u, self.v = a, b, u, v
-
-    def coefficient(self, k: int) -> float:
-        first = self.u * self.a.values[k]
-        return first if self.b is None else first + self.v * self.b.values[k]
-
-
-class _Product(_Node):
-    def __init__(self, a: _Node, b: _Node) -> None:
-        super().__init__()
-        self.a, self.b = a, b
-
-    def coefficient(self, k: int) -> float:
-        return _convolve(self.a.values[: k + 1], self.b.values[: k + 1])
-
-
-class _Quotient(_Node):
-    """y b = a."""
-
-    def __init__(self, a: _Node, b: _Node) -> None:
-        super().__init__()
-        self.a, self.b = a, b
-
-    def coefficient(self, k: int) -> float:
-        known = _convolve(self.values[:k], self.b.values[1 : k + 1])
-        return (self.a.values[k] - known) / self.b.values[0]
-
-
-class _Power(_Node):
-    """x y' = exponent x' y."""
-
-    def __init__(self, x: _Node, exponent: float) -> None:
-        super().__init__()
-        self.x, self.exponent = x, exponent
-
-    def coefficient(self, k: int) -> float:
-        x, y = self.x.values, self.values
-        if k == 0:
-            return math.pow(x[0], self.exponent)
-        terms = (((self.exponent + 1.0) * m - k) * x[m] * y[k - m] for m in range(1, k + 1))
-        return sum(terms) / (k * x[0])
-
-
-class _Exponential(_Node):
-    """y' = x' y."""
-
-    def __init__(self, x: _Node) -> None:
-        super().__init__()
-        self.x = x
-
-    def coefficient(self, k: int) -> float:
-        return math.exp(self.x.values[0]) if k == 0 else _slope(self.x.values, self.values, k)
-
-
-class _Sine(_Node):
-    """s' = x' c; c' = -x' s, or + for the hyperbolic ones.  `_Cosine` shows the other half."""
-
-    def __init__(self, x: _Node, hyperbolic: bool) -> None:
-        super().__init__()
-        self.x, self.hyperbolic = x, hyperbolic
-        self.cosines: list[float] = []
-
-    def coefficient(self, k: int) -> float:
-        x = self.x.values
-        if k == 0:
-            sine, cosine = (math.sinh, math.cosh) if self.hyperbolic else (math.sin, math.cos)
-            self.cosines = [cosine(x[0])]
-            return sine(x[0])
-        other = _slope(x, self.values, k)
-        result = _slope(x, self.cosines, k)
-        self.cosines.append(other if self.hyperbolic else -other)
-        return result
-
-
-class _Cosine(_Node):
-    def __init__(self, sine: _Sine) -> None:
-        super().__init__()
-        self.sine = sine
-
-    def coefficient(self, k: int) -> float:
-        return self.sine.cosines[k]
-
-
-class _HyperbolicTangent(_Node):
-    """y' = x' (1 - y^2): where sinh and cosh would overflow it is flat."""
-
-    def __init__(self, x: _Node) -> None:
-        super().__init__()
-        self.x = x
-        self.rest: list[float] = []  # 1 - y^2
-
-    def coefficient(self, k: int) -> float:
-        if k == 0:
-            self.rest = []
-            return math.tanh(self.x.values[0])
-        y = self.values
-        self.rest.append((1.0 if k == 1 else 0.0) - _convolve(y, y))
-        return _slope(self.x.values, self.rest, k)
-
-
-class _Primitive(_Node):
-    """density y' = x'."""
-
-    def __init__(self, x: _Node, density: _Node, start: Callable[[float], float]) -> None:
-        super().__init__()
-        self.x, self.density, self.start = x, density, start
-
-    def coefficient(self, k: int) -> float:
-        x, density, y = self.x.values, self.density.values, self.values
-        if k == 0:
-            return self.start(x[0])
-        known = sum(m * y[m] * density[k - m] for m in range(1, k))
-        return (k * x[k] - known) / (k * density[0])
-
-
-def _convolve(a: Sequence[float], b: Sequence[float]) -> float:
-    """sum of a_m b_{k-m}; both of one length."""
-    return sum(x * y for x, y in zip(a, reversed(b), strict=True))
-
-
-def _slope(x: Sequence[float], y: Sequence[float], k: int) -> float:
-    """Coefficient k of the integral of x' y."""
-    return sum(m * x[m] * y[k - m] for m in range(1, k + 1)) / k
