@@ -12,56 +12,32 @@ link reaches, by a circle and a line.  Each has two branches:
              /                        crossed: behind it
            A
 
-Joints that couplings tie to actuated ones are known like these.  Dyads are solved one after
-another, each with what the earlier ones fixed.  (Where both unknown
-links belong to one side, P is the joint between them.)  Loops that are no chain of dyads are
-closed by Newton's method along a path from the scene's `start` configuration.
+Joints that couplings tie to actuated ones are known like these.  Dyads (`dyads.py`) are solved one
+after another, each with what the earlier ones fixed, in the order of `assembly_plan.py`.  (Where
+both unknown links belong to one side, P is the joint between them.)  Loops that are no chain of
+dyads are closed by Newton's method along a path from the scene's `start` configuration.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.assembly_plan import assembly_plan as assembly_plan
+from robodyn.assembly_plan import joints_of
 from robodyn.closed_form import closure_gap, closure_jacobian
+from robodyn.dyads import CLOSED as CLOSED
+from robodyn.dyads import coupled_angle, known_angles, solve_dyad
 from robodyn.errors import AssemblyError, InputError
 from robodyn.mechanism import Mechanism
-from robodyn.scene import Coupling
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
-CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
 NEWTON_STEPS = 12
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One closure solved for its unknown links, in the order of the loop from its first side."""
-
-    closure: int
-    unknown: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How a mechanism is assembled: dyads in order, then what only Newton's method closes."""
-
-    coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
-    turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
-    steps: tuple[Step, ...]
-    rest: tuple[int, ...]  # links left unknown
-
-    @property
-    def two_way(self) -> tuple[int, ...]:
-        """The closures that can close in two ways."""
-        return tuple(step.closure for step in self.steps if step.unknown)
 
 
 def assemble(
@@ -98,13 +74,13 @@ def attempt(
     q = np.zeros((*given.shape[:-1], mechanism.n))
     q[..., list(mechanism.actuated)] = given
     for joint, c in plan.coupled:
-        q[..., joint] = _coupled_angle(mechanism.description.couplings[c], joint, q)
+        q[..., joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
     known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
-    alpha = _known_angles(mechanism, known, q)
+    alpha = known_angles(mechanism, known, q)
     missing = np.zeros(given.shape[:-1])
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
-        angles, short = _solve(mechanism, plan, step, alpha, side)
+        angles, short = solve_dyad(mechanism, plan, step, alpha, side)
         missing = np.maximum(missing, short)
         for link, angle in zip(step.unknown, angles, strict=True):
             for k, root in enumerate(plan.turns_with):
@@ -120,83 +96,6 @@ def attempt(
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
     return q, missing
-
-
-@lru_cache(maxsize=64)
-def assembly_plan(mechanism: Mechanism) -> Plan:
-    """The order in which the closures can be solved; InputError where joints are left free."""
-    turns_with: list[int | None] = [None] * mechanism.n
-    coupled, open_couplings = _resolve_couplings(mechanism)
-    given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
-    for k in mechanism.order:
-        above = mechanism.parent[k]
-        turns_with[k] = k if k not in given else None if above is None else turns_with[above]
-    loops = [_unknown_in_loop(mechanism, turns_with, c) for c in range(_closures(mechanism))]
-    known: set[int] = set()
-    steps: list[Step] = []
-    waiting = set(range(len(loops)))
-    while waiting and not open_couplings:
-        for c in sorted(waiting):
-            unknown = tuple(k for k in loops[c] if k not in known)
-            slider = mechanism.description.closures[c].along is not None
-            if len(unknown) <= (1 if slider else 2):
-                steps.append(Step(c, unknown))
-                known.update(unknown)
-                waiting.remove(c)
-                break
-        else:
-            break
-    rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
-    held = set(open_couplings).union(*(loops[c] for c in waiting))
-    free = [k for k in rest if k not in held]
-    freedoms = mechanism.n - len(mechanism.rows)
-    if len(mechanism.actuated) < freedoms and not free:
-        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
-        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
-        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
-        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
-    if free or (rest and mechanism.description.start is None):
-        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or rest)
-        limit = (
-            f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
-            if free
-            else "in loops that are no chain of two-link closures: add a `start` configuration to "
-            f"the scene, or give all {mechanism.n} joint angles"
-        )
-        raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
-    return Plan(coupled, tuple(turns_with), tuple(steps), rest)
-
-
-def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
-    """The joints that follow one after another from actuated ones, each with its coupling.
-
-    And the joints of couplings that do not follow so.
-    """
-    known = set(mechanism.actuated)
-    found: list[tuple[int, int]] = []
-    waiting = dict(enumerate(mechanism.description.couplings))
-    while True:
-        unknown = {c: _joints(coupling) - known for c, coupling in waiting.items()}
-        follows = next((c for c, joints in unknown.items() if len(joints) <= 1), None)
-        if follows is None:
-            return tuple(found), set().union(*map(_joints, waiting.values()))
-        del waiting[follows]
-        found += [(joint, follows) for joint in unknown[follows]]
-        known |= unknown[follows]
-
-
-def _joints(coupling: Coupling) -> set[int]:
-    return {coupling.joint, *(k for k, _ in coupling.terms)}
-
-
-def _coupled_angle(coupling: Coupling, joint: int, q: Array) -> Array:
-    """q_joint (...) by a coupling whose other joints are known."""
-    ratios = {coupling.joint: -1.0, **dict(coupling.terms)}  # sum of ratio q = -angle
-    total = np.full(q.shape[:-1], coupling.angle)
-    for k, ratio in ratios.items():
-        if k != joint:
-            total = total + ratio * q[..., k]
-    return -total / ratios[joint]
 
 
 def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
@@ -255,97 +154,6 @@ def reachable(
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-# -- dyads ---------------------------------------------------------------------------------------
-
-
-def _solve(
-    mechanism: Mechanism, plan: Plan, step: Step, alpha: Array, side: float
-) -> tuple[list[Array], Array]:
-    """The angles of the step's unknown links, and the distance missing (0 where it closes)."""
-    rows = [row for row in mechanism.rows if row.closure == step.closure]
-    slider = len(rows) == 1
-    # gap = K + sum_u c_u E_u over the unknown links u; a slider's is turned onto its line
-    turn = 1j if slider else 1.0
-    offset = rows[0].offset * 1j if slider else complex(rows[0].offset, rows[1].offset)
-    K: Complex = np.full(alpha.shape[:-1], offset, complex)
-    c: dict[int, Complex] = {u: np.zeros(alpha.shape[:-1], complex) for u in step.unknown}
-    size = sum(abs(p) for _, p in rows[0].P) + abs(offset)
-    for k, p in rows[0].P:
-        term = turn * p * np.exp(1j * alpha[..., k])
-        root = plan.turns_with[k]
-        if root in c:
-            c[root] += term
-        else:
-            K = K + term
-    tolerance = CLOSED * size
-    if not step.unknown:
-        gap = np.abs(K.imag) if slider else np.abs(K)
-        return [], np.where(gap > tolerance, gap, 0.0)
-    first = c[step.unknown[0]]
-    if slider:
-        across = -K.imag
-        square = np.abs(first) ** 2 - across**2
-        along = side * np.sqrt(np.maximum(square, 0.0))
-        missing = np.abs(across) - np.abs(first)
-        angle = np.angle((along + 1j * across) / first)
-        return [angle], np.where(missing > tolerance, missing, 0.0)
-    if len(step.unknown) == 1:
-        missing = np.abs(np.abs(K) - np.abs(first))
-        return [np.angle(-K / first)], np.where(missing > tolerance, missing, 0.0)
-    second = c[step.unknown[1]]
-    ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
-    missing = np.maximum(d - (ra + rb), np.abs(ra - rb) - d)
-    # P - A = (x + i y) along the unit vector from A to D; Heron's product keeps y exact
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit = np.where(d > 0.0, -K / np.where(d > 0.0, d, 1.0), 1.0)
-        x = np.where(d > 0.0, ((ra - rb) * (ra + rb) / d + d) / 2.0, 0.0)
-        heron = ((ra + rb) + d) * ((ra + rb) - d) * (d - (ra - rb)) * (d + (ra - rb))
-        y = np.where(d > 0.0, np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d), ra)
-    arm = unit * (x + 1j * side * y)
-    angles = [np.angle(arm / first), np.angle((-K - arm) / second)]
-    return angles, np.where(missing > tolerance, missing, 0.0)
-
-
-def _known_angles(mechanism: Mechanism, known: set[int], q: Array) -> Array:
-    """Absolute angles of known links; of the others, what they turn ahead of their unknown."""
-    alpha = np.zeros_like(q)
-    for k in mechanism.order:
-        above = mechanism.parent[k]
-        if k in known:
-            alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
-    return alpha
-
-
-def _unknown_in_loop(
-    mechanism: Mechanism, turns_with: Sequence[int | None], closure: int
-) -> list[int]:
-    """Unknown links of a closure, along its loop: first side outward, second side inward."""
-    row = next(row for row in mechanism.rows if row.closure == closure)
-    moved = {k for k, _ in row.P}
-    sides = mechanism.description.closures[closure]
-    outward = [k for k in _path(mechanism, sides.first.link) if k in moved]
-    inward = [k for k in reversed(_path(mechanism, sides.second.link)) if k in moved]
-    unknown: list[int] = []
-    for k in [*outward, *inward]:
-        root = turns_with[k]
-        if root is not None and root not in unknown:
-            unknown.append(root)
-    return unknown
-
-
-def _path(mechanism: Mechanism, link: int | None) -> list[int]:
-    """The links from the ground to `link`."""
-    path: list[int] = []
-    while link is not None:
-        path.append(link)
-        link = mechanism.parent[link]
-    return path[::-1]
-
-
-def _closures(mechanism: Mechanism) -> int:
-    return len(mechanism.description.closures)
-
-
 # -- larger loops --------------------------------------------------------------------------------
 
 
@@ -380,7 +188,7 @@ def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         here = np.where(lost[..., None], here, there)
     here[..., actuated] = target
     gap = np.linalg.norm(closure_gap(mechanism, here), axis=-1)
-    counting = set().union(*map(_joints, geared))
+    counting = set().union(*map(joints_of, geared))
     turning = [k for k in passive if k not in counting]
     here[..., turning] = np.remainder(here[..., turning] + np.pi, 2 * np.pi) - np.pi
     return here, np.where(lost, np.maximum(gap, CLOSED * loop_size(mechanism)), 0.0)
