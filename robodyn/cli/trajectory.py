@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Optional
 
@@ -14,16 +11,27 @@ import typer
 
 from robodyn.cli.options import Format, Model, Out, OutputFormat, named
 from robodyn.cli.output import note, row_writer
-from robodyn.cli.states import Quantity, open_input, option_source, overflow, remarks, table_source
+from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import output_times
+from robodyn.cli.trajectory_options import (
+    Points,
+    angular_acceleration_from,
+    duration_from,
+    for_each_joint,
+    frequency_from,
+    given_angles,
+    named_options,
+    points_from,
+    rates_from,
+    refuse,
+    seconds_from,
+)
 from robodyn.errors import InputError
 from robodyn.joint_paths import JointPath, Sweep, constant_speed, path_through
 from robodyn.mechanism import Mechanism, load
 from robodyn.profiles import ACCELERATION
-from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate, parse_time
-from robodyn.table import Reader
+from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate
 from robodyn.time_scaling import (
-    LimitError,
     Limits,
     check_limits,
     limits_of,
@@ -33,15 +41,6 @@ from robodyn.time_scaling import (
 from robodyn.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
-OPTION_OF = {  # what the numerics call an argument
-    "profile": "--profile",
-    "acceleration": "--acceleration",
-    "ends": "--ends",
-    "duration": "--time",
-    "max_qd": "--max-qd",
-    "max_qdd": "--max-qdd",
-    "max_tau": "--max-tau",
-}
 MOST_CYCLES = 100_000  # of a sweep
 
 
@@ -60,15 +59,6 @@ class Ends(StrEnum):
 
     rest = "rest"
     natural = "natural"
-
-
-@dataclass(frozen=True, slots=True)
-class Points:
-    """Points (K, n) to go through, NaN where a passive joint is not given, and their times."""
-
-    q: np.ndarray
-    times: np.ndarray | None
-    source: str
 
 
 def _text(flag: str, metavar: str, text: str) -> object:
@@ -197,35 +187,35 @@ def trajectory(
         --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
     """
     mechanism = load(model)
-    duration = _duration(time)
-    with _named_options():
+    duration = duration_from(time)
+    with named_options():
         limits = limits_of(
             mechanism,
-            _rates(max_qd, "--max-qd", parse_rate, "6.28, 60rpm or 90deg/s"),
-            _rates(max_qdd, "--max-qdd", _angular_acceleration, "20 or 90deg/s^2"),
-            _rates(max_tau, "--max-tau", parse_number, "25"),
+            rates_from(max_qd, "--max-qd", parse_rate, "6.28, 60rpm or 90deg/s"),
+            rates_from(max_qdd, "--max-qdd", angular_acceleration_from, "20 or 90deg/s^2"),
+            rates_from(max_tau, "--max-tau", parse_number, "25"),
         )
     if acceleration is not None and profile is not ProfileName.trapezoidal:
         raise InputError("--acceleration", limit="is for --profile trapezoidal")
     is_sweep = profile is ProfileName.sweep
     if is_sweep:
-        _refuse("a sweep", to=to, via=via, speed=speed, turns=turns, ends=ends)
+        refuse("a sweep", to=to, via=via, speed=speed, turns=turns, ends=ends)
     elif amplitude is not None or frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
-    step = None if every is None else _seconds(every, "--every")
+    step = None if every is None else seconds_from(every, "--every")
 
-    with remarks(), _named_options():
+    with remarks(), named_options():
         if is_sweep:
-            begin = _given(mechanism, from_, "from")
+            begin = given_angles(mechanism, from_, "from")
             chirp = _sweep(mechanism, begin, amplitude, frequencies, duration)
             motion = _along(mechanism, chirp, begin, duration, limits)
         elif speed is not None or turns is not None:
-            _refuse("--speed and --turns", to=to, via=via, profile=profile, ends=ends)
-            begin = _given(mechanism, from_, "from", default=True)
+            refuse("--speed and --turns", to=to, via=via, profile=profile, ends=ends)
+            begin = given_angles(mechanism, from_, "from", default=True)
             path, seconds = _constant(mechanism, begin, speed, turns, duration)
             motion = _along(mechanism, path, begin, seconds, limits)
         else:
-            wanted = _points(mechanism, from_, to, via)
+            wanted = points_from(mechanism, from_, to, via)
             name = (profile or ProfileName.quintic).value
             alpha = ACCELERATION if acceleration is None else acceleration
             natural = ends is Ends.natural
@@ -303,8 +293,8 @@ def _sweep(
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
     driven = list(mechanism.actuated)
     sizes = parse_entries(amplitude, parse_angle, where="--amplitude", example="0.1 or 5deg")
-    sizes = _for_each(mechanism, sizes, "--amplitude")
-    band = parse_entries(frequencies, _frequency, where="--frequencies", example="0.2,5 (Hz)")
+    sizes = for_each_joint(mechanism, sizes, "--amplitude")
+    band = parse_entries(frequencies, frequency_from, where="--frequencies", example="0.2,5 (Hz)")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
         raise InputError("--frequencies", value=frequencies, limit=limit)
@@ -331,10 +321,10 @@ def _constant(
         assert counts is not None
         if duration is None:
             raise InputError("--turns", limit="needs --speed or --time")
-        way = 2 * np.pi * np.array(_for_each(mechanism, counts, "--turns"))
+        way = 2 * np.pi * np.array(for_each_joint(mechanism, counts, "--turns"))
         return constant_speed(start, way), duration
     rates = parse_entries(speed, parse_rate, where="--speed", example="6.28, 60rpm or 360deg/s")
-    rate = np.array(_for_each(mechanism, rates, "--speed"))
+    rate = np.array(for_each_joint(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:
         if duration is not None:
@@ -355,111 +345,6 @@ def _tell(motion: ReferenceMotion, bound: str) -> None:
 
 
 # -- options -------------------------------------------------------------------------------------
-
-
-def _points(mechanism: Mechanism, from_: str | None, to: str | None, via: str | None) -> Points:
-    if via is None:
-        for option, text in (("--from", from_), ("--to", to)):
-            if text is None:
-                limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
-                raise InputError(option, limit=limit)
-        rows = [_given(mechanism, from_, "from"), _given(mechanism, to, "to")]
-        return Points(np.array(rows), None, "")
-    with open_input(via) as (stream, name):
-        reader = Reader(stream, name)
-        source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
-        timed = "t" in reader.header
-        columns = [*source.columns, *(["t"] if timed else [])]
-        blocks = [chunk.values for chunk in reader.chunks(columns)]
-    values = np.concatenate(blocks) if blocks else np.zeros((0, len(columns)))
-    given = values[:, : len(source.columns)]
-    q = np.full((len(values), mechanism.n), np.nan)
-    q[:, slice(None) if source.whole else list(mechanism.actuated)] = given
-    if timed:
-        _refuse(f"the times (t) in {name}", **{"from": from_, "to": to})
-        return Points(q, values[:, -1], name)
-    if from_ is not None:
-        q = np.concatenate([_given(mechanism, from_, "from")[None], q])
-    if to is not None:
-        q = np.concatenate([q, _given(mechanism, to, "to")[None]])
-    return Points(q, None, name)
-
-
-def _given(mechanism: Mechanism, text: str | None, name: str, default: bool = False) -> np.ndarray:
-    """The angles (n,) of an option, NaN where it holds the actuated joints only."""
-    q = np.full(mechanism.n, np.nan)
-    driven = list(mechanism.actuated)
-    if text is None:
-        if not default:
-            raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
-        q[driven] = 0.0
-        return q
-    source = option_source(mechanism, Quantity(name, text, True))
-    q[slice(None) if source.whole else driven] = source.values
-    return q
-
-
-def _duration(text: str | None) -> float | None:
-    """Seconds; NaN for the shortest."""
-    if text is None:
-        return None
-    return math.nan if text == "min" else _seconds(text, "--time", " or min")
-
-
-def _seconds(text: str, option: str, other: str = "") -> float:
-    try:
-        return parse_time(text)
-    except ValueError as error:
-        limit = f"{error}; write 2, 0.5s, 20ms{other}"
-        raise InputError(option, value=text, limit=limit) from None
-
-
-def _frequency(text: str) -> float:
-    return parse_number(text.removesuffix("Hz"))
-
-
-def _angular_acceleration(text: str) -> float:
-    return parse_angle(text.removesuffix("/s^2"))
-
-
-def _rates(
-    text: str | None, option: str, parse: Callable[[str], float], example: str
-) -> list[float] | None:
-    return None if text is None else parse_entries(text, parse, where=option, example=example)
-
-
-def _for_each(mechanism: Mechanism, values: Sequence[float], option: str) -> list[float]:
-    """One value for each actuated joint."""
-    count = len(mechanism.actuated)
-    if len(values) == 1:
-        return list(values) * count
-    if len(values) != count:
-        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-        limit = f"needs 1 value, or {count}, one an actuated joint ({names})"
-        raise InputError(option, value=f"{len(values)} values", limit=limit)
-    return list(values)
-
-
-def _refuse(what: str, **options: object) -> None:
-    for name, value in options.items():
-        if value is not None:
-            raise InputError(f"--{name}", limit=f"does not go with {what}")
-
-
-@contextmanager
-def _named_options() -> Iterator[None]:
-    """An argument that is refused, or a limit that is exceeded, is named as its option."""
-    try:
-        yield
-    except LimitError as error:
-        error.add_place(f"--max-{error.quantity}")
-        raise
-    except InputError as error:
-        error.what = OPTION_OF.get(error.what, error.what)
-        raise
-
-
-# -- rows ----------------------------------------------------------------------------------------
 
 
 def _write(
