@@ -86,12 +86,14 @@ def attempt(
             for k, root in enumerate(plan.turns_with):
                 if root == link:
                     alpha[..., k] += angle
+    free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
     for k in mechanism.passive:
         if k in known:
             continue
         above = mechanism.parent[k]
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
-        q[..., k] = np.remainder(relative + np.pi, 2 * np.pi) - np.pi
+        middle = free.get(k, 0.0)
+        q[..., k] = np.remainder(relative - middle + np.pi, 2 * np.pi) - np.pi + middle
     if plan.rest:
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)

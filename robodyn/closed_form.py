@@ -116,9 +116,15 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     return forces.other_torques(mechanism, np.asarray(qd, float), E, rates)
 
 
-def scene_torques(mechanism: Mechanism, q: Array, qd: Array, E: NDArray[np.complex128]) -> Array:
-    """The joint torques of springs and of Q together, (..., n), N m."""
-    rates = absolute_rates(mechanism, qd)
+def scene_torques(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    E: NDArray[np.complex128],
+    rates: Array | None = None,
+) -> Array:
+    """The joint torques of springs and of Q together, (..., n), N m; `rates` is alphad if known."""
+    rates = absolute_rates(mechanism, qd) if rates is None else rates
     torques = forces.potential_torques(mechanism, q, E)
     return torques + forces.other_torques(mechanism, qd, E, rates)
 

@@ -31,6 +31,7 @@ FIRST_STEP = 1 / 64  # of a piece
 LEAST_STEP = 1e-11  # in u, below which the path has ended
 NEWTON_STEPS = 8
 MOST_NODES = 500_000
+NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
 
@@ -65,7 +66,7 @@ class _Node(NamedTuple):
     q: Array
     q1: Array
     q2: Array
-    sign: float  # of det Psi_p; 0 where that is none, or at rest at a change point
+    sign: float  # of det Psi_p; 0 where that is none
 
 
 def follow(mechanism: Mechanism, path: JointPath, start: Array) -> Nodes:
@@ -133,10 +134,12 @@ class _Follower:
                 found = self._step(node, end if step == left else node.u + step, piece)
                 if found is None:
                     h = 0.4 * step
-                    if h < LEAST_STEP or len(us) > MOST_NODES:
-                        limit = "that is as far as they can be closed on this branch"
-                        raise self._ends(node.u, node.q, limit)
+                    if h < LEAST_STEP:
+                        raise self._ends(node.u, node.q, self._obstacle(node))
                     continue
+                if len(us) > MOST_NODES:
+                    limit = f"the motion is too long: it takes more than {MOST_NODES:,} states"
+                    raise self._ends(node.u, node.q, limit)
                 easy, following = found
                 begins.append(node.q1)
                 ends.append(following.q1)
@@ -190,9 +193,7 @@ class _Follower:
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         U, s, Vt = np.linalg.svd(columns, full_matrices=False)
         if s[-1] <= self._least:
-            # a change point at which the motion ends at rest is no obstacle
-            ends = self._kind(q) == "change point" and not held[1:].any()
-            return _Node(u, q, q1, q2, 0.0) if ends else None
+            return None
         inverse = (Vt.T / s) @ U.T
         q1[self._passive] = -inverse @ (driving @ held[1])
         bias = closure_bias(self.mechanism, q, q1)
@@ -221,6 +222,13 @@ class _Follower:
         fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
         self._crossings.append((0.5 * (low[0] + high[0]), fastest))
         return True
+
+    def _obstacle(self, node: _Node) -> str:
+        """Why the path does not go on from a node."""
+        Psi = closure_jacobian(self.mechanism, node.q)
+        if np.linalg.svd(Psi, compute_uv=False)[-1] > NEAR * loop_size(self.mechanism):
+            return "that is as far as they can be closed on this branch"
+        return "too near a change point to tell the branches apart: end before it, or run across"
 
     def _kind(self, q: Array) -> str:
         """What a configuration is at which Psi_p is singular."""

@@ -1,8 +1,8 @@
 """Inverse and forward dynamics of open and closed mechanisms, and the forces in the loops.
 
-The equation of motion, with the joints' damping D and the closures' multipliers lambda, is
+Equation (1) of `closed_form.py` is solved, with its closures differentiated twice:
 
-    M qdd + C qd + D qd + G = S^T tau_act + Psi^T lambda,     Psi qdd + Psidot qd = 0          (1)
+    M qdd + C qd + D qd + G = S^T tau_act + Q + Psi^T lambda,     Psi qdd + Psidot qd = 0
 
 (S selects the actuated joints).  Eliminating lambda from it gives the textbook's equation (33).
 Large batches run through the generated code of `straightline.py`; small ones, and the few states
@@ -145,6 +145,8 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
+    if mechanism.springs:  # a spring without a direction is no change point
+        required_load(mechanism, q, qd, qdd)
     try:
         return dense_dynamics.inverse(mechanism, q, qd, qdd)
     except SingularError:

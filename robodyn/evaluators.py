@@ -85,7 +85,7 @@ def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
 
 
 def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> list[Any]:
-    """qdd by M qdd = tau - C qd - D qd - G + Psi^T lambda, Psi qdd = -Psidot qd, at DIGITS."""
+    """qdd by M qdd = tau + Q - C qd - D qd - G + Psi^T lambda, Psi qdd = -Psidot qd; DIGITS."""
     from mpmath import mp
 
     n, rows = mechanism.n, mechanism.rows

@@ -26,6 +26,7 @@ from robodyn.mechanism import Mechanism, PlanarPoint
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+MANY = 200  # links, from which a walk over the tree costs less than a product with J
 COINCIDE = 1e-300  # m; ends of a spring nearer than this have no direction
 
 
@@ -48,11 +49,12 @@ def potential_torques(mechanism: Mechanism, q: Array, E: Complex) -> Array:
 
     Raises SingularError where the ends of a spring with a free length coincide.
     """
-    x = _constants(mechanism)
     Q = np.zeros(q.shape)
     if mechanism.springs:
+        x = _constants(mechanism)
         d, s = _stretched(mechanism, x, E)
-        Q = _torques(x.c, E, -(x.stiffness * (1.0 - x.length / s)) * d) @ mechanism.arrays.J
+        absolute = _torques(x.c, E, -(x.stiffness * (1.0 - x.length / s)) * d)
+        Q = _to_joints(mechanism, absolute)
     for spring in mechanism.joint_springs:
         Q[..., spring.joint] -= spring.stiffness * (q[..., spring.joint] - spring.angle)
     return Q
@@ -64,13 +66,14 @@ def other_torques(mechanism: Mechanism, qd: Array, E: Complex, rates: Array) -> 
     Dampers of springs, forces that turn with a link, friction; `rates` is alphad.
     """
     x = _constants(mechanism)
-    Q = np.zeros(qd.shape)
+    Q = np.zeros(np.broadcast_shapes(qd.shape, E.shape))
     if x.damping.any():
         d, s = _stretched(mechanism, x, E)
-        Q = _torques(x.c, E, -x.damping * _stretching(x, E, rates, d, s) * d)
+        Q = Q + _torques(x.c, E, -x.damping * _stretching(x, E, rates, d, s) * d)
     if len(x.force):
         Q = Q + _torques(x.arm, E, x.force * E[..., x.turning_with])
-    Q = Q @ mechanism.arrays.J
+    if x.damping.any() or len(x.force):
+        Q = _to_joints(mechanism, Q)
     for joint, friction in mechanism.friction:
         Q[..., joint] -= friction.torque * np.tanh(qd[..., joint] / friction.speed)
     return Q
@@ -129,6 +132,19 @@ def _torques(c: Complex, E: Complex, F: Complex) -> Array:
     return Q
 
 
+def _to_joints(mechanism: Mechanism, absolute: Array) -> Array:
+    """J^T times torques in absolute angles, (..., n)."""
+    if mechanism.n > MANY:
+        torques = absolute.copy()
+        for k in reversed(mechanism.order):
+            above = mechanism.parent[k]
+            if above is not None:
+                torques[..., above] += torques[..., k]
+        return torques
+    result: Array = absolute @ mechanism.arrays.J
+    return result
+
+
 def _stretched(mechanism: Mechanism, x: _Constants, E: Complex) -> tuple[Complex, Array]:
     """d and s of all springs; s is 1 where nothing asks for a direction."""
     d = x.constant + E @ x.c.T
@@ -161,7 +177,7 @@ def _constants(mechanism: Mechanism) -> _Constants:
         stiffness=np.array([spring.stiffness for spring in springs], float),
         length=np.array([spring.length for spring in springs], float),
         damping=np.array([spring.damping for spring in springs], float),
-        directed=np.array([bool(x.length or x.damping) for x in springs], bool),
+        directed=np.array([bool(x.stiffness * x.length or x.damping) for x in springs], bool),
         force=np.array([force.force for force in turning], complex),
         turning_with=np.array([force.link for force in turning], int),
         arm=_coefficients([force.point for force in turning], mechanism.n),

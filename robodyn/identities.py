@@ -35,7 +35,7 @@ Complex = NDArray[np.complex128]
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
 
-BALANCE = "M qdd + C qd + D qd + G = tau + Psi^T lambda"
+BALANCE = "M qdd + C qd + D qd + G = tau + Q + Psi^T lambda"
 FORCES = "Q qd = power of its forces"
 POWER = "power in = dE/dt"
 

@@ -164,7 +164,7 @@ def path_through(
     if len(points) < 2:
         limit = "a motion needs two points or more"
         raise InputError("points", value=len(points), limit=limit)
-    u = spread(points) if times is None else _scaled(np.asarray(times, float))
+    u = spread(points) if times is None else _scaled(_as_times(times, len(points)))
     if natural and not (name == "cubic" and len(points) > 2):
         raise InputError("ends", value="natural", limit="is for a cubic spline through points")
     if name in SPLINES and len(points) > 2:
@@ -187,6 +187,14 @@ def spread(points: Array) -> Array:
         limit = "are the same, so that no time passes between them: give times"
         raise InputError(f"points {k} and {k + 1}", limit=limit)
     return _scaled(np.concatenate([[0.0], np.cumsum(distances)]))
+
+
+def _as_times(times: ArrayLike, count: int) -> Array:
+    found = np.asarray(times, float)
+    if found.shape != (count,):
+        limit = f"must be ({count},), one time a point"
+        raise InputError("times.shape", value=found.shape, limit=limit)
+    return found
 
 
 def _scaled(times: Array) -> Array:

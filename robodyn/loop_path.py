@@ -66,19 +66,18 @@ class LoopPath:
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
         direct = np.ones(len(u), bool)
         for at, fastest in self._nodes.crossings:
-            step = STEP / fastest
-            near = np.flatnonzero(direct & (np.abs(u - at) < 0.5 * step))
-            around = at + step * OFFSETS
-            inside = self.path.breaks[piece[near]] <= around[0]
-            inside &= around[-1] <= self.path.breaks[piece[near] + 1]
-            near = near[inside]
+            within = self.path.breaks[:-1] <= at
+            of = int(np.flatnonzero(within & (at <= self.path.breaks[1:]))[0])
+            begin, end = self.path.breaks[of : of + 2].tolist()
+            offsets, step = _beside(at, STEP / fastest, begin, end)
+            near = np.flatnonzero(direct & (piece == of) & (np.abs(u - at) < 0.5 * step))
             if len(near):
-                beside = self._closed(around, np.repeat(piece[near[:1]], len(around)))
-                weights = _lagrange(OFFSETS.astype(float), (u[near] - at) / step)
+                beside = self._closed(at + step * offsets, np.full(len(offsets), of))
+                weights = _lagrange(offsets, (u[near] - at) / step)
                 held = self.path.evaluate(u[near], piece[near])
                 for values, known, given in zip(result, beside, held, strict=True):
                     values[near] = weights @ known
-                    values[np.ix_(near, self.mechanism.actuated)] = given
+                    values[near[:, None], list(self.mechanism.actuated)] = given
                 direct[near] = False
         if direct.any():
             closed = self._closed(u[direct], piece[direct])
@@ -109,6 +108,19 @@ class LoopPath:
             raise PathEndError(self.mechanism, float(u[worst]), q[worst], reason)
         q1 = loop_velocities(self.mechanism, q, p1)
         return q, q1, loop_accelerations(self.mechanism, q, q1, p2)
+
+
+def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, float]:
+    """Where states lead across `at`, in steps from there, within [begin, end]; and the step.
+
+    On both sides if there is room, else more of them on one.
+    """
+    count = len(OFFSETS)
+    step = min(step, (end - begin) / (count + 3))
+    first = max(-int((at - begin) / step), -count)
+    last = min(int((end - at) / step), count)
+    whole = np.array([k for k in range(first, last + 1) if k], float)
+    return whole[np.sort(np.argsort(np.abs(whole), kind="stable")[:count])], step
 
 
 def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:

@@ -65,10 +65,12 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
     if not mechanism.rows:
         return ""
-    Psi = closure_jacobian(mechanism, q)
-    if _smallest(mechanism, Psi[:, list(mechanism.passive)]) > SINGULAR:
+    Psi, passive = closure_jacobian(mechanism, q), list(mechanism.passive)
+    if passive and _smallest(mechanism, Psi[:, passive]) > SINGULAR:
         return ""
-    return "change point" if _smallest(mechanism, Psi) <= SINGULAR else "dead centre"
+    if _smallest(mechanism, Psi) <= SINGULAR:
+        return "change point"
+    return "dead centre" if passive else ""
 
 
 def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
@@ -133,14 +135,31 @@ def check_closed(
         wrong = np.flatnonzero(excess.reshape(-1, gap.shape[-1]).any(axis=-1))
         if wrong.size:
             state = int(wrong[0])
-            distance = float(np.linalg.norm(gap.reshape(-1, gap.shape[-1])[state]))
-            error = InputError(
-                f"the loops are open: gap in {what}",
-                value=f"{distance:.6g} {unit}",
-                limit="give a closed motion, or the actuated joints only (the rest is assembled)",
-            )
+            error = _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
             return state, error
     return None
+
+
+def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
+    """The error of a state whose closures, or else couplings, are open by `gap` (r,)."""
+    limit = "give a closed motion, or the actuated joints only (the rest is assembled)"
+    pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
+    if np.abs(gap[pins]).max(initial=0.0) > GAP_ALLOWED * loop_size(mechanism) or not len(
+        mechanism.description.couplings
+    ):
+        distance = float(np.linalg.norm(gap[pins]))
+        return InputError(
+            f"the loops are open: gap in {what}", value=f"{distance:.6g} {unit}", limit=limit
+        )
+    arms = np.array([row.arm or np.inf for row in mechanism.rows])
+    turns = np.abs(gap / arms)
+    worst = int(np.argmax(turns)) - len(pins)
+    joint = mechanism.description.couplings[worst].joint
+    return InputError(
+        f"coupling {worst + 1} does not hold: q{joint + 1} is off in {what}",
+        value=f"{turns.max():.6g} {unit.replace('m', 'rad', 1)}",
+        limit=limit,
+    )
 
 
 def _smallest(mechanism: Mechanism, Psi: Array) -> Array:

@@ -24,7 +24,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from robodyn import description as scene
+from robodyn import description as scene_files
 from robodyn.errors import InputError
 from robodyn.planar_model import ClosureRow as ClosureRow
 from robodyn.planar_model import Force as Force
@@ -40,7 +40,7 @@ def load(path: str | Path) -> Mechanism:
 
     Raises DescriptionError (an InputError) that tells every fault of the file.
     """
-    return build(scene.read(path))
+    return build(scene_files.read(path))
 
 
 def build(description: Description) -> Mechanism:
@@ -150,7 +150,8 @@ def _point(pivots: Sequence[PlanarPoint], point: Point) -> PlanarPoint:
     if point.link is None:
         return PlanarPoint(point.at, ())
     pivot = pivots[point.link]
-    return PlanarPoint(pivot.constant, (*pivot.terms, (point.link, point.at)))
+    own = ((point.link, point.at),) if point.at != 0 else ()
+    return PlanarPoint(pivot.constant, pivot.terms + own)
 
 
 def _difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
@@ -220,18 +221,24 @@ def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list
 
 
 def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[int, ...]:
-    """As the scene says; else every joint that is free, and the first of each group of loops.
+    """As the scene says; else every joint outside of loops, and the first of each group of loops.
 
-    The joints of a coupling belong together as those of a loop do.
+    Loops that share joints, or have coupled ones, are a group; a joint that a coupling gives is
+    never actuated, and a group with a coupled joint outside of loops is driven from there.
     """
     if description.actuated is not None:
         return description.actuated
+    loops = loop_joints(description, pivots)
+    in_loops = set().union(*loops)
+    followers = {coupling.joint for coupling in description.couplings}
     groups: list[set[int]] = []
     coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
-    for loop in loop_joints(description, pivots) + coupled:
-        apart = [group for group in groups if not group & loop]
-        joined = loop.union(*(group for group in groups if group & loop))
+    for tied in loops + coupled:
+        apart = [group for group in groups if not group & tied]
+        joined = tied.union(*(group for group in groups if group & tied))
         groups = [*apart, joined]
-    closed = set().union(*groups)
-    free = {k for k in range(len(description.links)) if k not in closed}
-    return tuple(sorted(free | {min(group) for group in groups if group}))
+    driven = {k for k in range(len(description.links)) if k not in in_loops | followers}
+    for group in groups:
+        if group & in_loops and not group & driven:
+            driven.update(sorted(group - followers)[:1])
+    return tuple(sorted(driven))

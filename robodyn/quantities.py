@@ -20,6 +20,7 @@ _ANGLE = re.compile(ANGLE_PATTERN, re.ASCII)
 _JOINT = re.compile(
     rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d+)", re.ASCII
 )
+_APART = re.compile(r"[\w.]\s+(?!q)[\w.]|q\d+\s+q")  # a blank within what is no product
 _SIGNED = re.compile(r"(?<=[^eE])(?=[+-])")  # before every sign but that of an exponent
 
 
@@ -66,6 +67,8 @@ def parse_coupling(text: str) -> tuple[int, dict[int, float], float]:
 
     Ratios are numbers or fractions (`-20/37 q1`, `2*q1`, `-q1`), the constant an angle (`30deg`).
     """
+    if _APART.search(text):
+        raise ValueError("must be such as q3 = -2 q1 + 0.1: a sign is missing between terms")
     sides = "".join(text.split()).split("=")
     left = _JOINT.fullmatch(sides[0])
     if len(sides) != 2 or left is None or left["ratio"] or left["sign"]:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.assembly import loop_size
 from robodyn.closed_form import absolute_rates, as_states, closure_jacobian, phases
 from robodyn.dense_dynamics import RANK_CUT
-from robodyn.dynamics import pin_forces
+from robodyn.dynamics import coupling_torques, pin_forces
 from robodyn.errors import InputError
 from robodyn.forces import forces_on_links, load_wrench
 from robodyn.mechanism import Mechanism
@@ -119,6 +119,17 @@ def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tup
     at_joints = (np.abs(changes @ _bodies(mechanism).sides) > FELT).any(axis=0)
     closures, joints = np.flatnonzero(at_closures), np.flatnonzero(at_joints)
     return tuple(closures.tolist()), tuple(joints.tolist())
+
+
+def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
+    """The couplings whose torque is not unique at q (n,)."""
+    if not mechanism.description.couplings:
+        return ()
+    U, s, _ = np.linalg.svd(closure_jacobian(mechanism, q), full_matrices=True)
+    rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
+    changes = coupling_torques(mechanism, U[:, rank:].T)
+    found = np.flatnonzero((np.abs(changes) > FELT * loop_size(mechanism)).any(axis=0))
+    return tuple(found.tolist())
 
 
 def _motion(

@@ -85,7 +85,7 @@ class SparseMechanism:
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_forces:
-            joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E)
+            joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E, rates)
         force: Array = joint - (self.weight * E).imag + self.moments
         force = force - np.bincount(self.above, joint[self.child], minlength=n)
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]

@@ -229,7 +229,7 @@ def test_torque_of_the_motion_is_the_torque_applied(
 
 
 def test_in_a_pipe(shell: Run) -> None:
-    """The line of the issue, as a shell runs it."""
+    """What simulate writes torque reads, as a shell runs it."""
     given = shell(
         "robodyn simulate robots/2r.yaml --q 30deg,45deg --time 1 --every 0.25 --tau 1,0 --quiet "
         "| robodyn torque robots/2r.yaml -"

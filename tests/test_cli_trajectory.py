@@ -418,3 +418,11 @@ def test_wrong_tables(robodyn: Run, stdin: str, arguments: str, parts: list[str]
 
 def test_too_fast_for_floats(process: Run) -> None:
     process(*ARM, *TO, "--time", "1e-200").fails(1, "not finite")
+
+
+@pytest.mark.parametrize("rows", [3, 101, 1001])
+def test_an_end_at_a_change_point_is_refused(rows: int, robodyn: Run) -> None:
+    options = ["--from", "0.2", "--to", "pi", "--time", "2", "--points", str(rows)]
+    given = robodyn("trajectory", ROOT / "robots/parallelogram.yaml", *options)
+    assert given.code == 1
+    assert "too near a change point" in given.err

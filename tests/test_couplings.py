@@ -234,7 +234,7 @@ class TestAssembly:
     def test_a_tree_at_random(self):
         plain = seeded_tree(3, 5)
         mech = mechanism(plain.text + 'couplings: ["q4 = 0.3 q2 - q1", "q5 = -1.5 q4 + 1"]\n')
-        assert mech.actuated == (0, 2)
+        assert mech.actuated == (0, 1, 2)  # as many as freedoms: two of five follow
         q = mechanism(
             plain.text + "couplings: q4 = 0.3 q2 - q1\nactuated: [link0, link1, link2, link4]\n"
         )
@@ -293,3 +293,66 @@ def test_the_columns_of_the_command_line(robodyn, scene):
     assert names == "tau1,fx1,fy1,tc1"
     shown = robodyn("check", path, "--format", "table").out
     assert "q3 = -2 q1 + 0.349" in shown
+
+
+class TestTiedJoints:
+    """Which joints are driven where the scene does not say, and what is said of too many."""
+
+    LOOPS = FIVE_BAR.replace('couplings: ["q3 = -2 q1 + 20deg"]\n', "")
+
+    def test_a_locked_joint_is_not_driven(self):
+        mech = mechanism(ARM + "couplings: q2 = 30deg")
+        assert mech.actuated == (0, 2)
+        q = assemble(mech, [0.3, -0.2])
+        assert q[1] == pytest.approx(math.radians(30))
+        tau = inverse_dynamics(mech, q, np.zeros(3), np.zeros(3))
+        assert tau[1] == 0.0
+
+    def test_a_loop_is_driven_by_a_joint_outside_that_it_follows(self):
+        link = "links:\n  - {name: motor, m: 0.1, l: 0, r: 0, I: 0.01, from: [2, 0]}\n"
+        text = self.LOOPS.replace("links:\n", link, 1) + 'couplings: ["q2 = 0.5 q1", "q4 = -q1"]\n'
+        mech = mechanism(text)
+        assert mech.actuated == (0,)
+        assert assemble(mech, [0.9])[1] == pytest.approx(0.45)
+
+    def test_two_loops_that_are_geared_have_one_motor(self):
+        names = ("left crank", "left rod", "right crank", "right rod")
+        second = self.LOOPS.split("links:\n")[1].split("closures")[0]
+        for name in names:
+            second = second.replace(name, f"other {name}")
+        second = second.replace("other left crank,", "other left crank, from: [3, 0],")
+        second = second.replace("[0.7, 0.0]", "[3.7, 0.0]")
+        text = self.LOOPS.replace("closures: [[left rod, right rod]]\n", second)
+        text += "closures: [[left rod, right rod], [other left rod, other right rod]]\n"
+        text += 'couplings: ["q3 = -q1", "q5 = 2 q1", "q7 = q5"]\n'
+        assert mechanism(text).actuated == (0,)
+
+    def test_every_joint_of_a_loop_actuated(self, robodyn, scene):
+        path = scene(FIVE_BAR + "actuated: [left crank, left rod, right crank, right rod]\n")
+        q = assemble(mechanism(FIVE_BAR), [1.0])
+        given = ",".join(map(repr, q.tolist()))
+        assert robodyn("assemble", path, "--q", given).code == 0
+        assert robodyn("check", path).code == 0
+
+    def test_an_open_coupling_is_named(self):
+        mech = mechanism(FIVE_BAR)
+        q = assemble(mech, [1.0])
+        both = q + np.array([0.0, 0.0, 0.1, 0.0])
+        alone = mechanism(ARM + "couplings: q2 = 2 q1")
+        with pytest.raises(InputError, match="coupling 1 does not hold: q2 is off in position"):
+            simulate(alone, [0.1, 0.5, 0.0], np.zeros(3), 1.0)
+        with pytest.raises(InputError, match="loops are open"):
+            simulate(mech, both, np.zeros(4), 1.0)
+
+    def test_couplings_that_depend_on_one_another(self, robodyn, scene):
+        path = scene(ARM + 'couplings: ["q2 = 2 q1", "q1 = 0.5 q2"]\nactuated: [a, c]\n')
+        given = robodyn("reactions", path, "--q", "0.2,0.4,0.1")
+        assert given.code == 0
+        assert "not unique: tc1; tc2" in given.err
+
+    @pytest.mark.parametrize(
+        "text", ["q2 = 2 q1 2", "q2 = 1 0 q1", "q2 = q1 + 1 2deg", "q2 = q1 q3"]
+    )
+    def test_a_blank_within_a_number_is_no_number(self, text):
+        with pytest.raises(InputError, match="couplings"):
+            mechanism(f"{ARM}couplings: {text}\n")

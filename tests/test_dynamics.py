@@ -1,6 +1,6 @@
 """Inverse and forward dynamics against the lecture, Newton-Euler and 30 digits.
 
-M qdd + C qd + D qd + G = S^T tau_act + Psi^T lambda        Psi qdd + Psidot qd = 0      (1)
+M qdd + C qd + D qd + G = S^T tau_act + Q + Psi^T lambda      Psi qdd + Psidot qd = 0    (1)
 """
 
 import re

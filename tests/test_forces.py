@@ -18,6 +18,7 @@ from random_mechanisms import (
     seeded_tree,
 )
 from robodyn import (
+    assemble,
     forward_dynamics,
     gravity_vector,
     identities,
@@ -471,3 +472,51 @@ def test_no_series_forgets_them():
         compile_expansion(mech, 8, (0.0, 0.0), False)
     with pytest.raises(ValueError, match="push"):
         ArraySeries(mech, 8, np.zeros(2))
+
+
+class TestCoincidingEnds:
+    """A spring without a direction is said to be one, by every way to ask."""
+
+    TEXT = (
+        "links: [{name: a, m: 1, l: 0.75, r: 0.5, I: 0.1}, "
+        "{name: b, m: 1, l: 0.5, r: 0.2, I: 0.1}]\n"
+        "springs: [{between: [b, [1.25, 0]], stiffness: 10, length: 0.1}]\n"
+    )
+
+    def test_in_python(self):
+        mech = mechanism(self.TEXT)
+        for shape in ((2,), (3, 2), (40_000, 2)):
+            zero = np.zeros(shape)
+            with pytest.raises(SingularError, match="coincide"):
+                inverse_dynamics(mech, zero, zero, zero)
+            with pytest.raises(SingularError, match="coincide"):
+                forward_dynamics(mech, zero, zero, zero)
+
+    @pytest.mark.parametrize("command", ["torque", "accel", "reactions", "terms"])
+    def test_on_the_command_line(self, robodyn, scene, command):
+        given = robodyn(command, scene(self.TEXT), "--q", "0,0", "--qd", "1,2")
+        assert given.code == 1
+        assert "the ends of spring 1 between two points coincide" in given.err
+
+    def test_one_that_does_nothing_needs_no_direction(self):
+        mech = mechanism(self.TEXT.replace("stiffness: 10", "stiffness: 0"))
+        assert forward_dynamics(mech, [0.0, 0.0], [0, 0], [0, 0]) == pytest.approx([0.0, 0.0])
+
+    def test_other_forces_broadcast(self):
+        rubbing = "I: 0.1, friction: {torque: 1, speed: 0.1}}"
+        mech = mechanism(f"links: [{{name: a, m: 1, l: 1, r: 0.5, {rubbing}]\n")
+        assert other_forces(mech, np.zeros((3, 1)), [1.0]).shape == (3, 1)
+
+
+def test_a_passive_joint_is_assembled_near_its_springs_angle():
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    turned = [
+        mechanism(text + f"springs: [{{joint: coupler, stiffness: 5, angle: {angle}}}]\n")
+        for angle in (0.4, 0.4 + 2 * math.pi)
+    ]
+    torques = []
+    for mech, angle in zip(turned, (0.4, 0.4 + 2 * math.pi), strict=True):
+        q = assemble(mech, np.linspace(0.0, 2 * np.pi, 50)[:, None])
+        assert np.abs(q[:, 1] - angle).max() <= math.pi
+        torques.append(inverse_dynamics(mech, q, np.zeros_like(q), np.zeros_like(q)))
+    assert torques[0] == pytest.approx(torques[1], abs=1e-10)

@@ -23,8 +23,9 @@ from random_mechanisms import (
     sizes,
     trees,
 )
+from robodyn.description import from_text
 from robodyn.errors import InputError
-from robodyn.mechanism import joint_index, load
+from robodyn.mechanism import build, joint_index, load
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
 examples = settings(deadline=None, max_examples=40)
@@ -266,7 +267,17 @@ class TestExamples:
             assert len({getattr(link, key) for link in links}) == mech.n
         assert all(math.isfinite(value.real) for _, _, value in mech.A)
 
-    def test_the_examples_that_the_issue_names_are_there(self):
+    def test_the_examples_are_there(self):
         names = {path.stem for path in ROBOTS}
         assert names >= {"2r", "3r", "pendulum", "four-bar", "parallelogram", "slider-crank"}
         assert "five-bar" in names
+
+
+def test_a_closure_at_a_links_own_joint_leaves_the_link_free():
+    text = (Path(__file__).parent.parent / "robots/four-bar.yaml").read_text()
+    text = text.replace("actuated: [crank]", "").replace(
+        "closures:\n  - [coupler, rocker]",
+        "  - {name: arm, m: 0.2, l: 0.3, r: 0.1, I: 0.01}\n"
+        "closures:\n  - [coupler, {link: arm, at: [0, 0]}]",
+    )
+    assert build(from_text(text, "arm.yaml")).actuated == (0, 3)

@@ -376,3 +376,20 @@ def test_a_break_belongs_to_the_piece_after_it() -> None:
     breaks = np.array([0.0, 0.25, 0.5, 1.0])
     assert piece_at(breaks, np.array([0.0, 0.25, 0.3, 0.5, 1.0])).tolist() == [0, 1, 1, 2, 2]
     assert isinstance(turning(BAR, 0.0).path, LoopPath)
+
+
+@pytest.mark.parametrize("times", [[0, 1], [0, 1, 2, 3], [], [[0, 1, 2]]])
+@pytest.mark.parametrize("name", ["cubic", "quintic", "trapezoidal", "cycloidal"])
+def test_times_are_one_a_point(times: list, name: str) -> None:
+    with pytest.raises(InputError, match=r"times\.shape"):
+        reference_motion(ARM, [[0, 0], [1, 0], [1, 1]], times=times, profile=name)
+
+
+@pytest.mark.parametrize("before", [0.1, 0.03, 0.01, 1e-3])
+def test_a_start_just_before_a_change_point(before: float) -> None:
+    """A parallelogram stays one, however little room there is on one side."""
+    mech = robodyn.load(ROOT / "robots/parallelogram.yaml")
+    motion = reference_motion(mech, [[np.pi - before], [4.0]], duration=2.0)
+    q, _, qdd = motion.states(np.linspace(0.0, 2.0, 401))
+    assert np.abs(q[:, 2] - q[:, 0]).max() < 1e-10
+    assert np.abs(qdd[:, 2] - qdd[:, 0]).max() < 1e-9 * np.abs(qdd).max()

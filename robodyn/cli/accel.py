@@ -22,8 +22,9 @@ def accel(
 ) -> None:
     """The accelerations that torques cause, and the pin forces.
 
-    Columns: qdd1.. (rad/s^2) of all joints, and for each closure the pin force fx1,fy1 (N, ground
-    axes) on the side that the scene names first.  Rows of STATES pass through with these added.
+    Columns: qdd1.. (rad/s^2) of all joints, for each closure the pin force fx1,fy1 (N, ground
+    axes) on the side that the scene names first, and tc1 (N m), the torque of each coupling.
+    Rows of STATES pass through with these added.
 
     \b
     Examples:

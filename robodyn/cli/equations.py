@@ -51,10 +51,12 @@ def equations(
 ) -> None:
     """The equations of motion in closed form, with their symbols.
 
-    M qdd + C qd + G = tau + Psi^T lambda, each entry written out, then what the symbols mean.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, as far as the scene has these, each entry
+    written out, then what the symbols mean.
 
     `latex` is a whole document; `python` and `c` are functions M, C, G, ... that run on their own.
-    JSON keys: name, equation, q, tau, M, C, D, G, Psi, Psidot_qd, gap, symbols, zero, unused.
+    JSON keys: name, equation, q, tau, M, C, D, G, Q, Psi, Psidot_qd, gap, definitions, symbols,
+    zero, unused.
 
     \b
     Examples:

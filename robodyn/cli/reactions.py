@@ -20,7 +20,12 @@ from robodyn.dynamics import (
 from robodyn.errors import InputError
 from robodyn.loop_rates import check_way_on
 from robodyn.mechanism import Mechanism, load
-from robodyn.reaction_forces import dependent_rows, not_unique, shaking_force
+from robodyn.reaction_forces import (
+    dependent_couplings,
+    dependent_rows,
+    not_unique,
+    shaking_force,
+)
 from robodyn.reaction_forces import reactions as joint_forces
 
 Tau = Annotated[
@@ -134,6 +139,7 @@ class _Motion:
         self._named = True
         closures, links = not_unique(self._mechanism, q)
         names = [f"fx{c + 1},fy{c + 1}" for c in closures]
+        names += [f"tc{c + 1}" for c in dependent_couplings(self._mechanism, q)]
         names += [f"rx{k + 1},ry{k + 1} ({self._mechanism.link_names[k]})" for k in links]
         warnings.warn(f"not unique: {'; '.join(names)}", RobodynWarning, stacklevel=3)
 

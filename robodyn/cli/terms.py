@@ -20,8 +20,9 @@ def terms(
 ) -> None:
     """M, C, G, the closures' Psi, and the energies at a state.
 
-    They are the terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians;
-    G holds springs too, Q what has no potential: dampers of springs, forces that turn, friction.
+    They are terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians (D
+    is the diagonal matrix of joint damping).  G holds springs too, Q what has no potential: dampers
+    of springs, forces that turn, friction.
     JSON keys: q, qd, M, C, G, Q (where there is any), Psi, Psidot_qd, gap, KE, PE.
 
     \b

@@ -22,11 +22,12 @@ def torque(
 ) -> None:
     """The torques that a motion needs, and the pin forces.
 
-    tau = M qdd + C qd + D qd + G - Psi^T lambda, D the joint damping, lambda the pin forces.
+    tau = M qdd + C qd + D qd + G - Q - Psi^T lambda, D the joint damping, Q friction and other
+    forces without potential, lambda the pin forces.
 
-    Columns: tau1.. (N m) of the actuated joints under their own joint number, and for each
-    closure the pin force fx1,fy1 (N, ground axes) on the side that the scene names first.
-    Rows of STATES pass through with these columns added.
+    Columns: tau1.. (N m) of the actuated joints under their own joint number, for each closure
+    the pin force fx1,fy1 (N, ground axes) on the side that the scene names first, and tc1 (N m),
+    the torque of each coupling.  Rows of STATES pass through with these columns added.
 
     \b
     Examples:
@@ -70,4 +71,9 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
     formula = inverse_formula(mechanism)
     assert formula is not None  # there is no loop to solve
     values = [source.values or [0.0] * mechanism.n for source in sources]
-    return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
+    try:
+        return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
+    except ZeroDivisionError:  # the ends of a spring coincide: say so
+        from robodyn.dynamics import inverse_dynamics
+
+        return tuple(inverse_dynamics(mechanism, *values).tolist())
