@@ -66,6 +66,13 @@ def choose_x(header: Sequence[str], wanted: str | None, source: str) -> str | No
     return wanted
 
 
+def place_of(name: str, option: str, header: Sequence[str], source: str) -> int:
+    """Where in the header a column is; InputError, with those that are there, where it is not."""
+    if name not in header:
+        raise _unknown(name, option, header, source)
+    return header.index(name)
+
+
 def choose_columns(
     header: Sequence[str], patterns: Sequence[str] | None, x: str | None, source: str
 ) -> list[str]:

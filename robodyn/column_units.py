@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 UNITS = {
     "t": "s",
     "q": "rad",
@@ -20,6 +22,8 @@ UNITS = {
     "PE": "J",
     "energy": "J",
     "gap": "m",
+    "flip": "s",
+    "flip_time": "s",
     **{f"{part}_{axis}": "m" for part in ("joint", "tip", "centre") for axis in "xy"},
     **{f"{part}_v{axis}": "m/s" for part in ("joint", "tip", "centre") for axis in "xy"},
 }
@@ -31,5 +35,5 @@ def quantity_of(name: str) -> str:
 
 
 def unit_of(name: str) -> str:
-    """The unit of a column, "" where none is known."""
-    return UNITS.get(quantity_of(name), "")
+    """The unit of a column, also of its end, least or largest value; "" where none is known."""
+    return UNITS.get(quantity_of(re.sub("_(end|min|max)$", "", name)), "")

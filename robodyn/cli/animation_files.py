@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.figures import COLOURS
 from robodyn.cli.pictures import FONT, Picture
+from robodyn.colour_scale import COLOURS
 from robodyn.drawing import Drawing
 from robodyn.errors import RobodynError
 from robodyn.motion_frames import FINER, time_decimals

@@ -10,8 +10,8 @@ from itertools import groupby
 
 import numpy as np
 
-from robodyn.cli.figures import COLOURS
 from robodyn.cli.pictures import LINK_COLOURS, LONGEST, STYLES
+from robodyn.colour_scale import COLOURS
 from robodyn.drawing import Drawing
 from robodyn.motion_frames import FINER, Frames, time_decimals
 from robodyn.outlines import Shape

@@ -8,10 +8,12 @@ import sys
 from collections.abc import Sequence
 
 from robodyn.character_drawing import drawing_lines
+from robodyn.character_map import DEEP, PALETTE, map_lines
 from robodyn.character_plot import chart_lines
 from robodyn.chart import Chart
 from robodyn.drawing import Drawing
 from robodyn.output_file import open_output
+from robodyn.value_map import ValueMap
 
 WIDTH, HEIGHT = 80, 24  # where there is no terminal
 ROWS = 12  # of a panel
@@ -24,6 +26,15 @@ def write_chart(chart: Chart, ascii: bool, out: str | None) -> None:
     rows = max(5, min(ROWS + 6 // panels, (height - 4) // panels - 1))
     ascii = ascii or not _has_dots(out)
     _write(chart_lines(chart, width - 1, rows, ascii, _colour(out)), out)
+
+
+def write_map(content: ValueMap, ascii: bool, out: str | None) -> None:
+    """The map as large as the terminal allows."""
+    width, height = _size()
+    deep = os.environ.get("COLORTERM") in ("truecolor", "24bit")
+    colours = (DEEP if deep else PALETTE) if _colour(out) else ""
+    ascii = ascii or not _has_dots(out)
+    _write(map_lines(content, width - 1, height - 1, ascii, colours), out)
 
 
 def write_drawing(drawn: Drawing, names: Sequence[str], ascii: bool, out: str | None) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robodyn.chart import Chart, Panel, limits, spread
 from robodyn.cli.options import PictureFormat
+from robodyn.colour_scale import COLOURS, Rgb
 from robodyn.errors import InputError, RobodynError
 from robodyn.output_file import open_output
 
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".svg", ".pdf")
 MARKS = "osD^vP*X"
-# Okabe and Ito's colours, which colour-blind people tell apart
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#222222")
 LINE_STYLES = ("-", "--", ":", "-.")
 DOTS = 150  # an inch
 LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
@@ -212,8 +212,11 @@ def new_figure(size: tuple[float, float], **options: Any) -> Any:
     return figure
 
 
-def save(figure: Any, path: str | None, format: str) -> None:
-    """Write the figure, all or nothing; the same figure makes the same bytes."""
+def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()) -> None:
+    """Write the figure, all or nothing; the same figure makes the same bytes.
+
+    A .png has the colours of the `palette`, 256 at most, or those that suit it best.
+    """
     from io import BytesIO
 
     from matplotlib import rc_context
@@ -226,7 +229,26 @@ def save(figure: Any, path: str | None, format: str) -> None:
             from PIL import Image
 
             with Image.open(drawn) as image:  # 256 colours are enough, in a third of the bytes
-                small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+                if palette:
+                    small = _nearest_of(palette, image.convert("RGB"))
+                else:
+                    small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
             small.save(stream, format="PNG", optimize=True, dpi=(DOTS, DOTS))
         else:
             stream.write(drawn.getvalue())
+
+
+def _nearest_of(palette: Sequence[Rgb], image: Any) -> Any:
+    """The image with each colour the nearest of the palette."""
+    import numpy as np
+    from PIL import Image
+
+    parts = np.asarray(image, np.uint32)
+    packed = (parts[..., 0] << 16) | (parts[..., 1] << 8) | parts[..., 2]
+    colours, places = np.unique(packed, return_inverse=True)
+    apart = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=-1).astype(float)
+    known = np.array(palette, float)
+    near = np.array([((known - colour) ** 2).sum(axis=-1).argmin() for colour in apart], np.uint8)
+    small = Image.fromarray(near[places.reshape(packed.shape)], "P")
+    small.putpalette(np.array(palette, np.uint8).tobytes())
+    return small

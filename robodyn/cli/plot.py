@@ -7,12 +7,18 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn.chart import Array, Chart, chart, choose_columns, choose_x
+from robodyn.chart import Array, Chart, chart, choose_columns, choose_x, place_of
 from robodyn.cli.figures import parse_size, picture_format
 from robodyn.cli.options import Ascii, OutputPicture, PictureFormat, PictureOut, Size
+from robodyn.cli.output import note
 from robodyn.cli.states import open_input
+from robodyn.colour_column import ColourColumn
+from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.table import Reader
+from robodyn.value_map import ValueMap, value_map
+
+ONE_Y = "a map has one column along y"
 
 
 def plot(
@@ -35,15 +41,29 @@ def plot(
             show_default=False,
         ),
     ] = None,
+    colour: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            "--colour",
+            "--color",
+            metavar="COLUMN",
+            help="Draw a map: this column as colours over --x and --y.",
+            show_default=False,
+        ),
+    ] = None,
+    log: Annotated[bool, typer.Option("--log", help="Logarithmic --colour.")] = False,
     size: Size = None,
     format: OutputPicture = None,
     ascii: Ascii = False,
     out: PictureOut = None,
 ) -> None:
-    """Columns of CSV files against time, or against each other.
+    """Columns of CSV files against time, or against each other; a map of one over two others.
 
     Columns of one unit share a panel, panels are stacked over one x, and each curve has its name at
     its end.  Several files are overlaid: a colour for each column, a line style for each file.
+
+    With --colour points over --x and --y have the colour of that column: cells where they fill a
+    grid, as rows of a sweep do.  It may hold numbers or words; where it is empty they are grey.
 
     Without --out a terminal gets a chart of characters, as wide as it is; in a pipe it takes
     --format text.
@@ -53,6 +73,7 @@ def plot(
       robodyn plot motion.csv --y "q*,energy"
       robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn plot - -o motion.svg
       robodyn plot one.csv two.csv --x q1 --y qd1 -o phase.png
+      robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
     extent = parse_size(size)
     if "" in files:
@@ -62,7 +83,23 @@ def plot(
     patterns = None if y is None else [word for word in map(str.strip, y.split(",")) if word]
     if patterns == []:
         raise InputError("--y", value=repr(y), limit="names no column")
+    if colour is not None and (x is None or patterns is None):
+        raise InputError("--colour", value=shown(colour), limit="needs --x and --y")
+    if log and colour is None:
+        raise InputError("--log", limit="is a scale of colours: give --colour")
     chosen = picture_format(format, out)
+    if colour is not None:
+        mapped = _read_map(files, x or "", patterns or [], colour, log)
+        if chosen is PictureFormat.text:
+            from robodyn.cli.characters import write_map
+
+            write_map(mapped, ascii, out)
+            return
+        from robodyn.cli.figures import save
+        from robodyn.cli.map_figure import map_figure, map_palette
+
+        save(map_figure(mapped, extent), out, chosen.value, map_palette())
+        return
     content = _read(files, x, patterns)
     if chosen is PictureFormat.text:
         from robodyn.cli.characters import write_chart
@@ -89,3 +126,30 @@ def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
         along.append(own)
         tables.append(table)
     return chart(names, along, tables)
+
+
+def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: bool) -> ValueMap:
+    """The rows of all files as one map."""
+    column = ColourColumn(colour, positive=log)
+    blocks, ys = [], []
+    for file in files:
+        with open_input(file) as (stream, source):
+            reader = Reader(stream, source)
+            choose_x(reader.header, x, source)
+            ys += choose_columns(reader.header, patterns, x, source)
+            if len(set(ys)) > 1:
+                raise InputError("--y", value=", ".join(dict.fromkeys(ys)), limit=ONE_Y)
+            place = place_of(colour, "--colour", reader.header, source)
+            for chunk in reader.chunks([x, ys[0]]):
+                column.add(chunk, place, source)
+                blocks.append(chunk.values)
+    values = np.concatenate(blocks) if blocks else np.zeros((0, 2))
+    if log and column.words:
+        limit = "needs a column of numbers; this one holds words"
+        raise InputError("--log", value=shown(colour), limit=limit)
+    mapped = value_map(
+        (x, ys[0], colour), values[:, 0], values[:, 1], column.values, column.words, log
+    )
+    if mapped.grid is not None and mapped.grid.hidden:
+        note(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
+    return mapped
