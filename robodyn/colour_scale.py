@@ -24,6 +24,7 @@ VIRIDIS = (
     *("#21908c", "#1f9f88", "#28ae80", "#3ebc74", "#5dc963", "#82d34c", "#abdc32", "#d5e21a"),
     "#fde725",
 )
+LEVELS = 160  # shades of a scale; with words and greys a picture has 256 colours at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,8 @@ def painted(values: Array, scale: ColourScale | None, words: Sequence[str]) -> N
         table = np.array(word_colours(len(words)), np.uint8)
         shades: NDArray[np.uint8] = table[np.where(none, 0.0, values).astype(int)]
     elif scale is not None:
-        shades = viridis(scale.fraction(np.where(none, scale.low, values)))
+        far = scale.fraction(np.where(none, scale.low, values))
+        shades = viridis(np.linspace(0.0, 1.0, LEVELS))[np.rint(far * (LEVELS - 1)).astype(int)]
     else:
         shades = np.zeros((*values.shape, 3), np.uint8)
     shades[none] = rgb(NONE)

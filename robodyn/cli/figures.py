@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -215,7 +216,8 @@ def new_figure(size: tuple[float, float], **options: Any) -> Any:
 def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()) -> None:
     """Write the figure, all or nothing; the same figure makes the same bytes.
 
-    A .png has the colours of the `palette`, 256 at most, or those that suit it best.
+    A .png, or an image inside of an .svg, has the colours of the `palette`, 256 at most; without
+    one a .png has those that suit it best.
     """
     from io import BytesIO
 
@@ -226,16 +228,47 @@ def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
         figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
         if format == "png":
-            from PIL import Image
-
-            with Image.open(drawn) as image:  # 256 colours are enough, in a third of the bytes
-                if palette:
-                    small = _nearest_of(palette, image.convert("RGB"))
-                else:
-                    small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-            small.save(stream, format="PNG", optimize=True, dpi=(DOTS, DOTS))
+            stream.write(_smaller(drawn.getvalue(), palette))
+        elif format == "svg" and palette:
+            stream.write(_with_smaller_images(drawn.getvalue(), palette))
         else:
             stream.write(drawn.getvalue())
+
+
+def _smaller(png: bytes, palette: Sequence[Rgb]) -> bytes:
+    """The image in 256 colours, which are enough, in a third of the bytes."""
+    from io import BytesIO
+
+    from PIL import Image
+
+    written = BytesIO()
+    with Image.open(BytesIO(png)) as image:
+        if palette:
+            small = _nearest_of(palette, image.convert("RGB"))
+        else:
+            small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    small.save(written, format="PNG", optimize=True, dpi=(DOTS, DOTS))
+    return written.getvalue()
+
+
+def _with_smaller_images(svg: bytes, palette: Sequence[Rgb]) -> bytes:
+    """The drawing with its images in the colours of the palette, less those that one sees through.
+
+    matplotlib writes four bytes a dot, which take three times the room.
+    """
+    import base64
+    from io import BytesIO
+
+    from PIL import Image
+
+    def smaller(match: re.Match[bytes]) -> bytes:
+        png = base64.b64decode(match[2])
+        with Image.open(BytesIO(png)) as image:
+            if image.convert("RGBA").getextrema()[3][0] < 255:
+                return match[0]
+        return match[1] + base64.b64encode(_smaller(png, palette))
+
+    return re.sub(rb"(data:image/png;base64,)([^\"]*)", smaller, svg)
 
 
 def _nearest_of(palette: Sequence[Rgb], image: Any) -> Any:

@@ -11,6 +11,7 @@ from robodyn.cli.figures import DOTS, new_figure
 from robodyn.cli.output import with_unit
 from robodyn.colour_scale import (
     COLOURS,
+    LEVELS,
     NONE,
     ColourScale,
     Rgb,
@@ -31,7 +32,6 @@ MOST_POINTS = 50_000  # drawn as discs; more become the dots of a raster
 RASTER = 500  # dots across and up
 MOST_SHAPES = 2_000  # points that an .svg or .pdf holds as shapes
 INK = "#333333"
-LEVELS = 160  # shades of the colour bar
 
 
 def map_figure(content: ValueMap, size: tuple[float, float] | None) -> Any:
