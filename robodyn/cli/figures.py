@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -223,65 +222,15 @@ def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()
 
     from matplotlib import rc_context
 
+    from robodyn.cli.fewer_colours import in_palette, with_images_in_palette
+
     dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
     drawn = BytesIO()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
         figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
         if format == "png":
-            stream.write(_smaller(drawn.getvalue(), palette))
+            stream.write(in_palette(drawn.getvalue(), palette))
         elif format == "svg" and palette:
-            stream.write(_with_smaller_images(drawn.getvalue(), palette))
+            stream.write(with_images_in_palette(drawn.getvalue(), palette))
         else:
             stream.write(drawn.getvalue())
-
-
-def _smaller(png: bytes, palette: Sequence[Rgb]) -> bytes:
-    """The image in 256 colours, which are enough, in a third of the bytes."""
-    from io import BytesIO
-
-    from PIL import Image
-
-    written = BytesIO()
-    with Image.open(BytesIO(png)) as image:
-        if palette:
-            small = _nearest_of(palette, image.convert("RGB"))
-        else:
-            small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-    small.save(written, format="PNG", optimize=True, dpi=(DOTS, DOTS))
-    return written.getvalue()
-
-
-def _with_smaller_images(svg: bytes, palette: Sequence[Rgb]) -> bytes:
-    """The drawing with its images in the colours of the palette, less those that one sees through.
-
-    matplotlib writes four bytes a dot, which take three times the room.
-    """
-    import base64
-    from io import BytesIO
-
-    from PIL import Image
-
-    def smaller(match: re.Match[bytes]) -> bytes:
-        png = base64.b64decode(match[2])
-        with Image.open(BytesIO(png)) as image:
-            if image.convert("RGBA").getextrema()[3][0] < 255:
-                return match[0]
-        return match[1] + base64.b64encode(_smaller(png, palette))
-
-    return re.sub(rb"(data:image/png;base64,)([^\"]*)", smaller, svg)
-
-
-def _nearest_of(palette: Sequence[Rgb], image: Any) -> Any:
-    """The image with each colour the nearest of the palette."""
-    import numpy as np
-    from PIL import Image
-
-    parts = np.asarray(image, np.uint32)
-    packed = (parts[..., 0] << 16) | (parts[..., 1] << 8) | parts[..., 2]
-    colours, places = np.unique(packed, return_inverse=True)
-    apart = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=-1).astype(float)
-    known = np.array(palette, float)
-    near = np.array([((known - colour) ** 2).sum(axis=-1).argmin() for colour in apart], np.uint8)
-    small = Image.fromarray(near[places.reshape(packed.shape)], "P")
-    small.putpalette(np.array(palette, np.uint8).tobytes())
-    return small
