@@ -28,6 +28,7 @@ SHADES = {False: "░▒▓█", True: ":-=+*#%@"}  # True: plain ones
 NO_VALUE = {False: "·", True: "."}
 NO_ROW = " "
 BAR = 24  # most characters of the colour bar
+LEAST_BAR = 6
 AXIS = 4  # lines above and below the map
 BESIDE = 3  # characters between the map and what stands beside it
 DEEP, PALETTE = "deep", "palette"  # how a terminal is told colours: 24 bits, or 256 numbered ones
@@ -41,14 +42,15 @@ def map_lines(
     With `colours` (DEEP or PALETTE) in those of a terminal.
     """
     left_edge, right_edge, bottom, top = content.box
-    legend = _legend(content, min(BAR, width - 10), ascii, colours)
+    legend = _legend(content, max(LEAST_BAR, min(BAR, width - 20)), ascii, colours)
     beside = BESIDE + max(len(re.sub("\x1b[^m]*m", "", line)) for line in legend)
     fewest = max(LEAST_HEIGHT, height - AXIS - len(legend))
     y_values, y_texts = _ticks(content.y_name, bottom, top, max(3, fewest // 3), ascii)
     left = max(map(len, y_texts), default=0) + 2
     inside, rows = _extent(content, width - left, fewest)
     wider = _extent(content, width - left - beside, height - AXIS)
-    if wider[1] > rows and wider[0] >= inside and wider[1] >= len(legend):
+    fits = left + wider[0] + beside <= width and wider[1] >= len(legend)
+    if fits and wider[1] > rows and wider[0] >= inside:
         inside, rows = wider
     else:
         beside = 0
@@ -98,7 +100,7 @@ def _drawn(
     """The characters inside the frame, rows from the top."""
     row = content.rows_at(columns, rows * up)[::-1]
     there = row >= 0
-    values = np.where(there, content.values[row], 0.0)
+    values = np.where(there, content.values[row], np.nan)
     if up == 2:
         shades = painted(values, content.scale, content.words)
         pairs = [slice(2 * k, 2 * k + 2) for k in range(rows)]

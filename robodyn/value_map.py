@@ -142,8 +142,9 @@ def _lines(values: Array) -> Array:
     lines = lines[np.append(True, apart)]
     steps = np.diff(lines)
     place = np.append(0.0, np.cumsum(np.round(steps / steps.min())))
-    if len(lines) <= place[-1] < MOST_LINES * len(lines):
-        even: Array = np.linspace(lines[0], lines[-1], int(place[-1]) + 1)
+    whole = place[-1] + 1.0
+    if len(lines) < whole <= MOST_LINES * len(lines):
+        even: Array = np.linspace(lines[0], lines[-1], int(whole))
         if (np.abs(even[place.astype(int)] - lines) < EVEN * (even[1] - even[0])).all():
             return even
     return lines

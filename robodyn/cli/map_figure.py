@@ -158,9 +158,9 @@ def _colour_bar(axes: Any, content: ValueMap) -> None:
     if content.has_none:
         box = axes.inset_axes((1.03, 0.0, 0.045, 0.05))
         box.set_facecolor(NONE)
-        box.set(xticks=[], yticks=[0.5], yticklabels=["none"], ylim=(0, 1))
-        box.yaxis.tick_right()
-        box.tick_params(length=0, labelcolor=INK)
+        box.set(xticks=[], yticks=[], xlim=(0, 1), ylim=(0, 1))
+        text = "none" if content.scale else f"{content.name}: none"
+        box.text(1.2, 0.5, text, ha="left", va="center", color=INK, parse_math=False)
         box.spines[:].set(color=INK, linewidth=0.8)
 
 
