@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -64,7 +63,7 @@ def colour_scale(values: Array, log: bool) -> ColourScale | None:
         return ColourScale(*limits([there]), False)
     low, high = float(there.min()), float(there.max())
     if high - low <= 1e-12 * high:
-        low, high = max(0.5 * low, math.ulp(0.0)), min(2.0 * high, sys.float_info.max)
+        low, high = max(0.5 * low, math.ulp(0.0)), 2.0 * high
     return ColourScale(low, high, True)
 
 

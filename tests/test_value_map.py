@@ -148,3 +148,15 @@ def test_none_and_no_rows() -> None:
     assert content.scale is None
     with pytest.raises(InputError, match=r"no rows: .* nothing to draw"):
         small([], [], [])
+
+
+def test_numbers_at_the_ends_of_the_range() -> None:
+    for place in range(3):
+        columns = [[0.0, 1], [0.0, 1], [0.0, 1]]
+        columns[place] = [0.0, -1e300]
+        with pytest.raises(InputError, match=rf"{NAMES[place]} = -1e\+300: beyond 1e\+290"):
+            small(*columns)
+    content = small([0, 5e-324], [0, 1e290], [-1e290, 1e290])
+    assert content.rows_at(3, 3).max() == 1
+    assert content.scale is not None
+    assert content.scale.fraction(content.values).tolist() == [0, 1]
