@@ -37,15 +37,21 @@ def blocks(*languages: str) -> list[str]:
     return [text for language, text in fences if language in languages]
 
 
-def examples() -> list[Example]:
-    """The commands of the console blocks, each with the output below it."""
+def example_blocks() -> list[list[Example]]:
+    """The commands of each console block, each with the output below it."""
     found = []
     for block in blocks("console", "sh"):
+        found.append([])
         for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
             lines = part.splitlines(keepends=True)
             end = next(k for k, line in enumerate(lines) if not line.endswith("\\\n")) + 1
-            found.append(Example("".join(lines[:end]), "".join(lines[end:])))
+            found[-1].append(Example("".join(lines[:end]), "".join(lines[end:])))
     return found
+
+
+def examples() -> list[Example]:
+    """All of them."""
+    return [example for block in example_blocks() for example in block]
 
 
 def section(title: str) -> str:
@@ -66,12 +72,19 @@ def plain_lines() -> list[str]:
     return [line.partition("#")[0].strip() for text in blocks("") for line in text.splitlines()]
 
 
-@pytest.mark.parametrize("example", examples(), ids=lambda example: example.command.strip())
-def test_example_runs_and_prints_what_is_shown(example: Example) -> None:
+@pytest.mark.parametrize("block", example_blocks(), ids=lambda block: block[0].command.strip())
+def test_examples_run_and_print_what_is_shown(block: list[Example], tmp_path: Path) -> None:
+    """A block in a directory of its own, where the files that it writes meet no other's."""
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    for example in block:
+        _check(example, tmp_path)
+
+
+def _check(example: Example, directory: Path) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", example.command],
-        cwd=ROOT,
+        cwd=directory,
         env=os.environ | {"PATH": path, "LC_ALL": "C.UTF-8"},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
