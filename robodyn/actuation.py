@@ -13,9 +13,14 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TYPE_CHECKING, Protocol
 
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
@@ -42,17 +47,50 @@ _ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 
+class Control(Protocol):
+    """What a torque is told that depends on the steps of the run, and what it tells of the run."""
+
+    restarts: bool  # whether the torque may jump at its kinks: an integrator starts afresh there
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        """A run starts at t = 0 in the state y = (q, qd, ...)."""
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        """The run has come to a kink, in the accepted state y; later steps begin there."""
+
+    def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""
+
+    def tracking(self) -> list[JointTracking]:
+        """How far the run was from its reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointTracking:
+    """How a joint followed its reference; e = q_ref - q."""
+
+    joint: str  # the link's name
+    rms: float  # of e over time, rad
+    largest: float  # |e|, rad
+    at: float  # when, s
+    largest_torque: float  # |tau|, N m
+
+
 @dataclass(frozen=True)
 class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
-    `kinks` are the times at which the torque bends; an integrator must step onto them.
+    `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
+    onto them.  It calls `control`, where there is one, at the start and at each of them.
     """
 
     constants: tuple[float, ...] | None
     lines: tuple[str, ...] = ()
     scope: Mapping[str, object] = field(default_factory=dict)
     kinks: tuple[float, ...] = ()
+    linear: bool = False  # in time between kinks, whatever the state is
+    span: tuple[str, float, float] | None = None  # what is defined from when to when, s
+    control: Control | None = None
 
     @property
     def active(self) -> bool:
@@ -168,7 +206,8 @@ def table(
     targets = "".join(f"tau{k}, " for k in driven)
     lines = [f"{targets}= _interpolate(t)"]
     lines += [f"tau{k} = 0.0" for k in mechanism.passive]
-    return Actuation(None, tuple(lines), {"_interpolate": interpolate}, tuple(stamps))
+    span = ("table of torques", stamps[0], stamps[-1])
+    return Actuation(None, tuple(lines), {"_interpolate": interpolate}, tuple(stamps), True, span)
 
 
 def callback(

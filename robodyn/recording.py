@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form
+from robodyn.actuation import Control, JointTracking
 from robodyn.assembly import loop_size
 from robodyn.mechanism import Mechanism
 from robodyn.taylor import Chunk
@@ -88,6 +89,7 @@ class Report:
     nearest_singular: float | None = None  # least singular value of Psi against the loop's size
     nearest_singular_time: float | None = None
     error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
+    tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
     hint: str = ""  # what would make it faster
 
 
@@ -108,6 +110,7 @@ class Recorder:
     times: Array | None
     max_evaluations: int
     watch: Callable[[float], bool] | None
+    control: Control | None = None
     next_row: int = 0
     rows: list[tuple[Array, Array]] = field(default_factory=list)
     waiting: int = 0
@@ -193,6 +196,8 @@ class Recorder:
     def finish(self) -> None:
         self.flush_steps()
         self._flush_rows()
+        if self.control is not None:
+            self.report.tracking = self.control.tracking()
 
     def _row(self, t: Array, y: Array) -> None:
         self.rows.append((t, y))
@@ -219,6 +224,8 @@ class Recorder:
         t, y = t[finite], y[finite]
         if not len(t):
             return
+        if self.control is not None:
+            self.control.observe(t, y)
         q, qd = y[:, :n], y[:, n : 2 * n]
         KE, PE = closed_form.energies(mechanism, q, qd)
         work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))

@@ -187,10 +187,11 @@ def run(
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
     times = None if times is None else _checked_times(times, t_end)
-    stamps = actuation.kinks
-    if stamps and not (min(stamps) <= min(0.0, t_end) and max(stamps) >= max(0.0, t_end)):
-        span = f"{min(stamps):g} to {max(stamps):g} s"
-        raise InputError("table of torques", value=span, limit=f"must cover 0 to {t_end:g} s")
+    if actuation.span is not None:
+        what, first, last = actuation.span
+        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
+            span = f"{first:g} to {last:g} s"
+            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
     work = actuation.active or mechanism.dissipates
     report = Report(
         method=settings.method,
@@ -210,6 +211,8 @@ def run(
 
     if projects:
         y0 = projection(mechanism, best_closing(mechanism))(y0)
+    if actuation.control is not None:
+        actuation.control.begin(y0.tolist(), float(t_end))
     if taylor:  # tell now where no motion is defined
         if not dense_dynamics.elimination_is_safe(mechanism):
             n = mechanism.n
@@ -219,7 +222,9 @@ def run(
         if not np.isfinite(np.asarray(side().rates(0.0, y0), float)).all():
             limit = "the torque or the acceleration is not finite there"
             raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch)
+    recorder = Recorder(
+        mechanism, report, sink, times, settings.max_evaluations, watch, actuation.control
+    )
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
@@ -287,6 +292,7 @@ def _integrate(
         "near": side().near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
+        "control": actuation.control,
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # LSODA's; the outcome says it

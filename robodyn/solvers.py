@@ -4,7 +4,8 @@
 
 1. the state is brought back onto positions and velocities that close, by the least change;
 2. what the solver keeps of the state (its derivative, a multistep solver's history) follows;
-3. an observer sees the step.
+3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh;
+4. an observer sees the step.
 
 The change is of the order of the step's local error, so the order of the method stays.  A dense
 output is projected as well, so that states between steps close too; at a step's ends it meets the
@@ -13,7 +14,6 @@ projected states up to the square of that change.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
+from robodyn.actuation import Control
+from robodyn.kinks import NEAR, kink_at, next_kink
 from robodyn.right_hand_side import NearSingular
 
 Array = NDArray[np.float64]
@@ -37,6 +39,7 @@ METHODS: dict[str, type[OdeSolver]] = {
     "LSODA": LSODA,
 }
 EXPLICIT = ("DOP853", "RK45", "RK23")
+COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
 STIFF_SAMPLE = 10  # every so many steps are looked at
 STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 1.0}  # |h lambda| near the stable limit
@@ -65,6 +68,7 @@ def projected(method: str) -> type[OdeSolver]:
             projection: Projection | None = None,
             observer: Observer | None = None,
             kinks: Sequence[float] = (),
+            control: Control | None = None,
             near: NearSingular | None = None,
             **options: Any,
         ) -> None:
@@ -73,9 +77,13 @@ def projected(method: str) -> type[OdeSolver]:
             self.y: Array
             self.f: Any
             self.h_abs: float
+            self.nfev: int
             self.projection = projection
             self.observer = observer
             self.kinks = sorted(kinks)
+            self.control = control
+            self._jumped = False  # whether the torque may have, at self.t
+            self._options = options
             self.steps = 0
             self._stiff_steps = 0
             self._rates = fun  # not counted
@@ -96,8 +104,10 @@ def projected(method: str) -> type[OdeSolver]:
             return counted
 
         def _step_impl(self) -> tuple[bool, str | None]:
+            if self._jumped:
+                self._restart()
             end = self.t_bound
-            self._bound(self._next_kink(end))
+            self._bound(next_kink(self.kinks, self.t, end, NEAR))
             try:
                 success, message = self._take_step()
             except ValueError as error:  # an implicit method met a rate that is not finite
@@ -114,7 +124,28 @@ def projected(method: str) -> type[OdeSolver]:
                     self._accept(y)
             if edge < np.inf:
                 self._watch_stability()
+            if self.control is not None:
+                self._reach(self.control)
             return success, message
+
+        def _reach(self, control: Control) -> None:
+            """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
+            kink = kink_at(self.kinks, self.t)
+            if kink is not None:
+                self.t = kink
+                control.reach(kink, self.y.tolist())
+                self._jumped = control.restarts
+
+        def _restart(self) -> None:
+            """Start the method afresh: beyond this time the rates are others."""
+            self._jumped = False
+            if method in EXPLICIT:
+                self.f = self.fun(self.t, self.y)
+                return
+            before = {name: getattr(self, name) for name in COUNTS}
+            super().__init__(self._rates, self.t, self.y, self.t_bound, **self._options)
+            for name in COUNTS:
+                setattr(self, name, before[name] + getattr(self, name))
 
         def _take_step(self) -> tuple[bool, str | None]:
             """A step of the method; near a singularity, one with every stage projected."""
@@ -140,17 +171,6 @@ def projected(method: str) -> type[OdeSolver]:
         def _dense_output_impl(self) -> DenseOutput:
             dense = super()._dense_output_impl()
             return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
-
-        def _next_kink(self, end: float) -> float:
-            """Where the next step must not go beyond: a kink of the torque, or the end."""
-            if not self.kinks:
-                return end
-            near = 4 * np.spacing(abs(self.t))
-            if self.direction > 0:
-                k = bisect_right(self.kinks, self.t + near)
-                return min(end, self.kinks[k]) if k < len(self.kinks) else end
-            k = bisect_right(self.kinks, self.t - near) - 1
-            return max(end, self.kinks[k]) if k >= 0 else end
 
         def _bound(self, t: float) -> None:
             self.t_bound = t

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError
+from robodyn.kinks import kink_at, next_kink
 from robodyn.mechanism import Mechanism
 from robodyn.projection import float_closing, loop_terms, suspect_quality
 from robodyn.recording import Outcome, Recorder
@@ -133,7 +134,9 @@ def taylor_run(
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         if crosses:
             before = t
-            t, y = _cross(side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol)
+            t, y = _cross(
+                side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol, actuation
+            )
             if t == before:
                 return Outcome.SINGULAR
             status = Status.FULL
@@ -142,11 +145,12 @@ def taylor_run(
             left = recorder.max_evaluations - recorder.report.evaluations
             steps = max(1, min(steps, left + 1))
             chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+            if len(chunk.t):
+                t, y = float(chunk.t[-1]), chunk.y[-1]
+                reach(actuation, t, y)
             recorder.chunk(chunk, t_end)
             if _held_by_stability(chunk, t_end, recorder, rtol, atol):
                 return Outcome.STIFF
-            if len(chunk.t):
-                t, y = float(chunk.t[-1]), chunk.y[-1]
             status = chunk.status
         if t == t_end:
             return Outcome.FINISHED
@@ -159,6 +163,12 @@ def taylor_run(
             simple = actuation.constants is not None and not mechanism.has_forces
             if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
+
+
+def reach(actuation: Actuation, t: float, y: Array) -> None:
+    """Tell a torque that depends on the run's steps where one of them ended, if on a kink."""
+    if actuation.control is not None and (kink := kink_at(actuation.kinks, t)) is not None:
+        actuation.control.reach(kink, y.tolist())
 
 
 def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
@@ -194,13 +204,6 @@ def _held_by_stability(
     return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
-def next_kink(kinks: tuple[float, ...], t: float, end: float) -> float:
-    """The next time at which the torque bends, or the end."""
-    if end < t:
-        return max((kink for kink in kinks if end < kink < t), default=end)
-    return min((kink for kink in kinks if t < kink < end), default=end)
-
-
 def _cross(
     side: RightHandSide,
     t: float,
@@ -211,6 +214,7 @@ def _cross(
     regular: float,
     rtol: float,
     atol: float,
+    actuation: Actuation,
 ) -> tuple[float, Array]:
     """DOP853 from (t, y) until the closures are regular again, or the bound."""
     from robodyn.solvers import projected
@@ -224,6 +228,8 @@ def _cross(
         "projection": side.projection,
         "near": side.near,
         "observer": recorder.step,
+        "kinks": actuation.kinks,
+        "control": actuation.control,
     }
     solver = projected("DOP853")(side.rates, t, y, bound, **options)
     while solver.status == "running":

@@ -17,9 +17,10 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from robodyn import actuation as torque_sources
 from robodyn.actuation import Actuation
+from robodyn.kinks import next_kink
 from robodyn.mechanism import Mechanism
 from robodyn.taylor import Status
-from robodyn.taylor_run import next_kink, stepping_engine
+from robodyn.taylor_run import reach, stepping_engine
 from robodyn.taylor_steps import SteppingEngine
 
 Array = NDArray[np.float64]
@@ -56,16 +57,19 @@ class TaylorSolver(OdeSolver):
         elif not isinstance(tau, Actuation):
             tau = torque_sources.constant(mechanism, tau)
         self.engine = stepping_engine(mechanism, tau, rtol, atol, order=order)
-        self.kinks = tau.kinks
+        self.actuation = tau
+        if tau.control is not None:
+            tau.control.begin(self.y.tolist(), float(t_bound))
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        bound = next_kink(self.kinks, self.t, float(self.t_bound))
+        bound = next_kink(self.actuation.kinks, self.t, float(self.t_bound))
         chunk = self.engine.advance(self.t, self.y, bound, np.zeros(0), 1)
         self.nfev += 1
         if not len(chunk.t):
             words = {Status.STUCK: self.TOO_SMALL_STEP}
             return False, words.get(chunk.status, "an acceleration or a torque is not finite")
         self.t, self.y = float(chunk.t[0]), chunk.y[0]
+        reach(self.actuation, self.t, self.y)
         return True, None
 
     def _dense_output_impl(self) -> DenseOutput:

@@ -49,7 +49,7 @@ class SteppingEngine:
         if not isinstance(torques, TorqueSeries):
             self.constants = tuple(map(float, torques))
         # what no accuracy of the series excludes: torques that end, or bend, within a step
-        self.bends = torques if isinstance(torques, TorqueSeries) and not torques.kinks else None
+        self.bends = torques if isinstance(torques, TorqueSeries) and not torques.linear else None
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.prepare()

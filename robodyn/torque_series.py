@@ -43,6 +43,7 @@ class TorqueSeries:
 
     def __init__(self, actuation: Actuation, mechanism: Mechanism) -> None:
         self.kinks = actuation.kinks
+        self.linear = actuation.linear
         self.separate = mechanism.has_forces
         self._function = actuation.function(mechanism.n)
         self._reader = reader = _Reader(mechanism.n)
@@ -58,7 +59,7 @@ class TorqueSeries:
         It is called with order 0 first, and so on; y = (q, qd, ...) is the state at t.
         """
         push = self._reader.begin(t, y, self._taus + self._working * self.separate)
-        if self.kinks:
+        if self.linear:
             for node, value, slope in zip(self._given, *self._piece(t, y, direction), strict=True):
                 assert isinstance(node, Given)
                 node.coming = [value, slope]
@@ -71,7 +72,7 @@ class TorqueSeries:
         flat where it began (tanh(1e5*t)).  What it misses by may be `small`, N m, or that part of
         its terms.
         """
-        if self.kinks:  # a table, on which steps end where it bends
+        if self.linear:  # a table, on which steps end where it bends
             return True
         try:
             torques = self._function(t, y)
@@ -119,7 +120,7 @@ class _Reader:
         if actuation.constants is not None:
             return [self.constant(value) for value in actuation.constants]
         taus: list[Node] = [self.keep(Given()) for _ in range(self.n)]
-        if actuation.kinks:
+        if actuation.linear:
             return taus
         for line in actuation.lines:
             match ast.parse(line).body:
