@@ -21,7 +21,7 @@ class State:
         self.graph = Graph()
         n = mechanism.n
         self.inputs = tuple(f"{name}{k}" for name in ("q", *rates) for k in range(n))
-        self.relative = {
+        self.relative: dict[str, list[Value]] = {
             name: [self.graph.variable(f"{name}{k}") for k in range(n)] for name in ("q", *rates)
         }
         self.alpha = self.absolute("q")

@@ -57,12 +57,13 @@ def inverse_formula(mechanism: Mechanism) -> Formula | None:
     rows, passive = len(mechanism.rows), mechanism.passive
     if len(passive) != rows or rows > 2:
         return None
-    return _cheaper(lambda by_direction: _inverse(mechanism, by_direction))
+    return _cheaper(lambda by_direction: inverse_of(State(mechanism, ("qd", "qdd"), by_direction)))
 
 
-def _inverse(mechanism: Mechanism, by_direction: bool) -> Formula:
-    state = State(mechanism, ("qd", "qdd"), by_direction)
-    load = _recursive_load(state) if by_direction else _pairwise_load(state)
+def inverse_of(state: State) -> Formula:
+    """The same of a state whose rates and accelerations may be formulas themselves."""
+    mechanism = state.mechanism
+    load = _recursive_load(state) if state.by_direction else _pairwise_load(state)
     load = to_joints(mechanism, load)
     for k, damping in enumerate(mechanism.damping):
         load[k] = load[k] + damping * state.relative["qd"][k]
@@ -74,7 +75,7 @@ def _inverse(mechanism: Mechanism, by_direction: bool) -> Formula:
 
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
     n = mechanism.n
-    Psi = [to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
+    Psi = joint_jacobian(state)
     columns = [[row[p] for row in Psi] for p in mechanism.passive]
     right = [load[p] for p in mechanism.passive]
     if len(Psi) == 1:
@@ -213,12 +214,10 @@ def _forward(
         matrix[min(j, k)][max(j, k)] = w[0]
         force[j] = force[j] + w[1] * squares[k]
         force[k] = force[k] - w[1] * squares[j]
+    bends = closure_bends(state)
     for row, entries in enumerate(_jacobian(state)):
-        bend: Value = 0.0  # Psi alphadd = -Psidot qd = Re(P E alphad^2)
-        for k, weight in mechanism.rows[row].P:
-            bend = bend + real(weight, state, k) * squares[k]
         gap, gapd = _gap(state, row), _product(entries, rates)
-        force.append(bend - 2.0 * baumgarte * gapd - baumgarte**2 * gap)
+        force.append(bends[row] - 2.0 * baumgarte * gapd - baumgarte**2 * gap)
         for k, slope in entries.items():
             matrix[k][n + row] = slope
 
@@ -242,7 +241,7 @@ def projection_formula(mechanism: Mechanism) -> Formula:
     """
     state = State(mechanism, ("qd",), by_direction=True)
     n, rows = mechanism.n, len(mechanism.rows)
-    Psi = [to_joints(mechanism, _dense(entries, n)) for entries in _jacobian(state)]
+    Psi = joint_jacobian(state)
     normal = [{c: _dot(Psi[r], Psi[c]) for c in range(r, rows)} for r in range(rows)]
     outputs: list[Value] = []
     pivots: list[Value] = []
@@ -289,8 +288,23 @@ def _jacobian(state: State) -> list[dict[int, Value]]:
     ]
 
 
-def _dense(entries: dict[int, Value], n: int) -> list[Value]:
-    return [entries.get(k, 0.0) for k in range(n)]
+def joint_jacobian(state: State) -> list[list[Value]]:
+    """Psi, row by row."""
+    joints = range(state.mechanism.n)
+    dense = ([entries.get(k, 0.0) for k in joints] for entries in _jacobian(state))
+    return [to_joints(state.mechanism, row) for row in dense]
+
+
+def closure_bends(state: State) -> list[Value]:
+    """-Psidot qd, row by row: Re(P E alphad^2)."""
+    rates = state.absolute("qd")
+    bends: list[Value] = []
+    for row in state.mechanism.rows:
+        bend: Value = 0.0
+        for k, weight in row.P:
+            bend = bend + real(weight, state, k) * (rates[k] * rates[k])
+        bends.append(bend)
+    return bends
 
 
 def _solve_symmetric(

@@ -26,7 +26,7 @@ def compile_floats(formula: Formula, name: str) -> FloatFunction:
     """A function of plain floats, in the order of the formula's inputs, to a tuple of floats."""
     lines, outputs = expression.float_source(formula.outputs + formula.pivots)
     body = "\n    ".join([*lines, f"return ({', '.join(outputs)},)"])
-    return _define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name)
+    return define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name)
 
 
 def compile_rates(
@@ -75,7 +75,7 @@ def compile_rates(
     source = "\n        ".join(["def rates(t, y):\n    try:", *statements])
     source += "\n    except ZeroDivisionError: return otherwise(t, y)"
     source += f"\n    except (ArithmeticError, ValueError): return [nan] * {len(names)}\n"
-    function: RateFunction = _define(
+    function: RateFunction = define(
         source, "rates", scope={**actuation.scope, "otherwise": otherwise}
     )
     return function
@@ -111,7 +111,7 @@ def compile_closing(
     head = f"def close(y):\n  {', '.join(formula.inputs)}, = y[:{2 * n}]\n"
     loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
     source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
-    return _define(source, "close")
+    return define(source, "close")
 
 
 def compile_forces(mechanism: Mechanism, functions: Mapping[str, object]) -> FloatFunction:
@@ -123,7 +123,7 @@ def compile_forces(mechanism: Mechanism, functions: Mapping[str, object]) -> Flo
     inputs = [f"{name}{k}" for name in ("q", "qd") for k in range(mechanism.n)]
     body = "\n    ".join([*code.lines, f"return ({', '.join(code.potential + code.other)},)"])
     source = f"def forces({', '.join(inputs)}):\n    {body}\n"
-    return _define(source, "forces", scope=functions)
+    return define(source, "forces", scope=functions)
 
 
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
@@ -133,12 +133,13 @@ def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
     work = [f"w{i}" for i in range(buffers)]
     arguments = ", ".join([*formula.inputs, *outputs, *work])
     body = "\n    ".join(lines)
-    return _define(f"def {name}({arguments}):\n    {body}\n", name, arrays=True), buffers
+    return define(f"def {name}({arguments}):\n    {body}\n", name, arrays=True), buffers
 
 
-def _define(
+def define(
     source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
 ) -> Callable[..., Any]:
+    """The function called `name` of a source that may name those of `scope`."""
     known = (*expression.FUNCTIONS, "nan", "inf")
     names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
     if arrays:

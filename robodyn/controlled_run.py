@@ -1,0 +1,156 @@
+"""A controller along the steps of a run: what it holds, where it jumps, how it tracks."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.actuation import JointTracking
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism
+from robodyn.tracking import Reference
+
+Array = NDArray[np.float64]
+Law = Callable[..., tuple[float, ...]]  # torques of the actuated joints from t, q0.., qd0..
+
+ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
+
+
+class Pieces:
+    """Which piece of a reference holds at a time; at a row, that ahead in the run's direction."""
+
+    def __init__(self, reference: Reference) -> None:
+        self.times = reference.times
+        self.last = len(self.times) - 2
+        self.reset()
+
+    def reset(self) -> None:
+        self.first, self.high, self.find = 0, self.last, bisect_right
+
+    def at(self, t: float) -> int:
+        k = self.find(self.times, t) - 1
+        return self.first if k < self.first else self.high if k > self.high else k
+
+    def reach(self, t: float, forward: bool) -> None:
+        """A run has come to a row at t: until it comes to the next, that piece is the furthest.
+
+        So a step that ends on a row does not see beyond it.
+        """
+        self.reset()
+        if forward:
+            self.high = self.at(t)
+        else:
+            self.find = bisect_left
+            self.first = self.at(t)
+
+
+class Tracked:
+    """What the accepted steps of a run tell of the tracking error."""
+
+    restarts = False
+
+    def __init__(self, mechanism: Mechanism, reference: Reference, law: Law) -> None:
+        self.mechanism, self.reference, self.law = mechanism, reference, law
+        self._forget()
+
+    def _forget(self) -> None:
+        joints = self.reference.joints
+        self._last: tuple[Array, Array, Array] | None = None  # t, e, ed where a batch ended
+        self._square = np.zeros(joints)  # integral of e^2
+        self._duration = 0.0
+        self._largest, self._at = np.full(joints, -1.0), np.zeros(joints)
+        self._torque = np.zeros(joints)
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        """Those that act at t, in the state y = (q, qd, ...)."""
+        return self.law(t, *y[: 2 * self.mechanism.n])
+
+    def observe(self, t: Array, y: Array) -> None:
+        """Take accepted steps: times (k,) and states (k, 2n or more)."""
+        n, driven = self.mechanism.n, list(self.mechanism.actuated)
+        q, qd = self.reference.at(t)
+        e, ed = q - y[:, :n][:, driven], qd - y[:, n : 2 * n][:, driven]
+        for k in range(len(t)):
+            acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
+            self._torque = np.fmax(self._torque, acting)
+        worst = np.abs(e).argmax(axis=0)
+        size = np.abs(e)[worst, range(len(driven))]
+        larger = size > self._largest
+        self._largest = np.where(larger, size, self._largest)
+        self._at = np.where(larger, t[worst], self._at)
+        if self._last is not None:
+            t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
+        self._last = t[-1:], e[-1:], ed[-1:]
+        # Hermite's rule for the square of e, whose slope is 2 e ed
+        h, f, slope = np.diff(t)[:, None], e**2, 2.0 * e * ed
+        parts = h / 2.0 * (f[:-1] + f[1:]) + h**2 / 12.0 * (slope[:-1] - slope[1:])
+        self._square += np.abs(parts.sum(axis=0))
+        self._duration += abs(float(t[-1] - t[0]))
+
+    def tracking(self) -> list[JointTracking]:
+        """Of each actuated joint."""
+        mean = self._square / self._duration if self._duration else self._largest**2
+        names = [self.mechanism.link_names[k] for k in self.mechanism.actuated]
+        columns = (np.sqrt(mean), self._largest, self._at, self._torque)
+        rows = zip(names, *(column.tolist() for column in columns), strict=True)
+        return [JointTracking(*row) for row in rows]
+
+
+class Continuous(Tracked):
+    """A law that acts all the time."""
+
+    def __init__(
+        self, mechanism: Mechanism, reference: Reference, law: Law, pieces: Pieces, jumps: bool
+    ) -> None:
+        super().__init__(mechanism, reference, law)
+        self.restarts = jumps
+        self.pieces = pieces
+        self.forward = True
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        self._forget()
+        self.forward = t_end >= 0.0
+        self.pieces.reset()
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        if self.restarts:
+            self.pieces.reach(t, self.forward)
+
+
+class Sampled(Tracked):
+    """A law that is sampled, its torques held from one sample to the next."""
+
+    restarts = True
+
+    def __init__(self, mechanism: Mechanism, reference: Reference, law: Law, rate: float) -> None:
+        super().__init__(mechanism, reference, law)
+        self.rate = rate
+        self.times = array("d")
+        self.values = array("d")  # torques (actuated) of each sample in turn
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        if t_end < 0.0:
+            limit = "a torque is not held backwards: the time must not be negative"
+            raise InputError("control_rate", value=f"{self.rate:g}", limit=limit)
+        self._forget()
+        self.times, self.values = array("d"), array("d")
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        if not self.times or t > self.times[-1]:
+            self.values.extend(self.law(t, *y[: 2 * self.mechanism.n]))
+            self.times.append(t)
+
+    def at(self, t: float) -> Sequence[float]:
+        """The torques held at t."""
+        joints = self.reference.joints
+        k = max(bisect_right(self.times, t * ROUNDED) - 1, 0) * joints
+        return self.values[k : k + joints]
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        return self.at(t)

@@ -1,0 +1,127 @@
+"""The motion that a controller tracks: rows of q_ref, qd_ref, qdd_ref, and what lies between them.
+
+Between its rows the reference is a polynomial in time, of the degree that the rows determine:
+
+- q, qd, qdd given: quintic Hermite, so that q_ref is twice continuously differentiable;
+- q, qd given: cubic Hermite; qdd_ref jumps at a row;
+- q given: the cubic spline (not-a-knot), twice continuously differentiable.
+
+qd_ref and qdd_ref are always the derivatives of q_ref.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError
+
+Array = NDArray[np.float64]
+
+BEND = 1e-9  # part of the largest acceleration by which pieces that meet smoothly may differ
+ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between close rows magnify
+
+
+class Reference:
+    """A reference motion of m joints: rows at increasing times (T,), s, in rad, rad/s, rad/s^2.
+
+    q is (T, m), and so are qd and qdd where they are given; qdd needs qd.  Raises InputError, which
+    names `where`, for rows that make no motion.
+    """
+
+    def __init__(
+        self,
+        times: ArrayLike,
+        q: ArrayLike,
+        qd: ArrayLike | None = None,
+        qdd: ArrayLike | None = None,
+        where: str = "reference",
+    ) -> None:
+        self.where = where
+        stamps = np.asarray(times, float)
+        given = [np.asarray(x, float) for x in (q, qd, qdd) if x is not None]
+        if qd is None and qdd is not None:
+            raise InputError("qdd", where=where, limit="needs qd beside it")
+        _check(stamps, given, where)
+        self.times: list[float] = stamps.tolist()
+        self.coefficients = _coefficients(stamps, given)  # (T - 1, m, degree + 1) of t - times[k]
+        self.joints = self.coefficients.shape[1]
+        bends, jumps = _kinks(stamps, self.coefficients)
+        self.jumps = bool(jumps.any())  # whether qdd_ref does at some row
+        self.kinks: list[float] = stamps[1:-1][bends].tolist()  # rows at which a derivative jumps
+
+    def at(self, t: ArrayLike) -> tuple[Array, Array]:
+        """q_ref and qd_ref (..., m) at times t (...)."""
+        t = np.asarray(t, float)
+        k = np.searchsorted(self.times, t, side="right") - 1
+        k = np.clip(k, 0, len(self.times) - 2)
+        x = (t - np.asarray(self.times)[k])[..., None]
+        c = self.coefficients[k]
+        q, qd = np.zeros(c.shape[:-1]), np.zeros(c.shape[:-1])
+        for d in reversed(range(c.shape[-1])):
+            qd = qd * x + q
+            q = q * x + c[..., d]
+        return q, qd
+
+
+def _check(times: Array, given: list[Array], where: str) -> None:
+    if times.ndim != 1 or len(times) < 2:
+        rows = len(times) if times.ndim == 1 else times.shape
+        raise InputError("rows", where=where, value=rows, limit="a reference needs two or more")
+    for name, values in zip(("q", "qd", "qdd"), given, strict=False):
+        if values.ndim != 2 or values.shape != (len(times), given[0].shape[-1]):
+            limit = f"must be ({len(times)}, joints), and the same for q, qd and qdd"
+            raise InputError(f"shape of {name}", where=where, value=values.shape, limit=limit)
+    for name, values in zip(("t", "q", "qd", "qdd"), (times, *given), strict=False):
+        if not np.isfinite(values).all():
+            raise InputError(name, where=where, limit="must be finite")
+    for before, after in pairwise(times.tolist()):
+        if not after > before:
+            limit = f"times must increase; the row before has {before:g}"
+            raise InputError("t", where=where, value=f"{after:g}", limit=limit)
+
+
+def _coefficients(times: Array, given: list[Array]) -> Array:
+    """Of the powers of t - times[k] in each piece, (T - 1, m, degree + 1)."""
+    if len(given) == 1:
+        from scipy.interpolate import CubicSpline
+
+        return np.moveaxis(CubicSpline(times, given[0]).c[::-1], 0, -1).copy()
+    q, qd = given[:2]
+    h = np.diff(times)[:, None]
+    # what the first derivatives at the row before leave for the higher powers
+    slope = qd[:-1] * h
+    if len(given) == 2:
+        D, V = q[1:] - q[:-1] - slope, (qd[1:] - qd[:-1]) * h
+        return np.stack([q[:-1], qd[:-1], (3 * D - V) / h**2, (V - 2 * D) / h**3], axis=-1)
+    bend = given[2][:-1] * h**2
+    D = q[1:] - q[:-1] - slope - bend / 2
+    V = (qd[1:] - qd[:-1]) * h - bend
+    A = given[2][1:] * h**2 - bend
+    higher = [10 * D - 4 * V + A / 2, -15 * D + 7 * V - A, 6 * D - 3 * V + A / 2]
+    powers = [value / h**d for d, value in enumerate(higher, 3)]
+    return np.stack([q[:-1], qd[:-1], given[2][:-1] / 2, *powers], axis=-1)
+
+
+def _kinks(times: Array, c: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """At each row between pieces (T - 2,): whether a derivative jumps there, and whether qdd does.
+
+    That of a smooth motion written in close rows does not: the next piece goes on as the one
+    before, but for what no tolerance sees.
+    """
+    degree = c.shape[-1] - 1
+    h = np.diff(times)[:, None]
+    before, after = c[:-1], c[1:]
+    jumps = [
+        after[..., d]
+        - sum(comb(j, d) * before[..., j] * h[:-1] ** (j - d) for j in range(d, degree + 1))
+        for d in range(degree + 1)
+    ]
+    size = np.abs(2.0 * c[..., 2]).max(initial=0.0)
+    closest = np.minimum(h[:-1], h[1:])
+    small = BEND * size + ROUNDING * np.abs(c[..., 0]).max(initial=0.0) / closest**2
+    apart = sum(d * (d - 1) * np.abs(jumps[d]) * h[1:] ** (d - 2) for d in range(2, degree + 1))
+    return (apart > small).any(axis=-1), (2.0 * np.abs(jumps[2]) > small).any(axis=-1)
