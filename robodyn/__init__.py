@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robodyn.closed_form import mass_matrix as mass_matrix
     from robodyn.closed_form import other_forces as other_forces
     from robodyn.closed_form import potential_energy as potential_energy
+    from robodyn.control import controller as controller
     from robodyn.dynamics import coupling_torques as coupling_torques
     from robodyn.dynamics import forward_dynamics as forward_dynamics
     from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from robodyn.simulation import Motion as Motion
     from robodyn.simulation import simulate as simulate
     from robodyn.time_scaling import shortest_motion as shortest_motion
+    from robodyn.tracking import ReferenceTable as ReferenceTable
     from robodyn.trajectory import ReferenceMotion as ReferenceMotion
     from robodyn.trajectory import reference_motion as reference_motion
 
@@ -58,6 +60,7 @@ _ROOMS = {
         "other_forces",
         "potential_energy",
     ],
+    "control": ["controller"],
     "dynamics": [
         "coupling_torques",
         "forward_dynamics",
@@ -71,6 +74,7 @@ _ROOMS = {
     "mechanism": ["Mechanism", "load"],
     "reaction_forces": ["reactions", "shaking_force"],
     "simulation": ["Motion", "simulate"],
+    "tracking": ["ReferenceTable"],
     "time_scaling": ["shortest_motion"],
     "trajectory": ["ReferenceMotion", "reference_motion"],
 }

@@ -61,6 +61,9 @@ class Control(Protocol):
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""
 
+    def errors(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """q_ref - q of the actuated joints (k, actuated) in such states, rad."""
+
     def tracking(self) -> list[JointTracking]:
         """How far the run was from its reference."""
 

@@ -29,7 +29,7 @@ from robodyn.driven_torques import driving_torques, rest_torques
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
 from robodyn.straightline import define
-from robodyn.tracking import Reference
+from robodyn.tracking import ReferenceTable
 
 LAWS = ("pd", "pd+g", "computed-torque")
 MOST_SAMPLES = 1_000_000  # of a run: their times and torques are kept
@@ -37,37 +37,42 @@ MOST_SAMPLES = 1_000_000  # of a run: their times and torques are kept
 
 def controller(
     mechanism: Mechanism,
-    reference: Reference,
-    law: str,
+    reference: ReferenceTable,
+    control: str,
     kp: float | Sequence[float],
     kd: float | Sequence[float],
     tau_max: float | Sequence[float] | None = None,
-    rate: float | None = None,
-    believed: Mechanism | None = None,
+    control_rate: float | None = None,
+    control_model: Mechanism | None = None,
 ) -> Actuation:
     """What `simulate` takes as tau so that the actuated joints track a reference.
 
+    The reference is that of the actuated joints, or of all.  control: pd, pd+g or computed-torque.
     kp, kd (>= 0): one value or one an actuated joint; N m/rad and N m s/rad, of computed torque
-    1/s^2 and 1/s.  tau_max, N m: the same, or None.  rate: samples a second, or None where the law
-    acts continuously.  believed: the model in the law; None: the mechanism itself.
+    1/s^2 and 1/s.  tau_max, N m: the same, or None.  control_rate: samples a second, or None where
+    the law acts continuously.  control_model: the one in the law; None: the mechanism itself.
     Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
     closed mechanism that has fewer actuators than freedoms.
     """
-    if law not in LAWS:
-        raise InputError("control", value=law, limit=f"must be of {', '.join(LAWS)}")
-    joints = len(mechanism.actuated)
+    if control not in LAWS:
+        raise InputError("control", value=control, limit=f"must be of {', '.join(LAWS)}")
+    joints, rate = len(mechanism.actuated), control_rate
+    if not joints:
+        raise InputError("control", where=mechanism.source, limit="no joint is actuated")
+    if reference.joints == mechanism.n != joints:
+        reference = reference.of(mechanism.actuated)
     if reference.joints != joints:
         limit = f"has {reference.joints} joints, the mechanism has {joints} actuated ones"
         raise InputError("columns", where=reference.where, limit=limit)
-    model = mechanism if believed is None else _agreeing(believed, mechanism)
+    model = mechanism if control_model is None else _agreeing(control_model, mechanism)
     gains = [_values(mechanism, name, x, 0.0) for name, x in (("kp", kp), ("kd", kd))]
     limits = None
     if tau_max is not None:
         limits = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
     if rate is not None and not 0.0 < rate < math.inf:
-        raise InputError("control_rate", value=rate, limit="must be > 0 and finite")
+        raise InputError("control_rate", value=f"{rate:g}", limit="must be > 0 and finite")
     pieces = Pieces(reference)
-    torques = _compile_law(mechanism, model, reference, pieces, law, gains, limits)
+    torques = _compile_law(mechanism, model, reference, pieces, control, gains, limits)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
@@ -76,17 +81,17 @@ def controller(
         samples = end * rate
         if samples > MOST_SAMPLES:
             limit = f"makes {samples:.6g} samples, too many: at most {MOST_SAMPLES}"
-            raise InputError("control_rate", value=rate, limit=limit)
+            raise InputError("control_rate", value=f"{rate:g}", limit=limit)
         kinks = tuple(k / rate for k in range(max(0, math.floor(samples)) + 2))
         held = Sampled(mechanism, reference, torques, rate)
         lines = (f"{targets}= _held(t)", *zeros)
         return Actuation(None, lines, {"_held": held.at}, kinks, True, span, held)
     state = ", ".join(f"{name}{k}" for name in ("q", "qd") for k in range(n))
     lines = (f"{targets}= _control(t, {state})", *zeros)
-    jumps = law == "computed-torque" and reference.jumps
+    jumps = control == "computed-torque" and reference.jumps
     kinks = tuple(reference.times if jumps else reference.kinks)
-    control = Continuous(mechanism, reference, torques, pieces, jumps)
-    return Actuation(None, lines, {"_control": torques}, kinks, False, span, control)
+    acting = Continuous(mechanism, reference, torques, pieces, jumps)
+    return Actuation(None, lines, {"_control": torques}, kinks, False, span, acting)
 
 
 def _agreeing(believed: Mechanism, mechanism: Mechanism) -> Mechanism:
@@ -122,7 +127,7 @@ def _values(
 def _compile_law(
     mechanism: Mechanism,
     model: Mechanism,
-    reference: Reference,
+    reference: ReferenceTable,
     pieces: Pieces,
     law: str,
     gains: list[list[float]],

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robodyn.actuation import JointTracking
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
-from robodyn.tracking import Reference
+from robodyn.tracking import ReferenceTable
 
 Array = NDArray[np.float64]
 Law = Callable[..., tuple[float, ...]]  # torques of the actuated joints from t, q0.., qd0..
@@ -23,7 +23,7 @@ ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 class Pieces:
     """Which piece of a reference holds at a time; at a row, that ahead in the run's direction."""
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: ReferenceTable) -> None:
         self.times = reference.times
         self.last = len(self.times) - 2
         self.reset()
@@ -49,11 +49,14 @@ class Pieces:
 
 
 class Tracked:
-    """What the accepted steps of a run tell of the tracking error."""
+    """What the accepted steps of a run tell of the tracking error e and its rate ed.
+
+    Between the ends of a step e is taken for the cubic that has both there.
+    """
 
     restarts = False
 
-    def __init__(self, mechanism: Mechanism, reference: Reference, law: Law) -> None:
+    def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: Law) -> None:
         self.mechanism, self.reference, self.law = mechanism, reference, law
         self._forget()
 
@@ -69,27 +72,38 @@ class Tracked:
         """Those that act at t, in the state y = (q, qd, ...)."""
         return self.law(t, *y[: 2 * self.mechanism.n])
 
+    def errors(self, t: Array, y: Array) -> Array:
+        """q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
+        error: Array = self.reference.at(t)[0] - y[:, list(self.mechanism.actuated)]
+        return error
+
     def observe(self, t: Array, y: Array) -> None:
         """Take accepted steps: times (k,) and states (k, 2n or more)."""
         n, driven = self.mechanism.n, list(self.mechanism.actuated)
-        q, qd = self.reference.at(t)
-        e, ed = q - y[:, :n][:, driven], qd - y[:, n : 2 * n][:, driven]
+        rates = self.reference.at(t)[1]
+        e, ed = self.errors(t, y), rates - y[:, n : 2 * n][:, driven]
         for k in range(len(t)):
             acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
             self._torque = np.fmax(self._torque, acting)
-        worst = np.abs(e).argmax(axis=0)
-        size = np.abs(e)[worst, range(len(driven))]
-        larger = size > self._largest
-        self._largest = np.where(larger, size, self._largest)
-        self._at = np.where(larger, t[worst], self._at)
+        self._compare(np.broadcast_to(t[:, None], e.shape), np.abs(e))
         if self._last is not None:
             t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
         self._last = t[-1:], e[-1:], ed[-1:]
         # Hermite's rule for the square of e, whose slope is 2 e ed
         h, f, slope = np.diff(t)[:, None], e**2, 2.0 * e * ed
+        for u, extreme in _extremes(h, e, ed):
+            self._compare(t[:-1, None] + u * h, np.abs(extreme))
         parts = h / 2.0 * (f[:-1] + f[1:]) + h**2 / 12.0 * (slope[:-1] - slope[1:])
         self._square += np.abs(parts.sum(axis=0))
         self._duration += abs(float(t[-1] - t[0]))
+
+    def _compare(self, t: Array, size: Array) -> None:
+        """Keep the largest of sizes (k, actuated) at times t (k, actuated), and its time."""
+        if len(size):
+            worst = size.argmax(axis=0), np.arange(size.shape[1])
+            larger = size[worst] > self._largest
+            self._largest = np.where(larger, size[worst], self._largest)
+            self._at = np.where(larger, t[worst], self._at)
 
     def tracking(self) -> list[JointTracking]:
         """Of each actuated joint."""
@@ -100,11 +114,29 @@ class Tracked:
         return [JointTracking(*row) for row in rows]
 
 
+def _extremes(h: Array, e: Array, ed: Array) -> list[tuple[Array, Array]]:
+    """The extremes of the cubics between ends of steps: where in the step, and how large.
+
+    Zero where there is none.
+    """
+    slope, end, rise = ed[:-1] * h, ed[1:] * h, np.diff(e, axis=0)
+    c2, c3 = 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
+    with np.errstate(all="ignore"):  # slope + 2 c2 u + 3 c3 u^2 = 0 may have no root
+        q = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * slope), c2))
+        found = []
+        for u in (q / (3.0 * c3), slope / q):
+            inside = (u > 0.0) & (u < 1.0)
+            u = np.where(inside, u, 0.0)
+            value = e[:-1] + u * (slope + u * (c2 + u * c3))
+            found.append((u, np.where(inside, value, 0.0)))
+    return found
+
+
 class Continuous(Tracked):
     """A law that acts all the time."""
 
     def __init__(
-        self, mechanism: Mechanism, reference: Reference, law: Law, pieces: Pieces, jumps: bool
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, pieces: Pieces, jumps: bool
     ) -> None:
         super().__init__(mechanism, reference, law)
         self.restarts = jumps
@@ -127,7 +159,9 @@ class Sampled(Tracked):
 
     restarts = True
 
-    def __init__(self, mechanism: Mechanism, reference: Reference, law: Law, rate: float) -> None:
+    def __init__(
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, rate: float
+    ) -> None:
         super().__init__(mechanism, reference, law)
         self.rate = rate
         self.times = array("d")

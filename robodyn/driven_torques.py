@@ -64,7 +64,7 @@ def driving_torques(mechanism: Mechanism) -> Floats:
         raise InputError(
             "computed torque",
             where=mechanism.source,
-            value=f"{len(driven)} actuators on {freedoms} freedoms",
+            value=f"{len(driven)} actuators for a mobility of {freedoms}",
             limit=limit,
         )
 

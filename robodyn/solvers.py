@@ -132,7 +132,8 @@ def projected(method: str) -> type[OdeSolver]:
             """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
             kink = kink_at(self.kinks, self.t)
             if kink is not None:
-                self.t = kink
+                if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
+                    self.t = kink  # missed by rounding
                 control.reach(kink, self.y.tolist())
                 self._jumped = control.restarts
 

@@ -122,6 +122,8 @@ class _Reader:
         taus: list[Node] = [self.keep(Given()) for _ in range(self.n)]
         if actuation.linear:
             return taus
+        if actuation.control is not None:
+            raise _refused("a controller that acts continuously")
         for line in actuation.lines:
             match ast.parse(line).body:
                 case [ast.Assign(targets=[ast.Name(id=name)], value=value)]:

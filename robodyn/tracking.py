@@ -11,6 +11,7 @@ qd_ref and qdd_ref are always the derivatives of q_ref.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from math import comb
 
@@ -25,8 +26,8 @@ BEND = 1e-9  # part of the largest acceleration by which pieces that meet smooth
 ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between close rows magnify
 
 
-class Reference:
-    """A reference motion of m joints: rows at increasing times (T,), s, in rad, rad/s, rad/s^2.
+class ReferenceTable:
+    """A reference motion of m joints: rows at increasing times (T,), in s, rad, rad/s, rad/s^2.
 
     q is (T, m), and so are qd and qdd where they are given; qdd needs qd.  Raises InputError, which
     names `where`, for rows that make no motion.
@@ -47,11 +48,19 @@ class Reference:
             raise InputError("qdd", where=where, limit="needs qd beside it")
         _check(stamps, given, where)
         self.times: list[float] = stamps.tolist()
+        self._rows = stamps, given
         self.coefficients = _coefficients(stamps, given)  # (T - 1, m, degree + 1) of t - times[k]
         self.joints = self.coefficients.shape[1]
         bends, jumps = _kinks(stamps, self.coefficients)
         self.jumps = bool(jumps.any())  # whether qdd_ref does at some row
         self.kinks: list[float] = stamps[1:-1][bends].tolist()  # rows at which a derivative jumps
+
+    def of(self, joints: Sequence[int]) -> ReferenceTable:
+        """The reference of some of these joints (from 0)."""
+        times, given = self._rows
+        q, qd, qdd = (given[k][:, list(joints)] if k < len(given) else None for k in range(3))
+        assert q is not None
+        return ReferenceTable(times, q, qd, qdd, self.where)
 
     def at(self, t: ArrayLike) -> tuple[Array, Array]:
         """q_ref and qd_ref (..., m) at times t (...)."""

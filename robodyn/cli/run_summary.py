@@ -1,0 +1,46 @@
+"""What `simulate` tells of a run on stderr."""
+
+from __future__ import annotations
+
+from robodyn.actuation import JointTracking
+from robodyn.cli.output import note
+from robodyn.mechanism import Mechanism
+from robodyn.recording import Report
+
+
+def tell(mechanism: Mechanism, facts: Report) -> None:
+    """The summary."""
+    drift = "energy balance" if facts.work else "energy drift"
+    lines = [
+        f"{facts.outcome}: t = {facts.t_reached:.6g} s, {facts.method} (rtol {facts.rtol:g}, "
+        f"atol {facts.atol:g}), {facts.steps} steps, {facts.evaluations} evaluations, "
+        f"{facts.seconds:.3g} s",
+        f"{drift}: {facts.energy_drift:.2g} of the {facts.energy_in_motion:.4g} J in motion"
+        + (f"; work done {facts.work:.6g} J" if facts.work else ""),
+    ]
+    if mechanism.rows:
+        lines.append(
+            f"largest gap: {facts.largest_gap:.2g} m, {facts.largest_gap_rate:.2g} m/s "
+            f"({facts.stabilize})"
+        )
+    if facts.error_estimate is not None:
+        lines.append(f"error of q and qd: {facts.error_estimate:.2g} at most, by a tighter run")
+    if facts.tracking:
+        lines += _tracking(facts.tracking)
+    if facts.hint:
+        lines.append(facts.hint)
+    if facts.nearest_singular is not None and facts.nearest_singular_time is not None:
+        lines.append(
+            f"nearest to singular: {facts.nearest_singular:.3g} at "
+            f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
+        )
+    note("\n".join(lines))
+
+
+def _tracking(joints: list[JointTracking]) -> list[str]:
+    errors = [
+        f"{x.joint} {x.rms:.3g} rad rms, {x.largest:.3g} rad at most, at t = {x.at:.6g} s"
+        for x in joints
+    ]
+    torques = ", ".join(f"{x.joint} {x.largest_torque:.6g} N m" for x in joints)
+    return [f"tracking error: {'; '.join(errors)}", f"largest torque: {torques}"]

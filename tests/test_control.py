@@ -1,0 +1,516 @@
+"""Controllers: error equations with exact solutions, sampling, saturation, and wrong models."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import TWO_LINK
+from numpy.polynomial import Polynomial
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import oracles
+import random_mechanisms
+from robodyn import (
+    InputError,
+    Motion,
+    ReferenceTable,
+    RobodynError,
+    assemble,
+    controller,
+    forward_dynamics,
+    gravity_vector,
+    load,
+    loop_velocities,
+    mass_matrix,
+    simulate,
+)
+from robodyn.accuracy import error_estimate, settings_for
+from robodyn.actuation import Actuation
+from robodyn.mechanism import Mechanism
+from robodyn.simulation import Settings
+from robodyn.taylor_solver import TaylorSolver
+
+ROBOTS = Path(__file__).resolve().parent.parent / "robots"
+ARM = load(ROBOTS / "2r.yaml")
+FOUR_BAR = load(ROBOTS / "four-bar.yaml")
+ONE = random_mechanisms.mechanism("links: [{name: arm, m: 0.7, l: 0.9, r: 0.4, I: 0.03}]\n")
+INERTIA = 0.03 + 0.7 * 0.4**2  # kg m^2, of it
+SCIPYS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA")
+METHODS = (*SCIPYS, "taylor")
+TIGHT = {"rtol": 1e-11, "atol": 1e-11}
+
+
+def swing(joints: int, end: float = 2.0, rows: int = 41, given: int = 3) -> ReferenceTable:
+    """Sines of other sizes and frequencies for each joint."""
+    t = np.linspace(0.0, end, rows)[:, None]
+    w, size = 1.3 + 0.6 * np.arange(joints), 0.5 - 0.08 * np.arange(joints)
+    known = (size * np.sin(w * t), size * w * np.cos(w * t), -size * w**2 * np.sin(w * t))
+    return ReferenceTable(t[:, 0], *known[:given])
+
+
+def errors(motion: Motion, reference: ReferenceTable) -> np.ndarray:
+    """e and ed (T, 2, actuated)."""
+    driven = list(motion.mechanism.actuated)
+    q, qd = reference.at(motion.t)
+    return np.stack([q - motion.q[:, driven], qd - motion.qd[:, driven]], axis=1)
+
+
+def error_equation(t: np.ndarray, begin: np.ndarray, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+    """The solution of edd + kd ed + kp e = 0 from e, ed = begin (2, m) at times t, (T, 2, m)."""
+    joints = []
+    for j, (p, d) in enumerate(zip(kp, kd, strict=True)):
+        A = np.array([[0.0, 1.0], [-p, -d]])
+        joints.append(expm(t[:, None, None] * A) @ begin[:, j])
+    return np.stack(joints, axis=-1)
+
+
+def check_error_equation(
+    mech: Mechanism, q: np.ndarray, qd: np.ndarray, reference: ReferenceTable, end: float = 2.0
+) -> None:
+    """Of computed torque with the true model, with every damping among the joints."""
+    joints = len(mech.actuated)
+    kp = 30.0 + 7.0 * np.arange(joints)
+    for shift in range(3):
+        damping = np.array([(0.3, 1.0, 2.1)[(j + shift) % 3] for j in range(joints)])
+        kd = 2.0 * damping * np.sqrt(kp)
+        tau = controller(mech, reference, "computed-torque", kp, kd)
+        times = np.linspace(0.0, end, 21)
+        motion = simulate(mech, q, qd, end, tau=tau, t_eval=times, **TIGHT)
+        assert motion.outcome.label == "finished"
+        found = errors(motion, reference)
+        assert np.abs(found[0]).max() > 0.01  # there is something to forget
+        known = error_equation(times, found[0], kp, kd)
+        assert np.abs(found - known).max() < 1e-8
+        assert motion.report.energy_drift < 1e-8
+
+
+class TestComputedTorque:
+    """With the true model the error obeys a linear equation, whatever the mechanism does."""
+
+    @pytest.mark.parametrize("given", [1, 2, 3])
+    def test_of_the_arm(self, given: int) -> None:
+        start = np.array([0.3, -0.5]), np.array([0.4, 1.0])
+        check_error_equation(ARM, *start, swing(2, given=given))
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_of_random_trees(self, seed: int) -> None:
+        scene = random_mechanisms.forced(seed, random_mechanisms.seeded_tree(seed, 2 + seed))
+        check_error_equation(scene.mechanism, scene.q, scene.qd, swing(scene.n), 1.0)
+
+    def test_of_the_four_bar(self) -> None:
+        q = assemble(FOUR_BAR, [0.9])
+        qd = loop_velocities(FOUR_BAR, q, [2.0])
+        check_error_equation(FOUR_BAR, q, qd, swing(1))
+
+    @pytest.mark.parametrize("name", ["slider-crank", "five-bar", "geared-five-bar"])
+    def test_of_other_loops(self, name: str) -> None:
+        mech = load(ROBOTS / f"{name}.yaml")
+        known = swing(len(mech.actuated), 0.4, 9)
+        q = assemble(mech, known.at(0.0)[0] + 1.2)
+        shifted = ReferenceTable(known.times, known.at(known.times)[0] + 1.1)
+        qd = loop_velocities(mech, q, known.at(0.0)[1])
+        check_error_equation(mech, q, qd, shifted, 0.4)
+
+    @pytest.mark.parametrize("method", SCIPYS)
+    def test_where_the_reference_jumps(self, method: str) -> None:
+        """Cubics between rows: qdd_ref jumps, and every method steps onto it and goes on."""
+        known = swing(2, 1.0, 6, given=2)
+        assert known.jumps
+        tau = controller(ARM, known, "computed-torque", 40.0, 9.0)
+        low = method == "RK23"  # of order 3
+        tight = {"rtol": 1e-8, "atol": 1e-8} if low else TIGHT
+        motion = simulate(ARM, [0.2, 0.1], [0.0, 0.0], 1.0, tau=tau, method=method, **tight)
+        assert set(known.times) <= set(motion.t.tolist())
+        found = errors(motion, known)
+        gains = np.full(2, 40.0), np.full(2, 9.0)
+        apart = np.abs(found - error_equation(motion.t, found[0], *gains)).max()
+        assert apart < (2e-6 if low else 1e-8)
+        at = np.isin(motion.t, known.times[1:-1])
+        ahead = forward_dynamics(ARM, motion.q, motion.qd, motion.tau)[at]
+        wanted = 2.0 * known.coefficients[1:, :, 2]  # qdd_ref of the piece ahead
+        v = wanted + 9.0 * found[at, 1] + 40.0 * found[at, 0]
+        assert ahead == pytest.approx(v, abs=1e-9 * np.abs(v).max())
+
+    def test_no_step_is_tried_in_vain_where_it_jumps(self) -> None:
+        known = swing(2, 1.0, 21, given=2)
+        tau = controller(ARM, known, "computed-torque", 4.0, 4.0)
+        motion = simulate(ARM, [0.2, 0.1], [0, 0], 1.0, tau=tau, method="DOP853")
+        assert motion.report.evaluations <= 14 * motion.report.steps
+
+    @pytest.mark.parametrize("given", [2, 3])
+    def test_backwards(self, given: int) -> None:
+        t = np.linspace(-1.0, 0.0, 8)[:, None]
+        w = np.array([1.1, 0.7])
+        rows = (np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t))
+        known = ReferenceTable(t[:, 0], *rows[:given])
+        tau = controller(ARM, known, "computed-torque", 9.0, 2.0)
+        motion = simulate(ARM, [0.1, 0.2], [1.0, 1.0], -1.0, tau=tau, **TIGHT)
+        found = errors(motion, known)
+        exact = error_equation(motion.t, found[0], np.full(2, 9.0), np.full(2, 2.0))
+        assert np.abs(found - exact).max() < 1e-8
+        assert motion.report.energy_drift < 1e-9
+
+
+class TestLaws:
+    """The torques of a run are those of the equations, at every row."""
+
+    @pytest.mark.parametrize("law", ["pd", "pd+g", "computed-torque"])
+    def test_torques(self, law: str) -> None:
+        known = swing(2)
+        kp, kd = np.array([60.0, 25.0]), np.array([8.0, 3.0])
+        tau = controller(ARM, known, law, kp, kd)
+        motion = simulate(ARM, [0.3, -0.2], [0.5, 0.0], 2.0, tau=tau)
+        e, ed = np.moveaxis(errors(motion, known), 1, 0)
+        if law == "computed-torque":
+            w, size = np.array([1.3, 1.9]), np.array([0.5, 0.42])
+            qdd = -size * w**2 * np.sin(w * motion.t[:, None])  # the rows are close enough
+            for k, (q, qd) in enumerate(zip(motion.q, motion.qd, strict=True)):
+                M, C, G = oracles.two_link_terms(TWO_LINK, q, qd)
+                wanted = M @ (qdd[k] + kd * ed[k] + kp * e[k]) + C @ qd + G
+                assert motion.tau[k] == pytest.approx(wanted, abs=1e-3)
+            return
+        wanted = kp * e + kd * ed
+        if law == "pd+g":
+            wanted = wanted + gravity_vector(ARM, motion.q)
+        assert motion.tau == pytest.approx(wanted, abs=1e-11)
+
+    def test_of_a_passive_joint_there_is_none(self) -> None:
+        text = (ROBOTS / "2r.yaml").read_text() + "actuated: [forearm]\n"
+        mech = random_mechanisms.mechanism(text)
+        tau = controller(mech, swing(1), "pd+g", 20.0, 2.0)
+        motion = simulate(mech, [0.3, -0.2], [0.5, 0.0], 1.0, tau=tau)
+        assert not motion.tau[:, 0].any()
+        G = gravity_vector(mech, motion.q)[:, 1]
+        e, ed = np.moveaxis(errors(motion, swing(1)), 1, 0)
+        assert motion.tau[:, 1] == pytest.approx((20 * e + 2 * ed)[:, 0] + G, abs=1e-11)
+
+    def test_a_reference_of_all_joints_serves(self) -> None:
+        t = np.linspace(0.0, 1.0, 5)
+        q = assemble(FOUR_BAR, np.sin(t)[:, None])
+        full = controller(FOUR_BAR, ReferenceTable(t, q), "pd", 9.0, 1.0)
+        part = controller(FOUR_BAR, ReferenceTable(t, q[:, :1]), "pd", 9.0, 1.0)
+        runs = [simulate(FOUR_BAR, q[2], 0 * q[2], 1.0, tau=tau) for tau in (full, part)]
+        assert np.array_equal(runs[0].q, runs[1].q)
+
+    @pytest.mark.parametrize("rate", [None, 50.0])
+    def test_saturation(self, rate: float | None) -> None:
+        most = np.array([9.0, 2.0])
+        tau = controller(ARM, swing(2), "pd", [90.0, 12.0], [9.0, 1.0], most, rate)
+        motion = simulate(ARM, [1.3, -0.2], [0.0, 0.0], 2.0, tau=tau)
+        assert motion.outcome.label == "finished"
+        assert (np.abs(motion.tau) <= most).all()
+        free = controller(ARM, swing(2), "pd", [90.0, 12.0], [9.0, 1.0], None, rate)
+        assert (np.abs(simulate(ARM, [1.3, -0.2], [0, 0], 2.0, tau=free).tau) > most).any(0).all()
+        assert motion.report.energy_drift < 1e-7
+        e, ed = np.moveaxis(errors(motion, swing(2)), 1, 0)
+        if rate is None:
+            wanted = np.clip([90.0, 12.0] * e + [9.0, 1.0] * ed, -most, most)
+            assert motion.tau == pytest.approx(wanted, abs=1e-11)
+        largest = [joint.largest_torque for joint in motion.report.tracking or []]
+        assert largest == pytest.approx(np.abs(motion.tau).max(axis=0))
+        assert (largest == most).any()
+
+
+class TestWrongModel:
+    """Twenty per cent of a mass: an error stays that the true model's gravity does not leave."""
+
+    TARGET = np.array([0.6, 0.4])
+    HOLD = ReferenceTable([0.0, 10.0], [TARGET, TARGET], np.zeros((2, 2)))
+
+    def rest(self, law: str, believed: Mechanism | None = None) -> Motion:
+        gains = ([80.0, 40.0], [20.0, 4.0]) if law != "computed-torque" else (30.0, 11.0)
+        tau = controller(ARM, self.HOLD, law, *gains, control_model=believed)
+        motion = simulate(ARM, [0.2, 0.1], [0.0, 0.0], 10.0, tau=tau, t_eval=[10.0])
+        assert np.abs(motion.qd).max() < 1e-7
+        return motion
+
+    @pytest.fixture
+    def heavier(self) -> Mechanism:
+        text = (ROBOTS / "2r.yaml").read_text()
+        assert "m: 0.9" in text
+        return random_mechanisms.mechanism(text.replace("m: 0.9", "m: 1.08"))
+
+    def test_the_true_model_leaves_none(self) -> None:
+        for law in ("pd+g", "computed-torque"):
+            assert self.rest(law).q[0] == pytest.approx(self.TARGET, abs=1e-7)
+
+    def test_pd_alone_hangs_below(self) -> None:
+        motion = self.rest("pd")
+        e = self.TARGET - motion.q[0]
+        assert np.abs(e).max() > 0.05
+        assert np.array([80.0, 40.0]) * e == pytest.approx(
+            gravity_vector(ARM, motion.q[0]), abs=1e-6
+        )
+
+    def test_the_wrong_model_leaves_what_its_gravity_misses(self, heavier: Mechanism) -> None:
+        for law in ("pd+g", "computed-torque"):
+            motion = self.rest(law, heavier)
+            q, e = motion.q[0], self.TARGET - motion.q[0]
+            assert np.abs(e).max() > 0.01
+            missing = gravity_vector(ARM, q) - gravity_vector(heavier, q)
+            stiffness = np.diag([80.0, 40.0])
+            if law == "computed-torque":
+                stiffness = 30.0 * mass_matrix(heavier, q)
+            assert stiffness @ e == pytest.approx(missing, abs=1e-6)
+
+
+def sampled_double_integrator(
+    reference: list[Polynomial], start: tuple[float, float], rate: float, count: int, most: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (count + 1, 2) and torques (count + 1,) of J qdd = held PD torque; kp 3, kd 0.8."""
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / INERTIA]])
+    block = expm(np.block([[A, B], [np.zeros((1, 3))]]) / rate)
+    state, states, torques = np.array(start), [], []
+    for k in range(count + 1):
+        q, qd = reference[0](k / rate), reference[0].deriv()(k / rate)
+        tau = np.clip(3.0 * (q - state[0]) + 0.8 * (qd - state[1]), -most, most)
+        states.append(state)
+        torques.append(tau)
+        state = block[:2, :2] @ state + block[:2, 2] * tau
+    return np.array(states), np.array(torques)
+
+
+class TestSampled:
+    """A torque is computed from the state at each sample, and held until the next."""
+
+    MOTION = (Polynomial([0.2, 0.4, -0.9, 0.3]),)
+
+    @pytest.mark.parametrize("method", METHODS)
+    @pytest.mark.parametrize("most", [0.4, 1e3])
+    def test_of_a_double_integrator(self, method: str, most: float) -> None:
+        times = np.linspace(0.0, 3.0, 4)
+        rows = [np.stack([p.deriv(d)(times) for p in self.MOTION], axis=1) for d in range(2)]
+        reference = ReferenceTable(times, *rows)
+        rate, count = 16.0, 48
+        tau = controller(ONE, reference, "pd", 3.0, 0.8, most, rate)
+        stamps = np.arange(count + 1) / rate
+        tight = {"rtol": 1e-12, "atol": 1e-12} if method in ("BDF", "LSODA") else TIGHT
+        motion = simulate(ONE, [1.0], [-0.5], 3.0, tau, method, t_eval=stamps, **tight)
+        known, torques = sampled_double_integrator(
+            list(self.MOTION), (1.0, -0.5), rate, count, most
+        )
+        assert motion.outcome.label == "finished"
+        assert motion.tau[:, 0] == pytest.approx(torques, abs=2e-9)
+        assert motion.q[:, 0] == pytest.approx(known[:, 0], abs=1e-9)
+        assert motion.qd[:, 0] == pytest.approx(known[:, 1], abs=1e-9)
+
+    @pytest.mark.parametrize("method", ["DOP853", "Radau", "LSODA", "taylor"])
+    def test_of_an_arm_against_runs_from_sample_to_sample(self, method: str) -> None:
+        kp, kd, rate = np.array([70.0, 9.0]), np.array([11.0, 0.9]), 40.0
+        reference = swing(2, 1.0)
+        tau = controller(ARM, reference, "pd+g", kp, kd, control_rate=rate)
+        stamps = np.arange(41) / rate
+        start = np.array([0.3, -0.4, 0.2, 0.7])
+        motion = simulate(ARM, start[:2], start[2:], 1.0, tau, method, t_eval=stamps, **TIGHT)
+        y, states = start, [start]
+        for begin, end in itertools.pairwise(stamps):
+            e, ed = (x - z for x, z in zip(reference.at(begin), (y[:2], y[2:]), strict=True))
+            held = kp * e + kd * ed + oracles.two_link_terms(TWO_LINK, y[:2], y[2:])[2]
+
+            def rates(t: float, y: np.ndarray, held: np.ndarray = held) -> np.ndarray:
+                qdd = oracles.two_link_acceleration(TWO_LINK, y[:2], y[2:], held)
+                return np.concatenate([y[2:], qdd])
+
+            run = solve_ivp(rates, (begin, end), y, method="DOP853", rtol=1e-12, atol=1e-12)
+            y = run.y[:, -1]
+            states.append(y)
+        found = np.concatenate([motion.q, motion.qd], axis=1)
+        assert found == pytest.approx(np.array(states), abs=1e-9)
+        assert motion.report.energy_drift < 1e-9
+
+    @pytest.mark.parametrize("method", METHODS)
+    def test_the_torque_is_constant_between_samples(self, method: str) -> None:
+        rate, end = 30.0, 1.0
+        tau = controller(ARM, swing(2, 1.5), "pd", 20.0, 2.0, control_rate=rate)
+        between = np.sort(np.concatenate([np.arange(31) / rate, np.linspace(0, end, 211)[1:-1]]))
+        times = np.unique(between)
+        loose = {"rtol": 1e-5, "atol": 1e-5}
+        motion = simulate(ARM, [0.1, 0.2], [0, 0], end, tau, method, t_eval=times, **loose)
+        index = np.floor(times * rate + 1e-9).astype(int)
+        for k in range(31):
+            assert len(np.unique(motion.tau[index == k], axis=0)) == 1
+        assert len(np.unique(motion.tau, axis=0)) == 31
+        steps = simulate(ARM, [0.1, 0.2], [0, 0], end, tau, method, **loose)
+        assert {k / rate for k in range(31)} <= set(steps.t.tolist())
+        e, ed = np.moveaxis(errors(steps, swing(2, 1.5)), 1, 0)
+        at = np.isin(steps.t, [k / rate for k in range(31)])
+        assert steps.tau[at] == pytest.approx((20.0 * e + 2.0 * ed)[at], abs=1e-12)
+
+    def test_rows_between_steps_are_those_of_the_held_torque(self) -> None:
+        """Dense output is asked for after the next sample has been taken."""
+        tau = controller(ONE, ReferenceTable([0, 1], [[1.0], [1.0]]), "pd", 9.0, 0.0, None, 4.0)
+        times = np.linspace(0.0, 1.0, 101)
+        for method in METHODS:
+            motion = simulate(ONE, [0.0], [0.0], 1.0, tau, method, t_eval=times, **TIGHT)
+            k = np.searchsorted(np.arange(5) / 4, times, side="right") - 1
+            begin = motion.t.searchsorted(k / 4)
+            x = times - k / 4
+            a = motion.tau[begin, 0] / INERTIA
+            known = motion.q[begin, 0] + motion.qd[begin, 0] * x + a * x**2 / 2
+            assert motion.q[:, 0] == pytest.approx(known, abs=1e-9), method
+
+    def test_samples_that_do_not_fit_the_time(self) -> None:
+        """0.37 s at 30 Hz; and a sample that is the end but for rounding."""
+        tau = controller(ARM, swing(2), "pd", 20.0, 2.0, control_rate=30.0)
+        for end in (0.37, 0.7, np.nextafter(0.7, 0.0), np.nextafter(0.7, 1.0)):
+            for method in ("DOP853", "taylor"):
+                motion = simulate(ARM, [0.1, 0.2], [0, 0], end, tau, method)
+                assert motion.outcome.label == "finished"
+                assert motion.t[-1] == end
+                count = int(np.floor(end * 30.0 + 1e-9)) + 1
+                assert len(np.unique(motion.tau, axis=0)) == count
+
+    def test_faster_sampling_comes_nearer_to_the_continuous_law(self) -> None:
+        known = simulate(
+            ARM, [0.3, 0.0], [0, 0], 1.0, controller(ARM, swing(2), "pd", 30.0, 4.0), t_eval=[1.0]
+        ).q[0]
+        apart = []
+        for rate in (200.0, 400.0, 800.0):
+            tau = controller(ARM, swing(2), "pd", 30.0, 4.0, control_rate=rate)
+            found = simulate(ARM, [0.3, 0.0], [0, 0], 1.0, tau, t_eval=[1.0]).q[0]
+            apart.append(np.abs(found - known).max())
+        assert apart[0] / apart[1] == pytest.approx(2.0, rel=0.1)
+        assert apart[1] / apart[2] == pytest.approx(2.0, rel=0.1)
+
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_across_change_points(self, method: str) -> None:
+        mech = load(ROBOTS / "parallelogram.yaml")
+        t = np.linspace(0.0, 1.5, 31)[:, None]
+        joints = len(mech.actuated)
+        reference = ReferenceTable(t[:, 0], np.repeat(0.5 + 3.0 * t, joints, axis=1))
+        tau = controller(mech, reference, "pd", 20.0, 4.0, control_rate=25.0)
+        q = assemble(mech, np.full(joints, 0.6))
+        qd = loop_velocities(mech, q, np.full(joints, 3.0))
+        motion = simulate(mech, q, qd, 1.5, tau, method, t_eval=np.arange(38) / 25, **TIGHT)
+        assert motion.outcome.label == "finished"
+        assert motion.q[:, 0].max() > np.pi
+        e, ed = np.moveaxis(errors(motion, reference), 1, 0)
+        driven = list(mech.actuated)
+        assert motion.tau[:, driven] == pytest.approx(20.0 * e + 4.0 * ed, abs=1e-9)
+        assert motion.report.energy_drift < 1e-8
+
+    def test_a_solver_for_solve_ivp(self) -> None:
+        tau = controller(ARM, swing(2), "pd", 20.0, 2.0, control_rate=20.0)
+        y0 = [0.1, 0.2, 0.0, 0.5]
+        run = solve_ivp(None, (0.0, 1.0), y0, method=TaylorSolver, mechanism=ARM, tau=tau)
+        motion = simulate(ARM, y0[:2], y0[2:], 1.0, tau, "taylor", engine="python")
+        assert run.y[:2, -1] == pytest.approx(motion.q[-1], abs=1e-12)
+
+    def test_it_does_not_run_backwards(self) -> None:
+        reference = ReferenceTable([-1.0, 0.0], [[0.0, 0.0], [1.0, 1.0]])
+        tau = controller(ARM, reference, "pd", 1.0, 1.0, control_rate=10.0)
+        with pytest.raises(InputError, match=r"control_rate.*backwards"):
+            simulate(ARM, [0, 0], [0, 0], -1.0, tau)
+
+
+class TestRuns:
+    """What the report says of a run; that a controller serves again and again."""
+
+    @pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA"])
+    def test_tracking(self, method: str) -> None:
+        kp, kd = np.array([30.0, 50.0]), np.array([2.0, 9.0])
+        reference = swing(2)
+        tau = controller(ARM, reference, "computed-torque", kp, kd)
+        motion = simulate(ARM, [0.3, -0.5], [0.4, 1.0], 2.0, tau, method)
+        t = np.linspace(0.0, 2.0, 2001)
+        begin = errors(motion, reference)[0]
+        e = error_equation(t, begin, kp, kd)[:, 0]
+        found = motion.report.tracking
+        assert found is not None
+        assert [joint.joint for joint in found] == ["upper arm", "forearm"]
+        for j, joint in enumerate(found):
+            assert joint.rms == pytest.approx(
+                np.sqrt(np.trapezoid(e[:, j] ** 2, t) / 2.0), rel=1e-4
+            )
+            worst = np.abs(e[:, j]).argmax()
+            assert joint.largest == pytest.approx(np.abs(e[worst, j]), rel=1e-4)
+            assert joint.at == pytest.approx(t[worst], abs=2e-3)
+            assert joint.largest_torque == np.abs(motion.tau[:, j]).max()
+
+    def test_without_a_controller_nothing_is_tracked(self) -> None:
+        assert simulate(ARM, [0, 0], [0, 0], 0.1).report.tracking is None
+
+    def test_of_no_time(self) -> None:
+        tau = controller(ARM, swing(2), "pd", 1.0, 1.0)
+        found = simulate(ARM, [0.25, 0.0], [0, 0], 0.0, tau).report.tracking
+        assert found is not None
+        assert (found[0].rms, found[0].largest, found[0].at) == (0.25, 0.25, 0.0)
+
+    @pytest.mark.parametrize("options", [{}, {"control_rate": 20.0}])
+    def test_again(self, options: dict[str, float]) -> None:
+        reference = swing(2, 1.0, 6, given=2)
+        tau = controller(ARM, reference, "computed-torque", 30.0, 8.0, **options)
+        start = [0.2, 0.1], [0.0, 0.3]
+        first = simulate(ARM, *start, 1.0, tau)
+        other = simulate(ARM, [0.0, 1.0], [1.0, 0.0], 0.55, tau, "RK45")
+        assert other.outcome.label == "finished"
+        again = simulate(ARM, *start, 1.0, tau)
+        assert np.array_equal(first.q, again.q)
+        assert np.array_equal(first.tau, again.tau)
+        assert first.report.tracking == again.report.tracking
+
+    def test_accuracy(self) -> None:
+        tau = controller(ARM, swing(2), "pd", [30.0, 5.0], [4.0, 0.6], control_rate=20.0)
+        begin = np.array([0.2, 0.1, 0.0, 0.3])
+        settings, estimate = settings_for(ARM, begin, 1.0, tau, Settings("auto"), 1e-8)
+        assert settings.method == "taylor"
+        assert estimate < 1e-8
+        smooth = controller(ARM, swing(2), "pd", 30.0, 4.0)
+        settings, estimate = settings_for(ARM, begin, 1.0, smooth, Settings("auto"), 1e-8)
+        assert settings.method == "DOP853"
+        assert error_estimate(ARM, begin, 1.0, smooth, settings) < 1e-8
+
+
+class TestRefused:
+    def refused(self, *parts: str, mech: Mechanism = ARM, **changes: object) -> None:
+        options: dict = {"reference": swing(2), "control": "pd", "kp": 1.0, "kd": 1.0} | changes
+        with pytest.raises(RobodynError) as caught:
+            controller(mech, **options)
+        for part in parts:
+            assert part in str(caught.value)
+
+    def test_gains(self) -> None:
+        self.refused("kp = -1", ">= 0", kp=-1.0)
+        self.refused("kd = nan", kd=[1.0, np.nan])
+        self.refused("kp = 3 values", "needs 1 value, or 2", "upper arm, forearm", kp=[1, 2, 3])
+        self.refused("tau_max = 0", "> 0", tau_max=0.0)
+        self.refused("tau_max = inf", "finite", tau_max=[1.0, np.inf])
+
+    def test_laws(self) -> None:
+        self.refused("control = pid", "pd, pd+g, computed-torque", control="pid")
+
+    def test_rates(self) -> None:
+        for rate in (0.0, -1.0, np.nan, np.inf):
+            self.refused("control_rate", "> 0", control_rate=rate)
+        self.refused("control_rate = 1e+09", "2e+09 samples", control_rate=1e9)
+
+    def test_models(self) -> None:
+        self.refused("four-bar.yaml", "3 joints, but 2 joints in", control_model=FOUR_BAR)
+        text = (ROBOTS / "2r.yaml").read_text() + "actuated: [forearm]\n"
+        other = random_mechanisms.mechanism(text)
+        self.refused("scene.yaml", "actuates q2, but actuates q1, q2 in", control_model=other)
+
+    def test_references(self) -> None:
+        self.refused("reference", "3 joints", "2 actuated", reference=swing(3))
+        tau = controller(ARM, swing(2, 1.0), "pd", 1.0, 1.0)
+        for end in (1.5, -0.1):
+            with pytest.raises(InputError, match=r"reference = 0 to 1 s: must cover 0 to"):
+                simulate(ARM, [0, 0], [0, 0], end, tau)
+
+    def test_actuators(self) -> None:
+        text = (ROBOTS / "2r.yaml").read_text() + "actuated: []\n"
+        self.refused("no joint is actuated", mech=random_mechanisms.mechanism(text))
+        text = text.replace("[]", "[forearm]")
+        mech = random_mechanisms.mechanism(text)
+        options = {"reference": swing(1), "control": "computed-torque"}
+        self.refused("fewer actuators", mech=mech, **options)
+
+    def test_series(self) -> None:
+        tau = controller(ARM, swing(2), "pd", 1.0, 1.0)
+        assert isinstance(tau, Actuation)
+        with pytest.raises(InputError, match=r"continuously has no series.*DOP853"):
+            simulate(ARM, [0, 0], [0, 0], 1.0, tau, "taylor")
