@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,12 +90,12 @@ class Tracked:
         if self._last is not None:
             t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
         self._last = t[-1:], e[-1:], ed[-1:]
-        # Hermite's rule for the square of e, whose slope is 2 e ed
-        h, f, slope = np.diff(t)[:, None], e**2, 2.0 * e * ed
-        for u, extreme in _extremes(h, e, ed):
+        h = np.diff(t)[:, None]
+        cubic = _cubics(h, e, ed)
+        for u, extreme in _extremes(cubic):
             self._compare(t[:-1, None] + u * h, np.abs(extreme))
-        parts = h / 2.0 * (f[:-1] + f[1:]) + h**2 / 12.0 * (slope[:-1] - slope[1:])
-        self._square += np.abs(parts.sum(axis=0))
+        parts = [cubic[i] * cubic[j] / (i + j + 1) for i, j in product(range(4), repeat=2)]
+        self._square += np.abs((h * sum(parts)).sum(axis=0))
         self._duration += abs(float(t[-1] - t[0]))
 
     def _compare(self, t: Array, size: Array) -> None:
@@ -114,20 +115,22 @@ class Tracked:
         return [JointTracking(*row) for row in rows]
 
 
-def _extremes(h: Array, e: Array, ed: Array) -> list[tuple[Array, Array]]:
-    """The extremes of the cubics between ends of steps: where in the step, and how large.
-
-    Zero where there is none.
-    """
+def _cubics(h: Array, e: Array, ed: Array) -> tuple[Array, Array, Array, Array]:
+    """The cubic of each step (k,), by the powers of u from 0 to 1 along it."""
     slope, end, rise = ed[:-1] * h, ed[1:] * h, np.diff(e, axis=0)
-    c2, c3 = 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
+    return e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
+
+
+def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Array]]:
+    """Where in each step its cubic has an extreme, and how large; zero where there is none."""
+    begin, slope, c2, c3 = cubic
     with np.errstate(all="ignore"):  # slope + 2 c2 u + 3 c3 u^2 = 0 may have no root
         q = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * slope), c2))
         found = []
         for u in (q / (3.0 * c3), slope / q):
             inside = (u > 0.0) & (u < 1.0)
             u = np.where(inside, u, 0.0)
-            value = e[:-1] + u * (slope + u * (c2 + u * c3))
+            value = begin + u * (slope + u * (c2 + u * c3))
             found.append((u, np.where(inside, value, 0.0)))
     return found
 

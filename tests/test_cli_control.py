@@ -1,0 +1,300 @@
+"""`robodyn simulate --control`: references from files and pipes, the summary, wrong usage."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, TWO_LINK, Outcome
+
+import oracles
+
+Run = Callable[..., Outcome]
+ARM = ("simulate", "robots/2r.yaml", "--q", "0.1,0.05")
+CRANK = ("simulate", "robots/four-bar.yaml", "--q", "1")
+PD = ("--control", "pd", "--kp", "80,20", "--kd", "16,1")
+TORQUE = ("--control", "computed-torque", "--kp", "25", "--kd", "10")
+HEADER = "t,q1,q2,qd1,qd2,qdd1,qdd2"
+REFERENCE = "\n".join(
+    [
+        HEADER,
+        *(
+            f"{t},{math.sin(t)},{math.cos(t)},{math.cos(t)},{-math.sin(t)},"
+            f"{-math.sin(t)},{-math.cos(t)}"
+            for t in (k / 20 for k in range(31))
+        ),
+    ]
+)
+
+
+def cut(table: str, *names: str) -> str:
+    """Some columns of a table."""
+    rows = [line.split(",") for line in table.splitlines()]
+    return "\n".join(",".join(row[rows[0].index(name)] for name in names) for row in rows)
+
+
+@pytest.fixture
+def ref(tmp_path: Path) -> Path:
+    file = tmp_path / "ref.csv"
+    file.write_text(REFERENCE)
+    return file
+
+
+# References
+
+
+def test_rows_and_their_errors(robodyn: Run, ref: Path) -> None:
+    given = robodyn(*ARM, *TORQUE, "--track", ref, "--points", 16, "--quiet").succeeds()
+    assert given.out.splitlines()[0] == "t,q1,q2,qd1,qd2,qdd1,qdd2,tau1,tau2,energy,e1,e2"
+    t = np.array(given.column("t"))
+    assert t[-1] == 1.5  # the reference's end
+    for name, at in (("1", np.sin), ("2", np.cos)):
+        q, e = (np.array(given.column(x + name)) for x in "qe")
+        assert e == pytest.approx(at(t) - q, abs=1e-9)
+        # e and ed of edd + 10 ed + 25 e = 0, from the start at rest
+        begin, rate = e[0], at(0.0 + np.pi / 2) * (1 if name == "1" else -1)
+        known = (begin + (rate + 5.0 * begin) * t) * np.exp(-5.0 * t)
+        assert e == pytest.approx(known, abs=1e-7)
+
+
+def test_a_shorter_time(robodyn: Run, ref: Path) -> None:
+    given = robodyn(*ARM, *PD, "--track", ref, "--time", 0.5, "--points", 2, "--quiet").succeeds()
+    assert given.column("t") == [0.0, 0.5]
+
+
+@pytest.mark.parametrize("names", [("q1", "q2"), ("q1", "q2", "qd1", "qd2")])
+def test_what_rows_lack_is_interpolated(robodyn: Run, names: tuple[str, ...]) -> None:
+    options = (*ARM, *TORQUE, "--track", "-", "--points", 4, "--quiet")
+    found, known = (
+        robodyn(*options, stdin=text).succeeds()
+        for text in (cut(REFERENCE, "t", *names), REFERENCE)
+    )
+    for name in ("q1", "q2"):
+        assert found.column(name) == pytest.approx(known.column(name), abs=1e-5)
+
+
+def test_columns_in_any_order_and_others_beside(robodyn: Run, ref: Path) -> None:
+    lines = cut(REFERENCE, "q2", "t", "qd2", "q1", "qd1").splitlines()
+    mixed = "\n".join([f"note,{lines[0]}", *(f"x,{line}" for line in lines[1:])])
+    plain = cut(REFERENCE, "t", "q1", "q2", "qd1", "qd2")
+    outs = [
+        robodyn(*ARM, *PD, "--track", "-", "--points", 3, "--quiet", stdin=text).succeeds().out
+        for text in (mixed, plain)
+    ]
+    assert outs[0] == outs[1]
+
+
+def test_of_a_closed_mechanism_the_actuated_joints_count(robodyn: Run, ref: Path) -> None:
+    gains = ("--control", "pd+g", "--kp", 30, "--kd", 3, "--points", 3, "--quiet")
+    part = robodyn(*CRANK, *gains, "--track", "-", stdin=cut(REFERENCE, "t", "q1", "qd1", "qdd1"))
+    assert part.succeeds().out.splitlines()[0].endswith("energy,gap,e1")
+    assert robodyn(*CRANK, *gains, "--track", ref).succeeds().out == part.out
+
+
+def test_a_pipe_of_three(shell: Run) -> None:
+    """A reference written by awk; the torques that were applied are those that `torque` finds."""
+    awk = """awk 'BEGIN {print "t,q1,q2"; for (k = 0; k <= 40; k++)
+        printf "%.17g,%.17g,%.17g\\n", k/20, sin(k/20), 0.3*cos(k/10)}'"""
+    control = "--control pd+g --kp 90,20 --kd 12,1 --quiet --every 0.25"
+    for more in ("", "--tau-max 12", "--control-rate 100", "--control-rate 100 --method taylor"):
+        simulated = f"robodyn simulate robots/2r.yaml --q 0,0.3 --track - {control} {more}"
+        line = f"{awk} | {simulated} | tee >(cat >&2) | robodyn torque robots/2r.yaml -"
+        given = shell(line)
+        assert given.code == 0
+        before = Outcome(0, given.err, "")
+        assert given.out.splitlines()[0] == before.out.splitlines()[0]
+        assert len(given.rows) == 9
+        for name in ("tau1", "tau2"):
+            assert given.column(name) == pytest.approx(before.column(name), abs=1e-9)
+
+
+def test_trajectory_makes_references(shell: Run) -> None:
+    line = (
+        "robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 | "
+        "robodyn simulate robots/2r.yaml --q 0,0 --track - --control computed-torque "
+        "--kp 100 --kd 20 --quiet | tail -1"
+    )
+    given = shell(line)
+    assert given.code == 0
+    numbers = [float(x) for x in given.out.split(",")]
+    assert numbers[:3] == pytest.approx([2.0, math.pi / 2, math.pi / 4], abs=1e-8)
+
+
+# Laws
+
+
+def test_torques_are_those_of_the_law(robodyn: Run, ref: Path) -> None:
+    options = ("--control", "pd+g", "--kp", "80,20", "--kd", "16", "--points", 5, "--quiet")
+    given = robodyn(*ARM, *options, "--track", ref).succeeds()
+    for row in given.rows:
+        x = {name: float(text) for name, text in row.items()}
+        t, q = x["t"], np.array([x["q1"], x["q2"]])
+        ed = [math.cos(t) - x["qd1"], -math.sin(t) - x["qd2"]]
+        _, _, G = oracles.two_link_terms(TWO_LINK, q, q)
+        wanted = np.array([80.0, 20.0]) * [x["e1"], x["e2"]] + 16.0 * np.array(ed) + G
+        assert [x["tau1"], x["tau2"]] == pytest.approx(wanted, abs=1e-5)
+
+
+def test_sampled_torques_are_held(robodyn: Run, ref: Path) -> None:
+    options = ("--track", ref, "--control-rate", "20Hz", "--every", 0.005, "--quiet")
+    given = robodyn(*ARM, *PD, *options).succeeds()
+    tau = np.array(given.column("tau1"))
+    assert len(tau) == 301
+    assert len(np.unique(tau)) == 31
+    assert np.flatnonzero(np.diff(tau)).tolist() == list(range(9, 300, 10))
+    assert robodyn(*ARM, *PD, *options, "--method", "taylor").succeeds()
+
+
+def test_another_model(robodyn: Run, ref: Path, tmp_path: Path) -> None:
+    text = (ROOT / "robots/2r.yaml").read_text()
+    heavier, same = tmp_path / "heavier.yaml", tmp_path / "same.yaml"
+    heavier.write_text(text.replace("m: 0.9", "m: 1.08"))
+    same.write_text(text)
+    options = (*ARM, *TORQUE, "--track", ref, "--points", 2, "--quiet")
+    runs = [
+        robodyn(*options, *more).succeeds()
+        for more in ((), ("--control-model", same), ("--control-model", heavier))
+    ]
+    assert runs[0].out == runs[1].out
+    assert abs(float(runs[0].rows[-1]["e2"])) < 0.005
+    assert abs(float(runs[2].rows[-1]["e2"])) > 0.02
+    part = tmp_path / "part.yaml"
+    part.write_text(text + "actuated: [forearm]\n")
+    parts = ("--control-model", str(part), "actuates q2, but actuates q1, q2 in robots/2r.yaml")
+    robodyn(*options, "--control-model", part).fails(2, *parts)
+
+
+def test_limits(robodyn: Run, ref: Path) -> None:
+    given = robodyn(*ARM, *PD, "--track", ref, "--tau-max", "10,3", "--quiet").succeeds()
+    for name, most in (("tau1", 10.0), ("tau2", 3.0)):
+        assert np.abs(given.column(name)).max() == most
+
+
+# The summary
+
+
+def test_the_summary_and_the_report(robodyn: Run, ref: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    given = robodyn(*ARM, *TORQUE, "--track", ref, "--report", report, "--every", 0.001)
+    assert given.code == 0
+    facts = json.loads(report.read_text())
+    assert [set(joint) for joint in facts["tracking"]] == 2 * [
+        {"joint", "rms", "largest", "at", "largest_torque"}
+    ]
+    assert facts["energy_drift"] < 1e-8
+    for k, joint in enumerate(facts["tracking"], 1):
+        e = np.array(given.column(f"e{k}"))
+        t = np.array(given.column("t"))
+        assert joint["joint"] == ("upper arm", "forearm")[k - 1]
+        assert joint["rms"] == pytest.approx(np.sqrt(np.trapezoid(e**2, t) / 1.5), rel=1e-4)
+        assert joint["largest"] == pytest.approx(np.abs(e).max(), rel=1e-5)
+        assert joint["at"] == pytest.approx(t[np.abs(e).argmax()], abs=2e-3)
+        largest = np.abs(given.column(f"tau{k}")).max()
+        assert joint["largest_torque"] == pytest.approx(largest, rel=0.02)
+        said = f"{joint['joint']} {joint['rms']:.3g} rad rms, {joint['largest']:.3g} rad at most"
+        assert said in given.err
+    assert "largest torque: upper arm " in given.err
+
+
+def test_of_a_run_without_control_there_is_no_tracking(robodyn: Run, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    given = robodyn(*ARM, "--time", 0.1, "--report", report)
+    assert "tracking" not in given.err
+    assert json.loads(report.read_text())["tracking"] is None
+
+
+def test_a_run_that_does_not_finish(robodyn: Run, ref: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    options = ("--track", ref, "--max-evals", 50, "--report", report, "--quiet")
+    robodyn(*ARM, *PD, *options).fails(1, "too many evaluations")
+    assert len(json.loads(report.read_text())["tracking"]) == 2
+
+
+def test_an_accuracy(robodyn: Run, ref: Path) -> None:
+    options = ("--track", ref, "--accuracy", 1e-7, "--points", 2)
+    given = robodyn(*ARM, *PD, *options)
+    assert given.code == 0
+    assert "DOP853" in given.err
+    assert "taylor" in robodyn(*ARM, *PD, *options, "--control-rate", 50).err
+
+
+# What is wrong
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--control", "pd", "--kp", 1, "--kd", 1), ("--track", "missing", "pd")),
+        (("--track", "REF", "--kp", 1, "--kd", 1), ("--track", "needs --control")),
+        (("--control", "pd", "--track", "REF", "--kd", 1), ("--kp", "missing", "pd")),
+        (("--control", "pd+g", "--track", "REF", "--kp", 1), ("--kd", "missing", "pd+g")),
+        (("--kp", 1), ("--kp", "needs --control")),
+        (("--tau-max", 1), ("--tau-max", "needs --control")),
+        (("--control-rate", 1), ("--control-rate", "needs --control")),
+        (("--control-model", "robots/2r.yaml"), ("--control-model", "needs --control")),
+        ((*PD, "--track", "REF", "--tau", "1,1"), ("--tau and --control", "exclude")),
+        ((*PD, "--track", "REF", "--tau-from", "-"), ("--tau-from and --control", "exclude")),
+        ((*PD, "--track", "REF", "--kp", "1,-2"), ("--kp = -2", ">= 0")),
+        ((*PD, "--track", "REF", "--kd", "1,2,3"), ("--kd = 3 values", "upper arm, forearm")),
+        ((*PD, "--track", "REF", "--kp", "up"), ("--kp", "entry 1 = up")),
+        ((*PD, "--track", "REF", "--tau-max", "0"), ("--tau-max = 0", "> 0")),
+        ((*PD, "--track", "REF", "--control-rate", "0"), ("--control-rate = 0", "> 0")),
+        ((*PD, "--track", "REF", "--control-rate", "fast"), ("--control-rate = fast", "100Hz")),
+        ((*PD, "--track", "REF", "--control-rate", "1e9"), ("--control-rate", "too many")),
+        ((*PD, "--track", "REF", "--time", 2), ("ref.csv = 0 to 1.5 s", "must cover 0 to 2 s")),
+        ((*PD, "--track", "REF", "--time", -1), ("ref.csv", "must cover 0 to -1 s")),
+        ((*PD, "--track", "none.csv"), ("none.csv", "no such file")),
+        ((*PD, "--track", ""), ("--track", "name a file")),
+        (
+            (*PD, "--track", "REF", "--control-model", "robots/four-bar.yaml"),
+            ("--control-model = robots/four-bar.yaml", "3 joints", "2 joints in robots/2r.yaml"),
+        ),
+        ((*PD, "--track", "REF", "--method", "taylor"), ("no series", "DOP853")),
+        (("--control", "pid", "--track", "REF"), ("--control", "computed-torque")),
+    ],
+)
+def test_wrong_usage(
+    robodyn: Run, ref: Path, options: tuple[object, ...], parts: tuple[str, ...]
+) -> None:
+    words = [ref if word == "REF" else word for word in options]
+    given = robodyn(*ARM, *words).fails(2, *parts)
+    assert given.out == ""
+
+
+@pytest.mark.parametrize(
+    ("table", "parts"),
+    [
+        ("t,q1\n0,1\n1,2\n", ("column q2 is missing", "t, q1")),
+        ("q1,q2\n0,1\n1,2\n", ("column t is missing",)),
+        ("t,q1,q2,qd1\n0,1,1,1\n1,2,1,1\n", ("column qd2 is missing", "qd1")),
+        ("t,q1,q2,qdd1,qdd2\n0,1,1,1,1\n1,2,1,1,1\n", ("column qd1 is missing", "qdd1")),
+        ("t,q1,q2\n0,1,1\n", ("rows = 1", "two or more")),
+        ("t,q1,q2\n", ("rows = 0", "two or more")),
+        ("t,q1,q2\n0,1,1\n0,1,1\n", ("t = 0", "increase")),
+        ("t,q1,q2\n0,1,1\n1,x,1\n", ("line 3", "q1 = x")),
+        ("t,q1,q2\n0.5,1,1\n1,1,1\n", ("0.5 to 1 s", "must cover 0 to 1 s")),
+        ("", ("the input is empty",)),
+    ],
+)
+def test_wrong_references(robodyn: Run, table: str, parts: tuple[str, ...]) -> None:
+    robodyn(*ARM, *PD, "--track", "-", stdin=table).fails(2, "stdin", *parts)
+
+
+def test_sampling_does_not_run_backwards(robodyn: Run) -> None:
+    table = "t,q1,q2\n-1,0,0\n0,1,1\n"
+    options = ("--track", "-", "--time", "-0.02", "--quiet")
+    robodyn(*ARM, *PD, *options, stdin=table).succeeds()
+    given = robodyn(*ARM, *PD, *options, "--control-rate", 10, stdin=table)
+    given.fails(2, "--control-rate = 10", "backwards")
+
+
+def test_help(robodyn: Run) -> None:
+    given = robodyn("simulate", "--help").succeeds()
+    for option in ("control", "track", "kp", "kd", "tau-max", "control-rate", "control-model"):
+        assert re.search(rf"^\s+--{option}\b", given.out, re.MULTILINE), option
+    assert "--control computed-torque" in given.out
