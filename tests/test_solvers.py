@@ -312,6 +312,78 @@ class TestKinks:
         assert solver.status == "finished"
 
 
+class TestJumps:
+    """Rates that are set anew at each kink, from the state there."""
+
+    KINKS = (0.4, 1.0, 1.7, 2.0)
+
+    class Turned:
+        """Turns on the circle, clockwise or not: each kink reverses it, and is written down."""
+
+        restarts = True
+
+        def __init__(self):
+            self.turns, self.seen = [1.0], []
+
+        def reach(self, t, y):
+            self.turns.append(-self.turns[-1])
+            self.seen.append((t, *y))
+
+        def rates(self, t, y):
+            known = [k for k, time in enumerate(TestJumps.KINKS[: len(self.seen)], 1) if time <= t]
+            turn = self.turns[known[-1] if known else 0]
+            return np.array([turn * y[1], -turn * y[0]])
+
+    @classmethod
+    def angle(cls, t):
+        """How far it has turned."""
+        bounds, ways = (0.0, *cls.KINKS), (1.0, -1.0, 1.0, -1.0, 1.0)
+        parts = zip(ways, bounds, (*bounds[1:], np.inf), strict=True)
+        return sum(way * np.clip(t - begin, 0.0, end - begin) for way, begin, end in parts)
+
+    @EACH_METHOD
+    @pytest.mark.parametrize("project", [False, True])
+    def test_every_piece_has_its_own_rates(self, method, project):
+        control, rows = self.Turned(), []
+
+        def observer(solver):
+            between = solver.t_old + (solver.t - solver.t_old) * np.array([0.3, 0.8, 1.0])
+            rows.extend(zip(between, solver.dense_output()(between).T, strict=True))
+
+        options = {"kinks": self.KINKS, "control": control, "observer": observer}
+        if project:
+            options["projection"] = onto_circle
+        _, _, solution = integrate(method, control.rates, 2.4, exact(0.0), **options)
+        assert solution.success
+        assert [entry[0] for entry in control.seen] == list(self.KINKS)
+        for t, *y in control.seen:
+            assert y == pytest.approx(exact(self.angle(t)), abs=1e-5)
+        for t, y in rows:
+            assert y == pytest.approx(exact(self.angle(t)), abs=1e-5)
+        assert rows[-1][0] == 2.4
+
+    @pytest.mark.parametrize("method", EXPLICIT)
+    def test_no_step_is_tried_in_vain(self, method):
+        control = self.Turned()
+        options = {"kinks": self.KINKS, "control": control}
+        _, _, solution = integrate(method, control.rates, 2.4, exact(0.0), **options)
+        _, _, known = integrate(method, oscillator, 2.4, exact(0.0), kinks=self.KINKS)
+        assert solution.nfev <= 1.06 * known.nfev + 2 * len(self.KINKS)
+
+    @EACH_METHOD
+    def test_evaluations_of_all_pieces_are_counted(self, method):
+        control, calls = self.Turned(), []
+
+        def rates(t, y):
+            calls.append(t)
+            return control.rates(t, y)
+
+        options = {"kinks": self.KINKS, "control": control}
+        _, _, solution = integrate(method, rates, 2.4, exact(0.0), **options)
+        assert solution.nfev <= len(calls) <= 1.6 * solution.nfev
+        assert solution.nfev >= len([t for t in calls if t > 2.0])
+
+
 class TestStiffness:
     LAMBDA = 1e6
 
