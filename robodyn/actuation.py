@@ -13,14 +13,10 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
 
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+from robodyn.run_control import Control
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
@@ -45,38 +41,6 @@ MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
 _ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
 _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
-
-
-class Control(Protocol):
-    """What a torque is told that depends on the steps of the run, and what it tells of the run."""
-
-    restarts: bool  # whether the torque may jump at its kinks: an integrator starts afresh there
-
-    def begin(self, y: Sequence[float], t_end: float) -> None:
-        """A run starts at t = 0 in the state y = (q, qd, ...)."""
-
-    def reach(self, t: float, y: Sequence[float]) -> None:
-        """The run has come to a kink, in the accepted state y; later steps begin there."""
-
-    def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""
-
-    def errors(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """q_ref - q of the actuated joints (k, actuated) in such states, rad."""
-
-    def tracking(self) -> list[JointTracking]:
-        """How far the run was from its reference."""
-
-
-@dataclass(frozen=True, slots=True)
-class JointTracking:
-    """How a joint followed its reference; e = q_ref - q."""
-
-    joint: str  # the link's name
-    rms: float  # of e over time, rad
-    largest: float  # |e|, rad
-    at: float  # when, s
-    largest_torque: float  # |tau|, N m
 
 
 @dataclass(frozen=True)

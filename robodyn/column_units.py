@@ -24,6 +24,7 @@ UNITS = {
     "gap": "m",
     "flip": "s",
     "flip_time": "s",
+    "e": "rad",
     **{f"{part}_{axis}": "m" for part in ("joint", "tip", "centre") for axis in "xy"},
     **{f"{part}_v{axis}": "m/s" for part in ("joint", "tip", "centre") for axis in "xy"},
 }

@@ -10,9 +10,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import JointTracking
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
+from robodyn.run_control import JointTracking
 from robodyn.tracking import ReferenceTable
 
 Array = NDArray[np.float64]

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
-from robodyn.actuation import Control
 from robodyn.kinks import NEAR, kink_at, next_kink
 from robodyn.right_hand_side import NearSingular
+from robodyn.run_control import Control
 
 Array = NDArray[np.float64]
 Projection = Callable[[Array], Array]

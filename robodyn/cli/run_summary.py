@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from robodyn.actuation import JointTracking
 from robodyn.cli.output import note
 from robodyn.mechanism import Mechanism
 from robodyn.recording import Report
+from robodyn.run_control import JointTracking
 
 
 def tell(mechanism: Mechanism, facts: Report) -> None:
