@@ -83,7 +83,9 @@ def constant(mechanism: Mechanism, values: Sequence[float]) -> Actuation:
     """Constant torques: all joints (passive ones zero), or the actuated ones, N m."""
     n, driven = mechanism.n, mechanism.actuated
     if len(values) not in (n, len(driven)):
-        limit = f"must have {len(driven)} values, one an actuated joint, or {n}, one a joint"
+        limit = f"must have {n} values, one a joint"
+        if len(driven) != n:
+            limit = f"must have {len(driven)} values, one an actuated joint, or {n}, one a joint"
         raise InputError("tau", value=f"{len(values)} values", limit=limit)
     torques = [0.0] * n
     for k, value in zip(driven if len(values) != n else range(n), values, strict=True):

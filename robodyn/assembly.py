@@ -25,8 +25,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.assembly_plan import Plan, joints_of
 from robodyn.assembly_plan import assembly_plan as assembly_plan
-from robodyn.assembly_plan import joints_of
 from robodyn.closed_form import closure_gap, closure_jacobian
 from robodyn.dyads import CLOSED as CLOSED
 from robodyn.dyads import coupled_angle, known_angles, solve_dyad
@@ -75,9 +75,11 @@ def attempt(
     q[..., list(mechanism.actuated)] = given
     for joint, c in plan.coupled:
         q[..., joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
+    missing = np.zeros(given.shape[:-1])
+    for arm, off in _couplings_off(mechanism, q, plan):
+        missing = np.maximum(missing, arm * off)
     known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
     alpha = known_angles(mechanism, known, q)
-    missing = np.zeros(given.shape[:-1])
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
         angles, short = solve_dyad(mechanism, plan, step, alpha, side)
@@ -254,6 +256,22 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
     return array
 
 
+def _couplings_off(mechanism: Mechanism, q: Array, plan: Plan) -> list[tuple[float, Array]]:
+    """Of each coupling between known joints its arm, m, and by how much it is not kept, rad."""
+    known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
+    found: list[tuple[float, Array]] = []
+    arms = [row.arm for row in mechanism.rows if row.closure is None]
+    for arm, coupling in zip(arms, mechanism.description.couplings, strict=True):
+        if not joints_of(coupling) <= known:
+            found.append((arm, np.zeros(q.shape[:-1])))
+            continue
+        wanted = coupled_angle(coupling, coupling.joint, q)
+        off = np.abs(q[..., coupling.joint] - wanted)
+        size = 1.0 + np.abs(wanted)
+        found.append((arm, np.where(off > CLOSED * size, off, 0.0)))
+    return found
+
+
 def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
@@ -261,6 +279,18 @@ def _cannot_close(
         f"q{k + 1} = {np.degrees(angle):.6g} deg"
         for k, angle in zip(mechanism.actuated, given, strict=True)
     )
+    plan = assembly_plan(mechanism)
+    q = np.zeros(mechanism.n)
+    q[list(mechanism.actuated)] = given
+    for joint, c in plan.coupled:
+        q[joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
+    off = [float(x) for _, x in _couplings_off(mechanism, q, plan)]
+    if any(off):
+        worst = int(np.argmax(off))
+        joint = mechanism.description.couplings[worst].joint
+        limit = f"q{joint + 1} would have to be {off[worst]:.6g} rad elsewhere"
+        what = f"coupling {worst + 1} cannot be kept at {at}"
+        return AssemblyError(what, where=mechanism.source, limit=limit)
     what = f"cannot be closed at {at}: {missing:.6g} m are missing"
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) > freedoms:

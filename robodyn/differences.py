@@ -17,7 +17,8 @@ WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 
 def along(function: Callable[[Array], Any], speed: Array) -> Any:
     """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
-    step = STEP / np.maximum(np.abs(speed).max(axis=-1, keepdims=True), 1e-300)
+    fastest = np.abs(speed).max(axis=-1, keepdims=True)
+    step = STEP / np.where(fastest > 0.0, fastest, 1.0)
     total: Any = 0.0
     for k, weight in enumerate(WEIGHTS, start=1):
         total = total + weight * (function(k * step) - function(-k * step))

@@ -35,6 +35,7 @@ SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
 EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
 SMALLEST_STEP = 1e-12  # s
 LARGEST_STEP = 0.25  # s, of the extrapolation
+AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
 LARGE = 12  # links, up to which the second computation is worth its time
 
 
@@ -101,7 +102,6 @@ def _by_series(
     y = closing(state.astype(LONG))
     rows, t = [], LONG(0.0)
     tolerance *= float(np.finfo(LONG).eps)
-    orders = np.arange(order + 2).astype(LONG)
     for end in times.astype(LONG):
         while t < end:
             push = torques.begin(float(t), y.astype(float).tolist(), 1.0) if torques else None
@@ -113,15 +113,35 @@ def _by_series(
             for kink in actuation.kinks:
                 if t < kink < t + h:
                     h = kink - t
-            powers = h**orders
-            turn = (z * powers).sum(axis=1)
-            slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
-            rate = (turn.conj() * slope).imag / np.abs(turn) ** 2
-            way = np.arctan2(turn.imag, turn.real)
-            y = closing(np.concatenate([y[:n] + series.relative @ way, series.relative @ rate]))
+            while h > SMALLEST_STEP:
+                new = _along(series, z, y, h)
+                if torques is None or not torques.bends:
+                    break
+                states = ((h, new), (h / 2, _along(series, z, y, h / 2)))
+                if all(
+                    torques.agrees(float(x), float(t + x), at.astype(float).tolist(), AGREE, 0.0)
+                    for x, at in states
+                ):
+                    break
+                h = h / 2
+            else:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            y = closing(new)
             t = end if t + h >= end else t + h
         rows.append(y)
     return np.array(rows)
+
+
+def _along(series: ArraySeries, z: Long, y: Long, h: Any) -> Long:
+    """The state at h after y, where the series z begins."""
+    n = series.mechanism.n
+    orders = np.arange(z.shape[1]).astype(LONG)
+    powers = h**orders
+    turn = (z * powers).sum(axis=1)
+    slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
+    rate = (turn.conj() * slope).imag / np.abs(turn) ** 2
+    way = np.arctan2(turn.imag, turn.real)
+    return np.concatenate([y[:n] + series.relative @ way, series.relative @ rate])
 
 
 # -- extrapolation of the midpoint rule ----------------------------------------------------------

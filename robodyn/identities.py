@@ -35,6 +35,7 @@ Complex = NDArray[np.complex128]
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
 
+STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
 BALANCE = "M qdd + C qd + D qd + G = tau + Q + Psi^T lambda"
 FORCES = "Q qd = power of its forces"
 POWER = "power in = dE/dt"
@@ -93,6 +94,7 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
             keep.append(int(k))
     closed = q[keep]
     qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
+    qd[np.abs(qd).max(axis=-1, initial=0.0) < STILL] = 0.0  # what cannot move
     return Sample(closed, qd, len(closes) / len(q))
 
 
@@ -216,8 +218,9 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
     qdd = motion.qdd
     damping = joint_damping(description)
     Q = closed_form.other_forces(mechanism, q, qd) if mechanism.has_forces else np.zeros(q.shape)
+    M = closed_form.mass_matrix(mechanism, q)
     terms = [
-        np.einsum("...ij,...j->...i", closed_form.mass_matrix(mechanism, q), qdd),
+        np.einsum("...ij,...j->...i", M, qdd),
         np.einsum("...ij,...j->...i", closed_form.coriolis_matrix(mechanism, q, qd), qd),
         damping * qd,
         G,
@@ -230,7 +233,8 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         terms.append(-np.einsum("...ji,...j->...i", Psi, motion.multipliers))
         opening = np.einsum("...ij,...j->...i", Psi, qdd)
         opening = opening + closed_form.closure_bias(mechanism, q, qd)
-        size = assembly.loop_size(mechanism) * (_top(qdd) + _top(qd) ** 2)
+        free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
+        size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
     scale = max(map(_top, terms))
     found.insert(
@@ -245,9 +249,12 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         return KE + potential_energy(description, path)
 
     sharp = sharpness(description, q)
-    growth = along(energy, sharp * np.maximum(np.abs(qd), np.sqrt(np.abs(qdd))))
+    speed = sharp * np.maximum(np.abs(qd), np.sqrt(np.abs(qdd)))
+    growth = along(energy, speed)
     power = np.einsum("...i,...i->...", tau + Q, qd) - (damping * qd**2).sum(axis=-1)
-    return [*found, Identity(POWER, _relative(growth - power, scale * _top(qd)))]
+    rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
+    size = max(scale * _top(qd), rounding)
+    return [*found, Identity(POWER, _relative(growth - power, size))]
 
 
 def _negative_part(M: Array) -> float:

@@ -78,25 +78,29 @@ def right_hand_side(
     """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
     if kind is None:
         kind = _best_kind(mechanism)
-    dense = _dense_rates(mechanism, actuation, work, baumgarte)
 
-    def straight(least_pivot: float, otherwise: Rates) -> Rates:
+    def straight(least_pivot: float, otherwise: Rates, torques: Actuation = actuation) -> Rates:
         return straightline.compile_rates(
             mechanism,
-            actuation,
+            torques,
             work=work,
             baumgarte=baumgarte,
             least_pivot=least_pivot,
             otherwise=otherwise,
         )
 
+    def solving(torques: Actuation) -> Rates:
+        """The rates of a state as it is."""
+        fallback = _dense_rates(mechanism, torques, work, baumgarte)
+        if kind == "sparse":
+            return sparse.rates(system, torques, work, baumgarte, fallback)
+        return fallback if kind == "dense" else straight(SINGULAR, fallback, torques)
+
     if kind == "sparse":
         from robodyn import sparse
 
         system = sparse.SparseMechanism(mechanism)
-        solved = sparse.rates(system, actuation, work, baumgarte, dense)
-    else:
-        solved = dense if kind == "dense" else straight(SINGULAR, dense)
+    solved = solving(actuation)
     if not mechanism.rows:
         return RightHandSide(solved, None, kind)
     if kind == "sparse":
@@ -107,15 +111,26 @@ def right_hand_side(
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
 
+    # across a change point the state's own torque is kept: beside it it may bend
+    held = [0.0] * mechanism.n
+    beside, torques = solved, None
+    if actuation.constants is None:
+        names = ", ".join(f"tau{k}" for k in range(mechanism.n))
+        beside = solving(Actuation(None, (f"{names}, = _held",), {"_held": held}))
+        torques = actuation.function(mechanism.n)
+
     def careful(t: float, y: Array) -> Any:
         closed, quality = closing(y)
-        led = lead_across(
-            mechanism,
-            closing,
-            y,
-            quality,
-            lambda states: np.array([solved(t, state) for state in states]),
-        )
+
+        def evaluate(states: Array) -> Array:
+            if torques is not None:
+                held[:] = torques(t, closed.tolist())
+            return np.array([beside(t, state) for state in states])
+
+        try:
+            led = lead_across(mechanism, closing, y, quality, evaluate)
+        except (ArithmeticError, ValueError):  # outside the torque's domain
+            return np.full(len(y), np.nan)
         return solved(t, closed) if led is None else led
 
     if kind != "straight-line":  # a projection costs little beside them

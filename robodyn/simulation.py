@@ -209,6 +209,10 @@ def run(
     def side() -> RightHandSide:
         return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
 
+    if t_end != 0.0:
+        loop_rates.check_way_on(
+            mechanism, y0[None, : mechanism.n], y0[None, mechanism.n :][:, : mechanism.n]
+        )
     if projects:
         y0 = projection(mechanism, best_closing(mechanism))(y0)
     if actuation.control is not None:

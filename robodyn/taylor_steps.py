@@ -49,7 +49,7 @@ class SteppingEngine:
         if not isinstance(torques, TorqueSeries):
             self.constants = tuple(map(float, torques))
         # what no accuracy of the series excludes: torques that end, or bend, within a step
-        self.bends = torques if isinstance(torques, TorqueSeries) and not torques.linear else None
+        self.bends = torques if isinstance(torques, TorqueSeries) and torques.bends else None
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.prepare()
@@ -118,14 +118,22 @@ class SteppingEngine:
         series: Any,
         direction: float,
     ) -> tuple[float, list[float]]:
-        """The step halved until the torque at its end is that of the series."""
+        """The step halved until the torque at its end is that of the series.
+
+        And in its middle, where friction may turn over and back.
+        """
         n, (rtol, atol) = self.mechanism.n, self.tolerances
         relative = max(math.sqrt(rtol), KINK)
         miss = atol + rtol * max(map(abs, state[n : 2 * n]))  # of a rate
         miss *= (self.order + 1) * self.lightest
         while h >= 4.0 * math.ulp(t):
-            if torques.agrees(h * direction, t + h * direction, new, relative, miss / h):
-                break
+            x = h * direction
+            if torques.agrees(x, t + x, new, relative, miss / h):
+                if not torques.flat:
+                    break
+                middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
+                if torques.agrees(0.5 * x, t + 0.5 * x, middle, relative, miss / h):
+                    break
             h *= 0.5
             new = self.states(state, series, np.array([h * direction]))[0].tolist()
         return h, new

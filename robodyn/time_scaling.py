@@ -206,7 +206,7 @@ def shortest_along(
     if limits.tau is not None:
         found.append(_shortest_by_torque(mechanism, whole, limits.tau, begin))
     duration, bound = max(found)
-    if not (math.isfinite(duration) and duration > 0.0):
+    if not (math.isfinite(duration) and duration > 0.0 and rates.any()):
         limit = "is not bounded: nothing moves, or no limit is reached however fast"
         raise InputError("duration", value="min", limit=limit)
     return Shortest(ReferenceMotion(mechanism, whole, duration, begin), bound)

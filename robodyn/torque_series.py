@@ -12,8 +12,10 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from robodyn import straightline
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError
+from robodyn.expression import FUNCTIONS
 from robodyn.force_formulas import force_code
 from robodyn.mechanism import Mechanism
 from robodyn.series_nodes import (
@@ -45,12 +47,17 @@ class TorqueSeries:
         self.kinks = actuation.kinks
         self.linear = actuation.linear
         self.separate = mechanism.has_forces
+        self.flat = bool(mechanism.friction)  # far above its speed all its derivatives vanish
+        self.bends = self.separate or not self.linear
         self._function = actuation.function(mechanism.n)
         self._reader = reader = _Reader(mechanism.n)
         self._given = reader.actuation(actuation)
         self._taus = self._working = self._given
         if self.separate:
             self._working, self._taus = reader.scene(mechanism, self._given)
+            self._forces = straightline.compile_forces(
+                mechanism, {name: getattr(math, name) for name in FUNCTIONS}
+            )
         self._n = mechanism.n
 
     def begin(self, t: float, y: Sequence[float], direction: float) -> Push:
@@ -69,16 +76,20 @@ class TorqueSeries:
         """Whether the series, x after where it began, gives the torques at the state y at t.
 
         It does not where the torque ends or bends on the way (sqrt(1 - t), sqrt(t**2)), or is
-        flat where it began (tanh(1e5*t)).  What it misses by may be `small`, N m, or that part of
-        its terms.
+        flat where it began (tanh(1e5*t), friction), or where a spring's ends pass one another.
+        What it misses by may be `small`, N m, or that part of its terms.
         """
-        if self.linear:  # a table, on which steps end where it bends
-            return True
+        nodes: list[Node] = []
+        torques: list[float] = []
         try:
-            torques = self._function(t, y)
+            if not self.linear:  # steps end where a table bends
+                nodes, torques = list(self._given), self._function(t, y)
+            if self.separate:
+                nodes += self._reader.forces
+                torques = [*torques, *self._forces(*y[: 2 * self._n])]
         except (ArithmeticError, ValueError):  # outside the domain
             return False
-        for node, torque in zip(self._given, torques, strict=True):
+        for node, torque in zip(nodes, torques, strict=True):
             total = most = 0.0
             power = 1.0
             for value in node.values:
@@ -114,6 +125,7 @@ class _Reader:
         self.q: dict[int, Given] = {}
         self.qd: dict[int, Given] = {}
         self.names: dict[str, Node] = {}
+        self.forces: list[Node] = []  # torques of springs (n), then of a scene's other forces (n)
 
     def actuation(self, actuation: Actuation) -> list[Node]:
         """The nodes of the joint torques (n) of an actuation; those of a table are given."""
@@ -141,6 +153,7 @@ class _Reader:
 
         def plus(nodes: list[Node], texts: tuple[str, ...]) -> list[Node]:
             parts = [self.read(ast.parse(text, mode="eval").body) for text in texts]
+            self.forces = parts + self.forces
             pairs = zip(nodes, parts, texts, strict=True)
             return [a if text == "0.0" else self.keep(Sum(a, b, 1.0, 1.0)) for a, b, text in pairs]
 

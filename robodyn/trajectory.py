@@ -24,6 +24,8 @@ from robodyn.profiles import ACCELERATION
 
 Array = NDArray[np.float64]
 
+LONGEST = 1e100  # s
+
 SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached
 
 
@@ -106,6 +108,8 @@ def motion_along(
     """
     if not (math.isfinite(duration) and duration > 0.0):
         raise InputError("duration", value=duration, limit="must be > 0 and finite")
+    if duration > LONGEST:
+        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
     try:
         whole = whole_path(mechanism, path, points)
     except PathEndError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome, relative_error
 
 import oracles
 
@@ -606,3 +606,16 @@ def test_a_result_beyond_the_floats_is_an_error(process: Run, model: str, batch:
         given.fails(1)
     assert "nan" not in given.out
     assert "inf" not in given.out
+
+
+@pytest.mark.parametrize("command", ["torque", "terms", "simulate", "equations"])
+def test_results_do_not_replace_the_scene(
+    robodyn: Run, scene: Callable[..., Path], command: str
+) -> None:
+    path = scene((ROOT / "robots/2r.yaml").read_text())
+    before = path.read_text()
+    state = [] if command == "equations" else ["--q", "0,0"]
+    given = robodyn(command, path, *state, "-o", path)
+    assert given.code == 2
+    assert "is the scene itself" in given.err
+    assert path.read_text() == before

@@ -426,3 +426,18 @@ def test_an_end_at_a_change_point_is_refused(rows: int, robodyn: Run) -> None:
     given = robodyn("trajectory", ROOT / "robots/parallelogram.yaml", *options)
     assert given.code == 1
     assert "too near a change point" in given.err
+
+
+def test_durations_beyond_squares(robodyn: Run) -> None:
+    ends = ["--from", "0,0", "--to", "1,1", "--time", "1e300"]
+    given = robodyn("trajectory", ROOT / "robots/2r.yaml", *ends)
+    assert given.code == 2
+    assert "--time" in given.err
+    assert given.out == ""
+
+
+def test_no_way_has_no_shortest_time(robodyn: Run) -> None:
+    ends = ["--from", "0,0", "--to", "0,0", "--time", "min", "--max-tau", "30"]
+    given = robodyn("trajectory", ROOT / "robots/2r.yaml", *ends)
+    assert given.code == 2
+    assert "nothing moves" in given.err

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 from random_mechanisms import mechanism, seeded_tree
 from robodyn import (
@@ -356,3 +357,35 @@ class TestTiedJoints:
     def test_a_blank_within_a_number_is_no_number(self, text):
         with pytest.raises(InputError, match="couplings"):
             mechanism(f"{ARM}couplings: {text}\n")
+
+
+class TestContradictions:
+    """Couplings that cannot be kept are told, however the state is given."""
+
+    @pytest.mark.parametrize(
+        ("couplings", "worst"),
+        [
+            ('["q2 = q1", "q1 = q2 + 1"]', "coupling 2"),
+            ('["q2 = 2 q1", "q3 = q2 + 0.1", "q1 = q3 + 1"]', "coupling 3"),
+        ],
+    )
+    @pytest.mark.parametrize("command", ["torque", "accel", "terms", "assemble", "simulate"])
+    def test_on_the_command_line(self, robodyn, scene, couplings, worst, command):
+        path = scene(f"{ARM}couplings: {couplings}\nactuated: [a, c]\n")
+        if "q3" in couplings:
+            path = scene(f"{ARM}couplings: {couplings}\nactuated: [a]\n")
+        driven = "1" if "q3" in couplings else "1,0.5"
+        more = ["--time", "1"] if command == "simulate" else []
+        given = robodyn(command, path, "--q", driven, *more)
+        assert given.code == 1
+        assert f"{worst} cannot be kept" in given.err
+
+    def test_a_mechanism_that_cannot_move_keeps_its_identities(self, robodyn, scene):
+        text = (ROOT / "robots/four-bar.yaml").read_text() + 'couplings: ["q3 = 2 q1"]\n'
+        given = robodyn("check", scene(text))
+        assert given.code == 0, given.err
+
+
+def test_the_power_of_a_stiff_spring(robodyn, scene):
+    text = ARM + "springs: [{between: [b, [0.5, 0.9]], stiffness: 1.0e+9, length: 0.3}]\n"
+    assert robodyn("check", scene(text)).code == 0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK
 from hypothesis import given, settings
+from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import (
@@ -17,7 +18,15 @@ from random_mechanisms import (
     seeded_tree,
     trees,
 )
-from robodyn import actuation, closure_gap, closure_jacobian, dense_dynamics, load, loop_velocities
+from robodyn import (
+    actuation,
+    closure_gap,
+    closure_jacobian,
+    dense_dynamics,
+    load,
+    loop_velocities,
+    simulate,
+)
 from robodyn.actuation import Actuation, expressions
 from robodyn.assembly import close_positions
 from robodyn.closed_form import closure_bias, mass_matrix
@@ -453,3 +462,28 @@ class TestNearSingular:
         found = rates(side, 0.0, np.array([0.0, 0.0, 0.0, 3.0, -3.0, 3.0]))
         assert np.isfinite(found).all()
         assert side.projection(np.zeros(6)) == pytest.approx(np.zeros(6), abs=1e-12)
+
+
+@pytest.mark.parametrize("torque", ["3*max(0, sin(q1))", "2*sign(sin(q1))", "2*tanh(50*sin(q1))"])
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_a_torque_that_bends_at_the_change_point(torque, method):
+    """A parallelogram is one link: (I1 + I3 + m2 l^2) qdd = tau - W cos q, whatever tau does."""
+    if method == "taylor" and "tanh" not in torque:
+        pytest.skip("max and sign have no series")
+    mech = load(ROOT / "robots/parallelogram.yaml")
+    crank, coupler, rocker = mech.description.links
+    inertia = sum(x.I + x.m * abs(x.r) ** 2 for x in (crank, rocker)) + coupler.m * crank.l**2
+    weight = (crank.m * crank.r + rocker.m * rocker.r + coupler.m * crank.l).real
+    applied = expressions(mechanism("links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\n"), torque, "t")
+    tau = applied.function(1)
+
+    def rates(t, y):
+        return [y[1], (tau(t, y)[0] - 9.81 * weight * math.cos(y[0])) / inertia]
+
+    exact = solve_ivp(rates, (0.0, 0.6), [1.0, 6.0], rtol=1e-11, atol=1e-11, max_step=1e-3)
+    start, speeds = np.array([1.0, -1.0, 1.0]), np.array([6.0, -6.0, 6.0])
+    motion = simulate(
+        mech, start, speeds, 0.6, tau=torque, method=method, rtol=1e-10, atol=1e-10, t_eval=[0.6]
+    )
+    assert motion.q[0, 0] == pytest.approx(exact.y[0, -1], abs=1e-6)
+    assert motion.qd[0, 0] == pytest.approx(exact.y[1, -1], abs=1e-5)

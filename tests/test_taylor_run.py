@@ -15,7 +15,9 @@ from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn import assemble, simulate, taylor_run
+from robodyn.actuation import Actuation
 from robodyn.errors import InputError, SingularError
+from robodyn.extended import reference as longdouble_reference
 from robodyn.loop_rates import loop_velocities
 from robodyn.recording import Outcome
 
@@ -76,11 +78,18 @@ class TestChangePoints:
     @pytest.mark.parametrize("n", [1, 2, 5])
     def test_a_start_at_a_change_point(self, n):
         for tolerance in (1e-6, 1e-9, 1e-12):
-            still = np.zeros(2 * n + 1)
-            motion = taylor(n_four_bar(n), still, still, 1.0, tolerance=tolerance)
+            lying = np.zeros(2 * n + 1)
+            falling = np.concatenate([np.full(n + 1, -0.01), np.full(n, 0.01)])
+            motion = taylor(n_four_bar(n), lying, falling, 1.0, tolerance=tolerance)
             assert motion.outcome is Outcome.FINISHED
             assert np.ptp(motion.q[-1, : n + 1]) < 1e-12
             assert abs(motion.q[-1, 0]) > 0.5
+
+    def test_at_rest_there_it_can_go_on_in_two_ways(self):
+        lying = np.zeros(3)
+        for method in ("taylor", "DOP853"):
+            with pytest.raises(SingularError, match="two ways"):
+                simulate(n_four_bar(1), lying, lying, 1.0, method=method)
 
     def test_the_parallelogram(self):
         mech = scene("parallelogram")
@@ -266,3 +275,44 @@ def test_a_run_stops_at_its_limit_of_evaluations(engine):
     motion = taylor(scene("2r"), [1.0, 0.5], [0, 0], 10.0, engine=engine, max_evals=7)
     assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
     assert motion.report.evaluations == 8
+
+
+class TestFriction:
+    """Far above its speed friction is flat, and its series does not see that it turns over."""
+
+    @pytest.mark.parametrize("speed", [1e-3, 1e-2, 0.1, 1.0])
+    def test_a_pendulum_comes_to_rest(self, speed):
+        mech = mechanism(
+            "gravity: 9.81\nlinks: [{name: a, m: 0.4, l: 0.5, r: 0.26, I: 0.0088, "
+            f"friction: {{torque: 0.05, speed: {speed}}}}}]\n"
+        )
+        times = np.linspace(0.0, 3.0, 7)
+        options = {"t_eval": times, "rtol": 1e-9, "atol": 1e-9}
+        implicit = simulate(mech, [1.0], [2.0], 3.0, method="Radau", **options)
+        motion = simulate(mech, [1.0], [2.0], 3.0, method="taylor", **options)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.q == pytest.approx(implicit.q, abs=1e-6)
+        assert motion.report.energy_drift < 1e-6
+
+    def test_the_reference_sees_it_too(self):
+        mech = mechanism(
+            "gravity: 9.81\nlinks: [{name: a, m: 0.4, l: 0.5, r: 0.26, I: 0.0088, "
+            "friction: {torque: 0.05, speed: 0.01}}]\n"
+        )
+        found = longdouble_reference(mech, np.array([1.0, 2.0]), np.array([0.5]), Actuation((0.0,)))
+        motion = simulate(mech, [1.0], [2.0], 0.5, rtol=1e-12, atol=1e-12, t_eval=[0.5])
+        assert found.uncertainty < 1e-10
+        assert motion.q[0] == pytest.approx(found.y[0, :1], abs=1e-9)
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-8, 1e-4])
+def test_a_springs_ends_that_pass_one_another(beside):
+    """The tip swings through the anchor of a spring, or close by: its pull turns over."""
+    mech = mechanism(
+        "links: [{name: a, m: 0, l: 0.5, r: 0, I: 0.1, damping: 0.1}]\n"
+        f"springs: [{{between: [a, [{0.5 + beside!r}, 0]], stiffness: 20, length: 0.1}}]\n"
+    )
+    options = {"t_eval": [1.0], "rtol": 1e-9, "atol": 1e-9}
+    found = [simulate(mech, [0.6], [0], 1.0, method=m, **options) for m in ("DOP853", "taylor")]
+    assert found[1].q == pytest.approx(found[0].q, abs=1e-5)
+    assert found[1].report.energy_drift < 1e-5

@@ -18,7 +18,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from robodyn import __version__
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
 
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "trajectory"),
@@ -108,6 +108,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(function)
     def guarded(*args: Any, **kwargs: Any) -> None:
         try:
+            _keep_model(kwargs.get("model"), kwargs.get("out"))
             function(*args, **kwargs)
             sys.stdout.flush()
         except BrokenPipeError:
@@ -116,6 +117,14 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(130) from None
 
     return guarded
+
+
+def _keep_model(model: object, out: object) -> None:
+    """Raise InputError where results would take the place of the scene that they come from."""
+    if model is None or out is None:
+        return
+    if os.path.realpath(str(model)) == os.path.realpath(str(out)) and os.path.isfile(str(model)):
+        raise InputError("--out", value=out, limit="is the scene itself: name another file")
 
 
 def _without_reader() -> int:

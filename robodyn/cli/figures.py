@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -227,7 +228,9 @@ def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()
     dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
     drawn = BytesIO()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
-        figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
+        with warnings.catch_warnings():  # a font without the letters of a name draws boxes
+            warnings.simplefilter("ignore", UserWarning)
+            figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
         if format == "png":
             stream.write(in_palette(drawn.getvalue(), palette))
         elif format == "svg" and palette:

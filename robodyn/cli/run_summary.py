@@ -7,6 +7,8 @@ from robodyn.mechanism import Mechanism
 from robodyn.recording import Report
 from robodyn.run_control import JointTracking
 
+AT_REST = 1e-13  # part of the energy at the start below which nothing moves
+
 
 def tell(mechanism: Mechanism, facts: Report) -> None:
     """The summary."""
@@ -15,8 +17,7 @@ def tell(mechanism: Mechanism, facts: Report) -> None:
         f"{facts.outcome}: t = {facts.t_reached:.6g} s, {facts.method} (rtol {facts.rtol:g}, "
         f"atol {facts.atol:g}), {facts.steps} steps, {facts.evaluations} evaluations, "
         f"{facts.seconds:.3g} s",
-        f"{drift}: {facts.energy_drift:.2g} of the {facts.energy_in_motion:.4g} J in motion"
-        + (f"; work done {facts.work:.6g} J" if facts.work else ""),
+        f"{drift}: {_part(facts)}" + (f"; work done {facts.work:.6g} J" if facts.work else ""),
     ]
     if mechanism.rows:
         lines.append(
@@ -35,6 +36,14 @@ def tell(mechanism: Mechanism, facts: Report) -> None:
             f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
         )
     note("\n".join(lines))
+
+
+def _part(facts: Report) -> str:
+    """The drift as a part of the energy in motion, where there is more of that than rounding."""
+    moving = facts.energy_in_motion
+    if moving <= AT_REST * max(abs(facts.energy_start), moving):
+        return f"{facts.energy_drift * moving:.2g} J, at rest"
+    return f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"
 
 
 def _tracking(joints: list[JointTracking]) -> list[str]:

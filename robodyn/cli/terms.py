@@ -23,7 +23,7 @@ def terms(
     They are terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians (D
     is the diagonal matrix of joint damping).  G holds springs too, Q what has no potential: dampers
     of springs, forces that turn, friction.
-    JSON keys: q, qd, M, C, G, Q (where there is any), Psi, Psidot_qd, gap, KE, PE.
+    JSON keys: q, qd, M, C, G, D and Q (where there are any), Psi, Psidot_qd, gap, KE, PE.
 
     \b
     Examples:
@@ -41,6 +41,9 @@ def terms(
         "G": closed_form.gravity_vector(mechanism, q_),
     }
     units = {"q": "rad", "qd": "rad/s", "M": "kg m²", "C": "kg m²/s", "G": "N m", "Q": "N m"}
+    if any(mechanism.damping):
+        content["D"] = np.diag(mechanism.damping)
+        units["D"] = "N m s/rad"
     if mechanism.has_forces:
         content["Q"] = closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
