@@ -1,0 +1,316 @@
+"""The Taylor series of many motions at once, as numpy over lanes.
+
+The recurrences are those of `taylor_kernel.py`, and so are the numbers (`taylor_layout.py`): lanes
+share `whole`, and each has its own `real` where they differ.  Every quantity is an array whose last
+axis runs over the lanes, B of them; series (K, n, B) have their orders along the first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.taylor import HOPELESS, PASSES
+from robodyn.taylor_layout import Layout
+
+Array = NDArray[np.float64]
+Number = Any  # a float that all lanes share, or an array (B,)
+
+
+class Skyline:
+    """Symmetric matrices in the layout of `taylor_layout.py`, one a lane, as rows of entries."""
+
+    def __init__(self, whole: list[int], first: int, start: int, size: int) -> None:
+        self.first = whole[first : first + size]
+        self.start = whole[start : start + size]
+        self.size = size
+        self.numbers = self.start[-1] + size if size else 0
+
+    def factorise(self, L: Array) -> Array:
+        """L D L^T of (numbers, B), in place; the inverse of D (size, B)."""
+        inverse = np.empty((self.size, L.shape[1]))
+        for i, (fi, si) in enumerate(zip(self.first, self.start, strict=True)):
+            for j in range(fi + 1, i):
+                low, sj = max(fi, self.first[j]), self.start[j]
+                for m in range(low, j):
+                    L[si + j] -= L[si + m] * L[sj + m]
+            d = L[si + i]
+            for j in range(fi, i):
+                value = L[si + j].copy()
+                L[si + j] *= inverse[j]
+                d -= value * L[si + j]
+            np.divide(1.0, d, out=inverse[i])
+        return inverse
+
+    def solve(self, L: Array, inverse: Array, x: Array) -> None:
+        """x (size, B) := (L D L^T)^-1 x, in place."""
+        for i, (fi, si) in enumerate(zip(self.first, self.start, strict=True)):
+            for j in range(fi, i):
+                x[i] -= L[si + j] * x[j]
+        x *= inverse
+        for i in range(self.size - 1, 0, -1):
+            for j in range(self.first[i], i):
+                x[j] -= L[self.start[i] + j] * x[i]
+
+
+class LaneSeries:
+    """Expands the motions of lanes, and closes their states.
+
+    `real` (R,) is what all lanes share, or (R, B) what each has.
+    """
+
+    def __init__(self, whole: NDArray[np.int64], real: Array, at: Layout) -> None:
+        self.at, self.real = at, real
+        w = whole.tolist()
+        n, r = at.n, at.rows
+        self.n, self.r, self.order = n, r, at.order
+        self.parent = [None if k < 0 else k for k in w[at.parent : at.parent + n]]
+        self.outward = w[at.outward : at.outward + n]
+        self.place = w[at.place : at.place + n + r]
+        self.A = [
+            (j, w[at.A_link + e], e, w[at.A_spot + e])
+            for j in range(n)
+            for e in range(w[at.A_start + j], w[at.A_start + j + 1])
+        ]
+        self.P = [
+            (row, w[at.P_link + e], e, w[at.P_spot + e])
+            for row in range(r)
+            for e in range(w[at.P_start + row], w[at.P_start + row + 1])
+        ]
+        self.system = Skyline(w, at.first, at.start, n + r)
+        self.normal = Skyline(w, at.normal_first, at.normal_start, r)
+        self.normal_place = w[at.normal_place : at.normal_place + r]
+        self.normal_row = w[at.normal_row : at.normal_row + r]
+        self._room: dict[str, Array] = {}
+
+    def kept(self, lanes: NDArray[Any]) -> None:
+        """Go on with these lanes alone."""
+        if self.real.ndim == 2:
+            self.real = np.ascontiguousarray(self.real[:, lanes])
+
+    def number(self, begin: int, k: int = 0) -> Number:
+        """Number k of those that begin there in `real`."""
+        return self.real[begin + k]
+
+    def any(self, begin: int) -> bool:
+        """Whether any of the n numbers there is not zero."""
+        return bool(self.real[begin : begin + self.n].any())
+
+    # -- kinematics --------------------------------------------------------------------------------
+
+    def absolute(self, joint: Array) -> Array:
+        """Sums along the paths from the ground (n, B), as alpha = J q."""
+        total = joint.copy()
+        for k in self.outward:
+            above = self.parent[k]
+            if above is not None:
+                total[k] += total[above]
+        return total
+
+    def relative(self, absolute: Array) -> Array:
+        """Joint values of absolute ones, along the axis before the last."""
+        own = absolute.copy()
+        for k, above in enumerate(self.parent):
+            if above is not None:
+                own[..., k, :] -= absolute[..., above, :]
+        return own
+
+    def energies(self, q: Array, qd: Array) -> tuple[Array, Array]:
+        """KE and PE less its constant (B,), J."""
+        at, alpha, w = self.at, self.absolute(q), self.absolute(qd)
+        c, s = np.cos(alpha), np.sin(alpha)
+        KE, PE = np.zeros(q.shape[1]), np.zeros(q.shape[1])
+        for j in range(self.n):
+            KE += self.number(at.inertia, j) * w[j] * w[j]
+            PE -= self.number(at.weight_re, j) * c[j] + self.number(at.weight_im, j) * s[j]
+            PE -= self.number(at.moment, j) * alpha[j]
+        for j, l, e, _ in self.A:
+            x = c[j] * c[l] + s[j] * s[l]
+            y = c[j] * s[l] - s[j] * c[l]
+            KE += (self.number(at.A_re, e) * x - self.number(at.A_im, e) * y) * w[j] * w[l]
+        return 0.5 * KE, PE
+
+    # -- closures ----------------------------------------------------------------------------------
+
+    def close(self, q: Array, qd: Array) -> Array:
+        """Move states (n, B) in place to the nearest that close; their qualities (B,)."""
+        at, B = self.at, q.shape[1]
+        if not self.r:
+            return np.full(B, math.inf)
+        before, moving = np.full(B, math.inf), np.ones(B, bool)
+        quality = np.full(B, math.inf)
+        for trial in range(PASSES + 1):
+            alpha = self.absolute(q)
+            c, s = np.cos(alpha), np.sin(alpha)
+            x = np.empty((self.r, B))
+            for row in range(self.r):
+                x[self.normal_place[row]] = self.number(at.offset, row)
+            for row, l, e, _ in self.P:
+                gap = self.number(at.P_re, e) * c[l] - self.number(at.P_im, e) * s[l]
+                x[self.normal_place[row]] += gap
+            largest = np.abs(x).max(axis=0)
+            Psi, L, inverse, quality = self._normal(c, s)
+            # what is closed to rounding stays: moving it would add noise
+            done = (largest <= self.number(at.closed)) | (largest > 0.5 * before)
+            moving &= ~done & (quality > HOPELESS)
+            if trial == PASSES or not moving.any():
+                break
+            before = np.where(moving, largest, before)
+            q -= np.where(moving, self._least(Psi, L, inverse, x), 0.0)
+        x = np.empty((self.r, B))
+        for row in range(self.r):
+            x[self.normal_place[row]] = (Psi[row] * qd).sum(axis=0)
+        qd -= np.where(quality > HOPELESS, self._least(Psi, L, inverse, x), 0.0)
+        return quality
+
+    def _normal(self, c: Array, s: Array) -> tuple[Array, Array, Array, Array]:
+        """Psi (r, n, B), Psi Psi^T factorised, and its least relative pivot (B,)."""
+        at, B = self.at, c.shape[1]
+        Psi = np.zeros((self.r, self.n, B))
+        for row, l, e, _ in self.P:
+            Psi[row, l] = -(self.number(at.P_re, e) * s[l] + self.number(at.P_im, e) * c[l])
+        for k in reversed(self.outward):
+            above = self.parent[k]
+            if above is not None:
+                Psi[:, above] += Psi[:, k]
+        L = np.zeros((self.normal.numbers, B))
+        for i, row in enumerate(self.normal_row):
+            for j in range(self.normal.first[i], i + 1):
+                other = Psi[self.normal_row[j]]
+                L[self.normal.start[i] + j] = (Psi[row] * other).sum(axis=0)
+        with np.errstate(all="ignore"):
+            inverse = self.normal.factorise(L)
+            pivots = [
+                L[self.normal.start[i] + i] / self.number(at.size, row)
+                for i, row in enumerate(self.normal_row)
+            ]
+        return Psi, L, inverse, np.nan_to_num(np.min(pivots, axis=0), nan=-math.inf)
+
+    def _least(self, Psi: Array, L: Array, inverse: Array, x: Array) -> Array:
+        """Psi^T (Psi Psi^T)^-1 x, (n, B)."""
+        with np.errstate(all="ignore"):
+            self.normal.solve(L, inverse, x)
+            ordered = x[self.normal_place]
+            return np.asarray(np.einsum("rnb,rb->nb", Psi, ordered))
+
+    # -- series ------------------------------------------------------------------------------------
+
+    def expand(self, q: Array, qd: Array) -> Array:
+        """The coefficients of w, the links' absolute rates, to the layout's order (K - 1, n, B)."""
+        at, n, B = self.at, self.n, q.shape[1]
+        alpha = self.absolute(q)
+        c0, s0 = np.cos(alpha), np.sin(alpha)
+        L, inverse, Z = self._system(c0, s0)
+        W, C, S, FX, FY = (self._series(name, B) for name in ("W", "C", "S", "FX", "FY"))
+        W[0], C[0], S[0] = self.absolute(qd), c0, s0
+        C[1], S[1] = -W[0] * s0, W[0] * c0
+        damped, driven = self.any(at.damping), self.any(at.torque)
+        x = np.empty((n + self.r, B))
+        for k in range(self.order):
+            # what is known of P_k
+            X = np.einsum("mnb,mnb->nb", W[: k + 1], S[k + 1 : 0 : -1])
+            Y = np.einsum("mnb,mnb->nb", W[: k + 1], C[k + 1 : 0 : -1])
+            X *= -(k + 1.0)
+            Y *= k + 1.0
+            FX[k], FY[k] = 0.0, 0.0
+            if k == 0:
+                for j in range(n):
+                    FX[0, j] = -self.number(at.weight_re, j)
+                    FY[0, j] = -self.number(at.weight_im, j)
+            for j, l, e, _ in self.A:
+                re, im = self.number(at.A_re, e), self.number(at.A_im, e)
+                FX[k, j] += re * X[l] - im * Y[l]
+                FY[k, j] += re * Y[l] + im * X[l]
+            load = np.einsum("mnb,mnb->nb", S[k::-1], FX[: k + 1])
+            load -= np.einsum("mnb,mnb->nb", C[k::-1], FY[: k + 1])
+            if damped or (driven and k == 0):
+                self._joint_torques(load, W[k], k)
+            if k == 0:
+                for j in range(n):
+                    load[j] += self.number(at.moment, j)
+            x[self.place[:n]] = load
+            for row in range(self.r):
+                x[self.place[n + row]] = 0.0
+            for row, l, e, _ in self.P:
+                re, im = self.number(at.P_re, e), self.number(at.P_im, e)
+                x[self.place[n + row]] -= re * X[l] - im * Y[l]
+            self.system.solve(L, inverse, x)
+            a = x[self.place[:n]]
+            np.divide(a, k + 1.0, out=W[k + 1])
+            C[k + 2] = (X / (k + 1.0) - W[k + 1] * s0) / (k + 2.0)
+            S[k + 2] = (Y / (k + 1.0) + W[k + 1] * c0) / (k + 2.0)
+            for j, l, e, _ in self.A:  # F_k in full
+                FX[k, j] += Z[e][0] * a[l]
+                FY[k, j] += Z[e][1] * a[l]
+            for row, l, e, _ in self.P:
+                minus_lambda = x[self.place[n + row]]
+                FX[k, l] += self.number(at.P_re, e) * minus_lambda
+                FY[k, l] -= self.number(at.P_im, e) * minus_lambda
+        return W[: self.order + 1]
+
+    def power(self, W: Array) -> Array:
+        """The coefficients of sum_j (tau_j - D_j qd_j) qd_j, (order + 1, B)."""
+        at, own = self.at, self.relative(W)
+        total = np.zeros((len(W), W.shape[2]))
+        for j in range(self.n):
+            total += self.number(at.torque, j) * own[:, j]
+            damping = self.number(at.damping, j)
+            if np.any(damping):
+                for k in range(len(W)):
+                    square = np.einsum("mb,mb->b", own[: k + 1, j], own[k::-1, j])
+                    total[k] -= damping * square
+        return total
+
+    def longest(self, W: Array, rtol: float, atol: float) -> Array:
+        """The steps whose last terms are within the tolerance (B,), s; nan if not finite."""
+        order = len(W) - 1
+        speed = np.abs(W[0]).max(axis=0)
+        h = np.full(W.shape[2], math.inf)
+        with np.errstate(all="ignore"):
+            for k in range(order - 3, order + 1):
+                largest = np.abs(W[k]).max(axis=0)
+                h = np.minimum(h, ((atol + rtol * speed) / largest) ** (1.0 / k))
+                h = np.minimum(h, ((atol + rtol) * (k + 1) / largest) ** (1.0 / (k + 1)))
+            finite = np.isfinite(W[order - 3 :].sum(axis=(0, 1)))
+        return np.where(finite, h, math.nan)
+
+    def _series(self, name: str, B: int) -> Array:
+        """Room for a series, (order + 2, n, B)."""
+        size = (self.order + 2) * self.n * B
+        if name not in self._room or len(self._room[name]) < size:
+            self._room[name] = np.empty(size)
+        return self._room[name][:size].reshape(self.order + 2, self.n, B)
+
+    def _joint_torques(self, load: Array, w: Array, k: int) -> None:
+        """Add J^-T (tau - D qd) of order k; a joint takes from the parent what its link gets."""
+        at = self.at
+        for j, above in enumerate(self.parent):
+            rate = w[j] if above is None else w[j] - w[above]
+            torque = -self.number(at.damping, j) * rate
+            if k == 0:
+                torque = torque + self.number(at.torque, j)
+            load[j] += torque
+            if above is not None:
+                load[above] -= torque
+
+    def _system(self, c: Array, s: Array) -> tuple[Array, Array, list[tuple[Array, Array]]]:
+        """[M Psi^T; Psi 0] factorised, and Z = i A E beside the diagonal."""
+        at = self.at
+        L = np.zeros((self.system.numbers, c.shape[1]))
+        for j in range(self.n):
+            i = self.place[j]
+            L[self.system.start[i] + i] = self.number(at.inertia, j)
+        Z = []
+        for j, l, e, spot in self.A:
+            re, im = self.number(at.A_re, e), self.number(at.A_im, e)
+            Z.append((-(re * s[l] + im * c[l]), re * c[l] - im * s[l]))
+            if spot >= 0:
+                L[spot] = c[j] * Z[e][1] - s[j] * Z[e][0]
+        for _, l, e, spot in self.P:
+            L[spot] = -(self.number(at.P_re, e) * s[l] + self.number(at.P_im, e) * c[l])
+        with np.errstate(all="ignore"):
+            inverse = self.system.factorise(L)
+        return L, inverse, Z
