@@ -7,6 +7,7 @@ axis runs over the lanes, B of them; series (K, n, B) have their orders along th
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Any
 
@@ -90,6 +91,12 @@ class LaneSeries:
         """Go on with these lanes alone."""
         if self.real.ndim == 2:
             self.real = np.ascontiguousarray(self.real[:, lanes])
+
+    def some(self, lanes: NDArray[Any]) -> LaneSeries:
+        """Another of these lanes alone."""
+        other = copy.copy(self)
+        other.kept(lanes)
+        return other
 
     def number(self, begin: int, k: int = 0) -> Number:
         """Number k of those that begin there in `real`."""

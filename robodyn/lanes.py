@@ -57,10 +57,9 @@ class Ends:
     @classmethod
     def room(cls, L: int, n: int) -> Ends:
         """For L lanes of n links."""
-        wide = (np.full((L, 2 * n), math.nan) for _ in range(3))
-        whole = (np.zeros(L, np.int64) for _ in range(2))
-        long = (np.full(L, math.nan) for _ in range(2))
-        return cls(np.zeros(L), *wide, np.full((L, 2), math.nan), *long, *whole)
+        wide, long = np.full((3, L, 2 * n), math.nan), np.full((2, L), math.nan)
+        energy, whole = np.full((L, 2), math.nan), np.zeros((2, L), np.int64)
+        return cls(np.zeros(L), wide[0], wide[1], wide[2], energy, *long, *whole)
 
 
 def integrate(
@@ -76,91 +75,142 @@ def integrate(
     ends = Ends.room(L, n)
     shared = len(reals) == 1
     series = LaneSeries(whole, reals[0] if shared else np.ascontiguousarray(reals.T), at)
-    lanes = np.arange(L)
     q, qd = np.ascontiguousarray(y[:, :n].T), np.ascontiguousarray(y[:, n:].T)
     quality = series.close(q, qd)
-    t, work, steps = np.zeros(L), np.zeros(L), np.zeros(L, np.int64)
-    angle = angle - series.absolute(q)[aims.link] if aims.link >= 0 else np.zeros(L)
-    KE, PE = series.energies(q, qd)
-    start, off, moving = KE + PE, np.zeros(L), KE.copy()
-    lowest_PE, highest_PE, energy = PE.copy(), PE.copy(), np.stack([start, start])
-    low, high = np.concatenate([q, qd]), np.concatenate([q, qd])
-    flip = np.full(L, math.nan)
+    if aims.link >= 0:
+        angle = angle - series.absolute(q)[aims.link]
+    now = _Running.begin(q, qd, quality, angle, *series.energies(q, qd))
     direction = math.copysign(1.0, t_end)
-    status = np.full(L, -1)
     while True:
-        # those that end here leave
-        status[~(quality >= aims.suspect)] = Status.SINGULAR
-        status[steps >= aims.most] = Status.FULL
-        status[t == t_end] = Status.REACHED
-        out = status >= 0
-        if out.any():
-            gone = lanes[out]
-            ends.t[gone], ends.status[gone], ends.steps[gone] = t[out], status[out], steps[out]
-            ends.y[gone] = np.concatenate([q[:, out], qd[:, out]]).T
-            ends.low[gone], ends.high[gone] = low[:, out].T, high[:, out].T
-            ends.energy[gone] = energy[:, out].T
-            energy_in_motion = np.maximum(moving, highest_PE - lowest_PE)[out]
-            with np.errstate(all="ignore"):
-                ends.drift[gone] = np.where(energy_in_motion > 0, off[out] / energy_in_motion, 0.0)
-            ends.flip[gone] = flip[out]
-            stay = ~out
+        now.status[~(now.quality >= aims.suspect)] = Status.SINGULAR
+        now.status[now.steps >= aims.most] = Status.FULL
+        now.status[now.t == t_end] = Status.REACHED
+        stay = now.status < 0
+        if not stay.all():
+            now.leave(~stay, ends)
             if not stay.any():
                 return ends
-            lanes, t, work, steps, status = (x[stay] for x in (lanes, t, work, steps, status))
-            q, qd, low, high, energy = (x[:, stay] for x in (q, qd, low, high, energy))
-            angle, start, off, moving = (x[stay] for x in (angle, start, off, moving))
-            lowest_PE, highest_PE, flip = (x[stay] for x in (lowest_PE, highest_PE, flip))
+            now.keep(stay)
             series.kept(stay)
-
-        W = series.expand(q, qd)
-        longest = series.longest(W, aims.rtol, aims.atol)
-        status[np.isnan(longest)] = Status.NOT_FINITE
-        longest = np.nan_to_num(longest, nan=0.0)
-        left = np.abs(t_end - t)
+        W = series.expand(now.q, now.qd)
         own = series.relative(W)
-        h, new_q, new_qd, quality = _landed(series, own, q, qd, t, longest, left, direction, aims)
-        end = np.where(np.abs(h) >= left, t_end, t + h)
-        status[(end == t) & (status < 0)] = Status.STUCK
-        h = end - t
+        longest = series.longest(W, aims.rtol, aims.atol)
+        now.status[np.isnan(longest)] = Status.NOT_FINITE
+        longest = np.nan_to_num(longest, nan=0.0)
+        left = np.abs(t_end - now.t)
+        h, q, qd, now.quality = _landed(series, own, now, longest, left, direction, aims)
+        end = np.where(np.abs(h) >= left, t_end, now.t + h)
+        now.status[(end == now.t) & (now.status < 0)] = Status.STUCK
+        h = end - now.t
         if aims.extremes:
-            turn_low, turn_high, rate_low, rate_high = extremes(own, h)
-            np.minimum(low, np.concatenate([q + turn_low, rate_low]), out=low)
-            np.maximum(high, np.concatenate([q + turn_high, rate_high]), out=high)
+            low, high, rate_low, rate_high = extremes(own, h)
+            now.widen(np.concatenate([now.q + low, rate_low]))
+            now.widen(np.concatenate([now.q + high, rate_high]))
         if aims.link >= 0:
-            (open_,) = np.nonzero(np.isnan(flip))
-            if len(open_):
-                now = angle[open_] + series.absolute(q[:, open_])[aims.link]
-                x = crossings(now, W[:, aims.link, open_], h[open_], math.pi)
-                flip[open_] = t[open_] + x
+            (b,) = np.nonzero(np.isnan(now.flip))
+            if len(b):
+                begun = now.angle[b] + series.absolute(now.q[:, b])[aims.link]
+                now.flip[b] = now.t[b] + crossings(begun, W[:, aims.link, b], h[b], math.pi)
         if aims.work:
-            work = work + values(series.power(W)[:, None], h)[0][0]
-        t, q, qd, steps = end, new_q, new_qd, steps + 1
-        KE, PE = series.energies(q, qd)
-        off = np.fmax(off, np.abs(KE + PE - work - start))
-        moving = np.fmax(moving, KE)
-        lowest_PE, highest_PE = np.fmin(lowest_PE, PE), np.fmax(highest_PE, PE)
-        energy = np.stack([np.fmin(energy[0], KE + PE), np.fmax(energy[1], KE + PE)])
+            now.work = now.work + values(series.power(W)[:, None], h)[0][0]
+        now.t, now.q, now.qd, now.steps = end, q, qd, now.steps + 1
+        now.weigh(*series.energies(q, qd))
         if aims.extremes:  # the states at the ends are closed, the series are so to the tolerance
-            np.fmin(low, np.concatenate([q, qd]), out=low)
-            np.fmax(high, np.concatenate([q, qd]), out=high)
+            now.widen(np.concatenate([q, qd]))
+
+
+@dataclass(slots=True)
+class _Running:
+    """The lanes under way, B of them, along the last axis of each array."""
+
+    lanes: Integers
+    t: Array
+    q: Array  # (n, B)
+    qd: Array
+    quality: Array
+    status: Integers  # -1: goes on
+    steps: Integers
+    angle: Array  # what the flipping link's angle is from hanging, less alpha
+    flip: Array
+    low: Array  # (2n, B)
+    high: Array
+    work: Array
+    start: Array  # the energy there, J
+    off: Array  # how far the energy less work was from that, J
+    KE: Array  # the largest
+    PE: Array  # (2, B) least and largest
+    energy: Array  # (2, B)
+
+    @classmethod
+    def begin(
+        cls, q: Array, qd: Array, quality: Array, angle: Array, KE: Array, PE: Array
+    ) -> _Running:
+        B = q.shape[1]
+        state, energy = np.concatenate([q, qd]), KE + PE
+        return cls(
+            lanes=np.arange(B),
+            t=np.zeros(B),
+            q=q,
+            qd=qd,
+            quality=quality,
+            status=np.full(B, -1),
+            steps=np.zeros(B, np.int64),
+            angle=angle,
+            flip=np.full(B, math.nan),
+            low=state,
+            high=state.copy(),
+            work=np.zeros(B),
+            start=energy,
+            off=np.zeros(B),
+            KE=KE,
+            PE=np.stack([PE, PE]),
+            energy=np.stack([energy, energy]),
+        )
+
+    def widen(self, state: Array) -> None:
+        """Take q and qd (2n, B) into the extremes."""
+        np.fmin(self.low, state, out=self.low)
+        np.fmax(self.high, state, out=self.high)
+
+    def weigh(self, KE: Array, PE: Array) -> None:
+        """Take energies (B,) into what is known of them."""
+        energy = KE + PE
+        self.off = np.fmax(self.off, np.abs(energy - self.work - self.start))
+        self.KE = np.fmax(self.KE, KE)
+        self.PE = np.stack([np.fmin(self.PE[0], PE), np.fmax(self.PE[1], PE)])
+        self.energy = np.stack([np.fmin(self.energy[0], energy), np.fmax(self.energy[1], energy)])
+
+    def leave(self, out: NDArray[np.bool_], ends: Ends) -> None:
+        """Hand over the lanes that have ended."""
+        gone = self.lanes[out]
+        ends.t[gone], ends.status[gone], ends.steps[gone] = (
+            x[out] for x in (self.t, self.status, self.steps)
+        )
+        ends.y[gone] = np.concatenate([self.q[:, out], self.qd[:, out]]).T
+        ends.low[gone], ends.high[gone] = self.low[:, out].T, self.high[:, out].T
+        ends.energy[gone], ends.flip[gone] = self.energy[:, out].T, self.flip[out]
+        moving = np.maximum(self.KE, self.PE[1] - self.PE[0])[out]
+        ends.drift[gone] = np.divide(self.off[out], moving, out=moving * 0.0, where=moving > 0.0)
+
+    def keep(self, stay: NDArray[np.bool_]) -> None:
+        """Go on with these lanes alone."""
+        for name in _Running.__slots__:
+            setattr(self, name, getattr(self, name)[..., stay])
 
 
 def _landed(
     series: LaneSeries,
     own: Array,
-    q: Array,
-    qd: Array,
-    t: Array,
+    now: _Running,
     longest: Array,
     left: Array,
     direction: float,
     aims: Aims,
 ) -> tuple[Array, Array, Array, Array]:
     """Steps h (B,), closed states there, and their qualities: where the next step starts well."""
+    q, qd, t = now.q, now.qd, now.t
     h = np.minimum(longest, left) * direction
-    # the bound is met exactly
-    x = np.where(longest >= left, left * direction, (t + h) - t)
+    x = np.where(longest >= left, left * direction, (t + h) - t)  # the bound is met exactly
     new_q, new_qd, quality = _closed(series, own, q, qd, x)
     poor = ~(quality >= aims.suspect)
     for part in PARTS[1:]:
@@ -168,10 +218,7 @@ def _landed(
             break
         (b,) = np.nonzero(poor)
         shorter = np.minimum(part * longest[b], left[b]) * direction
-        attempt = LaneSeries.__new__(LaneSeries)
-        attempt.__dict__.update(series.__dict__)
-        attempt.kept(b)
-        there_q, there_qd, there = _closed(attempt, own[:, :, b], q[:, b], qd[:, b], shorter)
+        there_q, there_qd, there = _closed(series.some(b), own[:, :, b], q[:, b], qd[:, b], shorter)
         better = there > quality[b]
         to = b[better]
         x[to], quality[to] = shorter[better], there[better]

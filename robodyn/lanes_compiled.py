@@ -24,8 +24,6 @@ from robodyn.taylor_kernel import (
     SINGULAR,
     STUCK,
     _close,
-    _copy,
-    _directions,
     _land,
     _longest,
     _power,
@@ -48,17 +46,32 @@ def integrate(
 ) -> Ends:
     """See `lanes.integrate`."""
     ends = Ends.room(len(y), at.n)
-    arrays: list[Any] = [np.require(x, float, ["C"]) for x in (reals, y, angle)]
-    advance_lanes(whole, *arrays[:1], at, *arrays[1:], float(t_end), aims, ends.t, ends.y, ends.low,
-                  ends.high, ends.energy, ends.drift, ends.flip, ends.status, ends.steps)  # fmt: skip
+    arrays = [np.require(x, float, ["C"]) for x in (reals, y, angle)]
+    left = [getattr(ends, name) for name in Ends.__slots__]
+    advance: Any = advance_lanes
+    advance(whole, at, *arrays, float(t_end), aims, *left)
     return ends
 
 
 @compiled(parallel=True)
 def advance_lanes(
-    whole, reals, at, y, angle, t_end, aims, ends, ys, lows, highs, energies, drifts, flips,
-    statuses, counts,
-):  # fmt: skip
+    whole,
+    at,
+    reals,
+    y,
+    angle,
+    t_end,
+    aims,
+    ends,
+    ys,
+    lows,
+    highs,
+    energies,
+    drifts,
+    flips,
+    statuses,
+    counts,
+):
     """Each lane from its state to t_end; what it leaves behind, into the arrays after `aims`."""
     n = at.n
     N = 2 * n + 1 if aims.work else 2 * n

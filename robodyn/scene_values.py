@@ -9,7 +9,7 @@ new length moves what hangs from the tip, and limits are checked as for any file
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from robodyn import description, yaml_tree
@@ -58,7 +58,7 @@ class SceneValues:
         assert isinstance(self._root, yaml_tree.Mapping)
         self._places = dict(_numbers(self._root, ""))
         self._places.setdefault("gravity", _Place(self._root, "gravity"))
-        links = dict((key.text, node) for key, node in self._root.pairs)["links"]
+        links = {key.text: node for key, node in self._root.pairs}["links"]
         assert isinstance(links, Sequence)
         for k, (link, node) in enumerate(zip(self.base.links, links.items, strict=True)):
             assert isinstance(node, yaml_tree.Mapping)
@@ -80,6 +80,26 @@ class SceneValues:
     def __contains__(self, name: str) -> bool:
         return name in self._places
 
+    def clash(self, names: Iterable[str]) -> tuple[str, str] | None:
+        """Two of the names that stand for one number, or for a point and one of its entries."""
+        given = list(names)
+        for k, first in enumerate(given):
+            for second in given[k + 1 :]:
+                a, b = self._places[first], self._places[second]
+                inner = {self._node(a), self._node(b)} & {id(a.around), id(b.around)}
+                if inner or (a.around is b.around and a.at == b.at):
+                    return first, second
+        return None
+
+    @staticmethod
+    def _node(place: _Place) -> int | None:
+        """The identity of the collection at a place, where there is one."""
+        around, at = place.around, place.at
+        if isinstance(around, Sequence):
+            assert isinstance(at, int)
+            return id(around.items[at])
+        return next((id(node) for key, node in around.pairs if key.text == at), None)
+
     def replaced(self, values: Mapping[str, float]) -> Description:
         """The scene with these numbers in place of its own (others stay as replaced before).
 
@@ -98,7 +118,7 @@ def is_angle(name: str) -> bool:
 
 
 def _entries(root: yaml_tree.Mapping, key: str) -> list[Node]:
-    found = dict((name.text, node) for name, node in root.pairs).get(key)
+    found = {name.text: node for name, node in root.pairs}.get(key)
     return found.items if isinstance(found, Sequence) else []
 
 
@@ -113,7 +133,7 @@ def _unshared(node: Node) -> Node:
 
 
 def _numbers(node: Node, name: str) -> Iterator[tuple[str, _Place]]:
-    """The places of all numbers below a node; of `r: [x, y]` and `gravity: [x, y]` the whole too."""
+    """The places of all numbers below a node."""
     if isinstance(node, Sequence):
         for k, item in enumerate(node.items):
             if _is_number(item):

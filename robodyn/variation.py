@@ -38,7 +38,8 @@ class Axis:
         if not self.values:
             return self.low + u * (self.high - self.low)
         place = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)
-        return np.array(self.values)[place]
+        values: Array = np.array(self.values)
+        return np.asarray(values[place])
 
 
 @dataclass(frozen=True, slots=True)
