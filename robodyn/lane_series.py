@@ -188,20 +188,18 @@ class LaneSeries:
             for j in range(self.normal.first[i], i + 1):
                 other = Psi[self.normal_row[j]]
                 L[self.normal.start[i] + j] = (Psi[row] * other).sum(axis=0)
-        with np.errstate(all="ignore"):
-            inverse = self.normal.factorise(L)
-            pivots = [
-                L[self.normal.start[i] + i] / self.number(at.size, row)
-                for i, row in enumerate(self.normal_row)
-            ]
+        inverse = self.normal.factorise(L)
+        pivots = [
+            L[self.normal.start[i] + i] / self.number(at.size, row)
+            for i, row in enumerate(self.normal_row)
+        ]
         return Psi, L, inverse, np.nan_to_num(np.min(pivots, axis=0), nan=-math.inf)
 
     def _least(self, Psi: Array, L: Array, inverse: Array, x: Array) -> Array:
         """Psi^T (Psi Psi^T)^-1 x, (n, B)."""
-        with np.errstate(all="ignore"):
-            self.normal.solve(L, inverse, x)
-            ordered = x[self.normal_place]
-            return np.asarray(np.einsum("rnb,rb->nb", Psi, ordered))
+        self.normal.solve(L, inverse, x)
+        ordered = x[self.normal_place]
+        return np.asarray(np.einsum("rnb,rb->nb", Psi, ordered))
 
     # -- series ------------------------------------------------------------------------------------
 
@@ -276,12 +274,11 @@ class LaneSeries:
         order = len(W) - 1
         speed = np.abs(W[0]).max(axis=0)
         h = np.full(W.shape[2], math.inf)
-        with np.errstate(all="ignore"):
-            for k in range(order - 3, order + 1):
-                largest = np.abs(W[k]).max(axis=0)
-                h = np.minimum(h, ((atol + rtol * speed) / largest) ** (1.0 / k))
-                h = np.minimum(h, ((atol + rtol) * (k + 1) / largest) ** (1.0 / (k + 1)))
-            finite = np.isfinite(W[order - 3 :].sum(axis=(0, 1)))
+        for k in range(order - 3, order + 1):
+            largest = np.abs(W[k]).max(axis=0)
+            h = np.minimum(h, ((atol + rtol * speed) / largest) ** (1.0 / k))
+            h = np.minimum(h, ((atol + rtol) * (k + 1) / largest) ** (1.0 / (k + 1)))
+        finite = np.isfinite(W[order - 3 :].sum(axis=(0, 1)))
         return np.where(finite, h, math.nan)
 
     def _series(self, name: str, B: int) -> Array:
@@ -318,6 +315,5 @@ class LaneSeries:
                 L[spot] = c[j] * Z[e][1] - s[j] * Z[e][0]
         for _, l, e, spot in self.P:
             L[spot] = -(self.number(at.P_re, e) * s[l] + self.number(at.P_im, e) * c[l])
-        with np.errstate(all="ignore"):
-            inverse = self.system.factorise(L)
+        inverse = self.system.factorise(L)
         return L, inverse, Z

@@ -71,6 +71,13 @@ def integrate(
     `angle` (L,) is that of the link whose flip is wanted, from hanging: it flips where |angle|
     exceeds pi.  A lane that cannot go on stops; its status tells why.
     """
+    with np.errstate(all="ignore"):  # what leaves the floats is told by its status
+        return _integrate(whole, reals, at, y, t_end, angle, aims)
+
+
+def _integrate(
+    whole: Integers, reals: Array, at: Layout, y: Array, t_end: float, angle: Array, aims: Aims
+) -> Ends:
     L, n = y.shape[0], at.n
     ends = Ends.room(L, n)
     shared = len(reals) == 1

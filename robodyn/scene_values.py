@@ -30,7 +30,7 @@ class _Place:
     at: str | int
 
     def put(self, value: float) -> None:
-        scalar = Scalar(repr(value), False, self.around.line)
+        scalar = Scalar(repr(float(value)), False, self.around.line)
         if isinstance(self.around, Sequence):
             assert isinstance(self.at, int)
             self.around.items[self.at] = scalar

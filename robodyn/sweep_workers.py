@@ -7,6 +7,7 @@ with their number.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -49,13 +50,20 @@ def results(
         for number in range(begin, plan.chunks):
             yield run_chunk(plan, number)
         return
-    executor = _executor(plan, count)
+    executor, before = _executor(plan, count), set(multiprocessing.active_children())
     try:
         yield from _ordered(executor.submit, plan, begin, AHEAD * count)
     except BrokenProcessPool:
         raise RobodynError("a worker process ended", limit="was it out of memory?") from None
-    finally:
+    except BaseException:  # what is under way is of no use any more
+        for child in set(multiprocessing.active_children()) - before:
+            child.terminate()
         executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    finally:
+        executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
+        del executor
+        gc.collect()  # a pool's semaphores are freed with it
 
 
 def processors() -> int:

@@ -7,8 +7,8 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Optional
@@ -162,11 +162,12 @@ def sweep(
 
         with open_output(out) as stream, _progress(plan, 0, quiet) as advance:
             stream.write(header)
-            for rows in _results(plan, 0, workers, scheduler):
-                stream.write(_lines(rows))
-                stream.flush()
-                outcomes.update(rows.outcomes)
-                advance(len(rows.outcomes))
+            with closing(_results(plan, 0, workers, scheduler)) as chunks:
+                for rows in chunks:
+                    stream.write(_lines(rows))
+                    stream.flush()
+                    outcomes.update(rows.outcomes)
+                    advance(len(rows.outcomes))
     else:
         assert out is not None
         size = plan.variation.size
@@ -175,8 +176,11 @@ def sweep(
             if done and not quiet:
                 note(f"{file.partial} has {done} of {size} points: going on from there")
             try:
-                with _progress(plan, done, quiet) as advance:
-                    for rows in _results(plan, file.done, workers, scheduler):
+                with (
+                    _progress(plan, done, quiet) as advance,
+                    closing(_results(plan, file.done, workers, scheduler)) as chunks,
+                ):
+                    for rows in chunks:
                         file.append(_lines(rows))
                         done += len(rows.outcomes)
                         outcomes.update(rows.outcomes)
@@ -190,7 +194,7 @@ def sweep(
         _summary(plan, outcomes, time.perf_counter() - begun)
 
 
-def _results(plan: Plan, begin: int, workers: int | None, scheduler: str | None) -> Iterator[Rows]:
+def _results(plan: Plan, begin: int, workers: int | None, scheduler: str | None) -> Generator[Rows]:
     try:
         yield from results(plan, begin, workers, scheduler)
     except InputError as error:
