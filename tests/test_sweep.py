@@ -257,6 +257,14 @@ class TestCluster:
         assert found.outcomes == expected.outcomes
 
     @pytest.mark.filterwarnings("ignore")
+    def test_on_the_command_line(self, address, robodyn) -> None:
+        options = ("sweep", "robots/2r.yaml", "--vary", "q1=0,1,2", "--time", 0.2, "--quiet")
+        here = robodyn(*options)
+        there = robodyn(*options, "--scheduler", address)
+        assert there.code == 0
+        assert there.out == here.out
+
+    @pytest.mark.filterwarnings("ignore")
     def test_errors_come_through(self, address) -> None:
         with pytest.raises(RobodynError, match="version"):
             whole(replace(TestWorkers.SMALL, version="0.0"), scheduler=address)
