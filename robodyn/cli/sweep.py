@@ -15,7 +15,7 @@ from typing import Annotated, Any, Optional
 
 import typer
 
-from robodyn.cli.options import Model, Q, Qd, Qdd, named
+from robodyn.cli.options import Model, named
 from robodyn.cli.output import note
 from robodyn.csv_fields import quoted, shown
 from robodyn.errors import InputError
@@ -49,6 +49,10 @@ class Engine(StrEnum):
     compiled = "compiled"
 
 
+def _vector(flag: str, text: str) -> object:
+    return typer.Option(flag, metavar="VECTOR", help=f"{text} Default: zero.", show_default=False)
+
+
 def sweep(
     model: Model,
     vary: Annotated[
@@ -68,17 +72,21 @@ def sweep(
     kind: Annotated[Kind, typer.Option("--kind", help="Motions, or torques at states.")] = (
         Kind.motion
     ),
-    q: Q = None,
-    qd: Qd = None,
-    qdd: Qdd = None,
+    q: Annotated[
+        Optional[str],  # noqa: UP045
+        _vector("--q", "Angles of the actuated joints, rad, or 30deg (the rest is assembled)."),
+    ] = None,
+    qd: Annotated[
+        Optional[str],  # noqa: UP045
+        _vector("--qd", "Rates of the actuated joints, rad/s or 30deg."),
+    ] = None,
+    qdd: Annotated[
+        Optional[str],  # noqa: UP045
+        _vector("--qdd", "Accelerations of the actuated joints, rad/s^2, for torques."),
+    ] = None,
     tau: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
-            "--tau",
-            metavar="VECTOR",
-            help="Constant torques of the actuated joints, N m. Default: zero.",
-            show_default=False,
-        ),
+        _vector("--tau", "Constant torques of the actuated joints, N m."),
     ] = None,
     duration: Annotated[
         float, typer.Option("--time", metavar="S", help="End time, s; negative runs backwards.")
@@ -262,7 +270,7 @@ def _plan(
     if kind is Kind.motion and vectors["qdd"] is not None:
         raise InputError("--qdd", limit="is for --kind torque")
     given: dict[str, Any] = {
-        name: _vector(mechanism, name, value) for name, value in vectors.items()
+        name: _values(mechanism, name, value) for name, value in vectors.items()
     }
     chosen_engine = engine.value
     if kind is Kind.torque:
@@ -289,7 +297,7 @@ def _plan(
     )
 
 
-def _vector(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
+def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:
     """The values of the actuated joints; zero where they are not given."""
     actuated = [mechanism.link_names[k] for k in mechanism.actuated]
     if text is None:
