@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.lane_forces import LaneForces
 from robodyn.taylor import HOPELESS, PASSES
 from robodyn.taylor_layout import Layout
 
@@ -60,11 +61,13 @@ class Skyline:
 class LaneSeries:
     """Expands the motions of lanes, and closes their states.
 
-    `real` (R,) is what all lanes share, or (R, B) what each has.
+    `real` (R,) is what all lanes share, or (R, B) what each has; `forces` act besides.
     """
 
-    def __init__(self, whole: NDArray[np.int64], real: Array, at: Layout) -> None:
-        self.at, self.real = at, real
+    def __init__(
+        self, whole: NDArray[np.int64], real: Array, at: Layout, forces: LaneForces | None = None
+    ) -> None:
+        self.at, self.real, self.forces = at, real, forces
         w = whole.tolist()
         n, r = at.n, at.rows
         self.n, self.r, self.order = n, r, at.order
@@ -86,11 +89,14 @@ class LaneSeries:
         self.normal_place = w[at.normal_place : at.normal_place + r]
         self.normal_row = w[at.normal_row : at.normal_row + r]
         self._room: dict[str, Array] = {}
+        self._free: Array = np.zeros(0)  # torques without a potential, of the forces
 
     def kept(self, lanes: NDArray[Any]) -> None:
         """Go on with these lanes alone."""
         if self.real.ndim == 2:
             self.real = np.ascontiguousarray(self.real[:, lanes])
+        if self.forces is not None:
+            self.forces = self.forces.some(lanes)
 
     def some(self, lanes: NDArray[Any]) -> LaneSeries:
         """Another of these lanes alone."""
@@ -138,6 +144,8 @@ class LaneSeries:
             x = c[j] * c[l] + s[j] * s[l]
             y = c[j] * s[l] - s[j] * c[l]
             KE += (self.number(at.A_re, e) * x - self.number(at.A_im, e) * y) * w[j] * w[l]
+        if self.forces is not None:
+            PE += self.forces.potential(q, c, s)
         return 0.5 * KE, PE
 
     # -- closures ----------------------------------------------------------------------------------
@@ -212,6 +220,9 @@ class LaneSeries:
         W, C, S, FX, FY = (self._series(name, B) for name in ("W", "C", "S", "FX", "FY"))
         W[0], C[0], S[0] = self.absolute(qd), c0, s0
         C[1], S[1] = -W[0] * s0, W[0] * c0
+        if self.forces is not None:
+            self.forces.begin(self.order + 1, q)
+            self._free = self._series("free", B)
         damped, driven = self.any(at.damping), self.any(at.torque)
         x = np.empty((n + self.r, B))
         for k in range(self.order):
@@ -231,6 +242,9 @@ class LaneSeries:
                 FY[k, j] += re * Y[l] + im * X[l]
             load = np.einsum("mnb,mnb->nb", S[k::-1], FX[: k + 1])
             load -= np.einsum("mnb,mnb->nb", C[k::-1], FY[: k + 1])
+            if self.forces is not None:
+                held, self._free[k] = self.forces.torques(k, W, C, S)
+                load += held + self._free[k]
             if damped or (driven and k == 0):
                 self._joint_torques(load, W[k], k)
             if k == 0:
@@ -254,10 +268,12 @@ class LaneSeries:
                 minus_lambda = x[self.place[n + row]]
                 FX[k, l] += self.number(at.P_re, e) * minus_lambda
                 FY[k, l] -= self.number(at.P_im, e) * minus_lambda
+        if self.forces is not None:
+            self._free[self.order] = self.forces.torques(self.order, W, C, S)[1]
         return W[: self.order + 1]
 
     def power(self, W: Array) -> Array:
-        """The coefficients of sum_j (tau_j - D_j qd_j) qd_j, (order + 1, B)."""
+        """The coefficients of the power of torques, dampers and turning forces, (order + 1, B)."""
         at, own = self.at, self.relative(W)
         total = np.zeros((len(W), W.shape[2]))
         for j in range(self.n):
@@ -267,6 +283,9 @@ class LaneSeries:
                 for k in range(len(W)):
                     square = np.einsum("mb,mb->b", own[: k + 1, j], own[k::-1, j])
                     total[k] -= damping * square
+        if self.forces is not None:
+            for k in range(len(W)):
+                total[k] += np.einsum("mnb,mnb->b", self._free[: k + 1], W[k::-1])
         return total
 
     def longest(self, W: Array, rtol: float, atol: float) -> Array:

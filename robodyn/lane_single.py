@@ -1,7 +1,8 @@
 """One motion of a sweep by a single simulation, for what lanes do not serve.
 
-Springs, friction, couplings, and motions that pass change points go this way, by the Taylor series
-of `simulation.py`.  Between the quarter points of its steps q is the polynomial of degree 5 that
+Friction, couplings, and motions that pass change points go this way: by DOP853 where the scene has
+forces of its own (friction that sets in sharply shows in no series ahead of it), else by the Taylor
+series.  Between the quarter points of its steps q is the polynomial of degree 5 that
 has q, qd and qdd of both: extremes and crossings are those of these polynomials.
 """
 
@@ -17,7 +18,7 @@ from robodyn.errors import RobodynError, SingularError
 from robodyn.lanes import Aims, Ends
 from robodyn.mechanism import Mechanism
 from robodyn.recording import Outcome
-from robodyn.simulation import Motion, simulate
+from robodyn.simulation import SCIPY_RTOL, Motion, simulate
 from robodyn.step_extremes import QUARTERS, crossings, extremes
 
 Array = NDArray[np.float64]
@@ -45,9 +46,9 @@ def single(
             y[n:],
             t_end,
             tau=tau.tolist(),
-            method="taylor",
-            engine="python",
-            rtol=aims.rtol,
+            method="DOP853" if mechanism.has_forces else "taylor",
+            engine="auto" if mechanism.has_forces else "python",
+            rtol=max(aims.rtol, SCIPY_RTOL),
             atol=aims.atol,
             max_evals=aims.most,
             t_eval=times,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.lane_forces import LaneForces
 from robodyn.lane_series import LaneSeries
 from robodyn.step_extremes import crossings, extremes, values
 from robodyn.taylor import PARTS, Status
@@ -63,25 +64,30 @@ class Ends:
 
 
 def integrate(
-    whole: Integers, reals: Array, at: Layout, y: Array, t_end: float, angle: Array, aims: Aims
+    whole: Integers,
+    reals: Array,
+    at: Layout,
+    y: Array,
+    t_end: float,
+    angle: Array,
+    aims: Aims,
+    forces: LaneForces | None = None,
 ) -> Ends:
     """The motions from y (L, 2n) at t = 0 to t_end.
 
     `reals` (L, R), or (1, R) where all lanes share it, as `taylor_layout.numbers` makes them.
     `angle` (L,) is that of the link whose flip is wanted, from hanging: it flips where |angle|
-    exceeds pi.  A lane that cannot go on stops; its status tells why.
+    exceeds pi.  `forces` act besides what `reals` hold.  A lane that cannot go on stops; its status
+    tells why.
     """
     with np.errstate(all="ignore"):  # what leaves the floats is told by its status
-        return _integrate(whole, reals, at, y, t_end, angle, aims)
+        real = reals[0] if len(reals) == 1 else np.ascontiguousarray(reals.T)
+        return _integrate(LaneSeries(whole, real, at, forces), y, t_end, angle, aims)
 
 
-def _integrate(
-    whole: Integers, reals: Array, at: Layout, y: Array, t_end: float, angle: Array, aims: Aims
-) -> Ends:
-    L, n = y.shape[0], at.n
+def _integrate(series: LaneSeries, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
+    L, n = len(y), series.n
     ends = Ends.room(L, n)
-    shared = len(reals) == 1
-    series = LaneSeries(whole, reals[0] if shared else np.ascontiguousarray(reals.T), at)
     q, qd = np.ascontiguousarray(y[:, :n].T), np.ascontiguousarray(y[:, n:].T)
     quality = series.close(q, qd)
     if aims.link >= 0:

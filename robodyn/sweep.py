@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import __version__, assembly, loop_rates
+from robodyn import __version__, assembly, lanes, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.dense_dynamics import elimination_is_safe
 from robodyn.dynamics import RobodynWarning, inverse_dynamics_and_forces, loop_forces
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
+from robodyn.lane_forces import LaneForces
 from robodyn.lane_single import single
 from robodyn.lanes import Aims, Ends
 from robodyn.mechanism import Mechanism, build
@@ -298,7 +299,7 @@ def _motions(plan: Plan, groups: list[_Group], values: Array, outcomes: list[str
         suspect=suspect_quality(base) if base.rows else 0.0,
         extremes="extremes" in plan.results,
         link=link,
-        work=any(any(g.mechanism.damping) or g.tau.any() for g in groups),
+        work=any(g.mechanism.dissipates or g.tau.any() for g in groups),
     )
     ends = Ends.room(P, n)
     offset = np.zeros(P)
@@ -313,10 +314,10 @@ def _motions(plan: Plan, groups: list[_Group], values: Array, outcomes: list[str
             together.append(group)
         else:
             alone += [(group, i) for i in range(len(group.points))]
-    for lanes, found in _integrated(plan, together, angle, aims):
+    for chosen, found in _integrated(plan, together, angle, aims):
         for name in Ends.__slots__:
-            getattr(ends, name)[lanes] = getattr(found, name)
-        for lane, status in zip(lanes, found.status.tolist(), strict=True):
+            getattr(ends, name)[chosen] = getattr(found, name)
+        for lane, status in zip(chosen, found.status.tolist(), strict=True):
             outcomes[lane] = _OUTCOMES[Status(status)].label
     poor = {Status.SINGULAR, Status.STUCK} if base.rows else set()
     for group in together:
@@ -347,9 +348,9 @@ def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
 
 
 def _served(mechanism: Mechanism) -> bool:
-    """Whether lanes serve it: no forces but weights, constant torques and dampers; regular M."""
-    simple = not mechanism.has_forces and not mechanism.description.couplings
-    return simple and elimination_is_safe(mechanism)
+    """Whether lanes serve it: no friction, which no series sees coming, no couplings; regular M."""
+    smooth = not mechanism.friction and not mechanism.description.couplings
+    return smooth and elimination_is_safe(mechanism)
 
 
 def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
@@ -368,22 +369,21 @@ def _integrated(
     plan: Plan, groups: list[_Group], angle: Array, aims: Aims
 ) -> Iterator[tuple[Indices, Ends]]:
     """Points whose mechanisms have the same structure, and what their motions leave behind."""
+    compiled: Callable[..., Ends] = lanes.integrate
     if plan.engine == "compiled":
-        from robodyn.lanes_compiled import integrate
-    else:
-        from robodyn.lanes import integrate
+        from robodyn.lanes_compiled import integrate as compiled
     order = best_order(plan.rtol)
-    alike: dict[tuple[bytes, Layout], list[tuple[_Group, Array]]] = {}
-    structures = {}
+    alike: dict[tuple[object, ...], list[tuple[_Group, Array]]] = {}
+    structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
     for group in groups:
         if len(group.points):
             whole, real, at = numbers(group.mechanism, Actuation((0.0,) * group.q.shape[1]), order)
-            key = (whole.tobytes(), at)
+            key = (at, whole.tobytes(), *_forces_of(group.mechanism))
             alike.setdefault(key, []).append((group, real))
-            structures[key] = whole
+            structures[key] = whole, at
     for key, members in alike.items():
-        whole, at = structures[key], key[1]
-        lanes = np.concatenate([group.points for group, _ in members])
+        whole, at = structures[key]
+        chosen = np.concatenate([group.points for group, _ in members])
         tau = np.concatenate([group.tau for group, _ in members])
         y = np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g, _ in members])
         shared = len(members) == 1 and (tau == tau[0]).all()
@@ -393,4 +393,19 @@ def _integrated(
         else:
             reals = np.concatenate([np.tile(real, (len(g.points), 1)) for g, real in members])
             reals[:, at.torque : at.torque + at.n] = tau
-        yield lanes, integrate(whole, reals, at, y, plan.t_end, angle[lanes], aims)
+        given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
+        if not members[0][0].mechanism.has_forces:
+            yield chosen, compiled(*given)
+            continue
+        which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
+        forces = LaneForces([group.mechanism for group, _ in members], which)
+        yield chosen, lanes.integrate(*given, forces)
+
+
+def _forces_of(mechanism: Mechanism) -> tuple[object, ...]:
+    """What must agree where lanes share the structure of their forces."""
+    return (
+        len(mechanism.springs),
+        tuple(spring.joint for spring in mechanism.joint_springs),
+        tuple((force.link, force.turns) for force in mechanism.forces),
+    )

@@ -1,6 +1,7 @@
 """Many motions at once, in numpy and compiled, against single motions of another method."""
 
 import math
+import re
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
@@ -11,15 +12,17 @@ from conftest import ROOT, TWO_LINK
 from scipy.integrate import solve_ivp
 
 import oracles
-from random_mechanisms import LOOPS, seeded_scene, seeded_tree
+from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn import assemble, closure_gap, kinetic_energy, lanes, load, potential_energy, simulate
 from robodyn.actuation import Actuation
 from robodyn.description import from_text
+from robodyn.lane_forces import LaneForces
 from robodyn.lane_single import single
 from robodyn.lanes import Aims, Ends
 from robodyn.loop_rates import loop_velocities
 from robodyn.mechanism import Mechanism, build
 from robodyn.projection import suspect_quality
+from robodyn.scene_values import SceneValues
 from robodyn.taylor import Status, best_order
 from robodyn.taylor_layout import numbers
 
@@ -102,6 +105,56 @@ class TestAgainstDOP853:
         self.compare(
             engine, scene("four-bar"), turning(scene("four-bar"), 4), [1, 0, 0], time, 1e-9
         )
+
+
+class TestForces:
+    """Springs, their dampers, and forces that turn with a link, in numpy."""
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_against_dop853(self, seed) -> None:
+        plain = (
+            seeded_tree(seed, 1 + seed % 4) if seed < 4 else seeded_scene(seed, LOOPS["four-bar"])
+        )
+        text = re.sub(r" friction: \{[^}]*\},", "", forced(seed, plain).text)
+        mechanism = build(from_text(text, "x"))
+        assert mechanism.springs
+        assert mechanism.joint_springs
+        assert not mechanism.friction
+        n = mechanism.n
+        y = np.hstack([plain.q, plain.qd])[None]
+        still = np.zeros(1)
+        whole, real, at = numbers(mechanism, Actuation((0.0,) * n), best_order(1e-12))
+        suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+        aims = Aims(1e-12, 1e-12, suspect=suspect, work=True)
+        forces = LaneForces([mechanism], np.zeros(1, int))
+        found = lanes.integrate(whole, real[None], at, y, 0.3, still, aims, forces)
+        motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
+        expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+        assert found.status == Status.REACHED
+        assert np.abs(found.y[0] - expected).max() < 1e-8 * max(1.0, np.abs(expected).max())
+        assert found.drift < 1e-8
+        energy = kinetic_energy(mechanism, motion.q, motion.qd)
+        energy = energy + potential_energy(mechanism, motion.q) - mechanism.energy_offset
+        assert found.energy[0, 0] == pytest.approx(energy.min(), rel=0.05, abs=0.5)
+
+    def test_each_lane_may_have_springs_of_its_own(self) -> None:
+        scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()
+        values = SceneValues(scene, "x")
+        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.0)]
+        names = ("springs[0].stiffness", "springs[0].damping")
+        made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
+        y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
+        y = np.repeat(y, 2, axis=0)
+        parts = [numbers(m, Actuation((0.0, 0.0)), best_order(1e-11)) for m in made]
+        reals = np.repeat([real for _, real, _ in parts], 2, axis=0)
+        aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
+        forces = LaneForces(made, np.repeat(np.arange(3), 2))
+        whole, _, at = parts[0]
+        found = lanes.integrate(whole, reals, at, y, 0.4, np.zeros(6), aims, forces)
+        for k in range(6):
+            m = made[k // 2]
+            motion = simulate(m, y[k, :2], y[k, 2:], 0.4, rtol=1e-11, atol=1e-11)
+            assert found.y[k, :2] == pytest.approx(motion.q[-1], abs=1e-8)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -254,6 +307,16 @@ class TestSingle:
         motion = simulate(mechanism, y[k, :3], y[k, 3:], 3.0, rtol=1e-11, atol=1e-11)
         assert outcome == "finished"
         assert ends.y[0, :3] == pytest.approx(motion.q[-1], abs=1e-5)
+
+    @pytest.mark.parametrize("speed", [0.01, 1.0])
+    def test_friction_as_radau_has_it(self, speed) -> None:
+        text = "gravity: 9.81\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, "
+        rubbing = build(from_text(f"{text}friction: {{torque: 0.5, speed: {speed}}}}}]\n", "x"))
+        ends = Ends.room(1, 1)
+        y = np.array([0.3, 0.0])
+        assert single(rubbing, y, np.zeros(1), 2.0, 0.0, Aims(1e-9, 1e-9), ends, 0) == "finished"
+        motion = simulate(rubbing, [0.3], [0], 2.0, method="Radau", rtol=1e-9, atol=1e-9)
+        assert ends.y[0] == pytest.approx([motion.q[-1, 0], motion.qd[-1, 0]], abs=1e-6)
 
     def test_outcomes_of_what_cannot_go_on(self) -> None:
         ends = Ends.room(2, 2)

@@ -98,7 +98,8 @@ class TestMotions:
             motion = simulate(bar, q, qd, 1.0, rtol=1e-11, atol=1e-11)
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
-    def test_springs_go_one_by_one(self, engine) -> None:
+    def test_springs_go_together(self, engine, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweep.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
         crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
         rows = whole(crank)
@@ -106,6 +107,25 @@ class TestMotions:
             scene = SceneValues(crank.scene, "x").replaced({"springs[0].stiffness": row[0]})
             motion = simulate(build(scene), assemble(build(scene), [row[1]]), [0, 0], 0.5)
             assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
+
+    def test_friction_and_gears_go_one_by_one(self, engine) -> None:
+        axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
+        crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
+        rubbing = crank.scene.replace(
+            "name: crank,", "name: crank, friction: {torque: 1, speed: 0.1},"
+        )
+        assert rubbing != crank.scene
+        geared = plan("geared-five-bar", Axis("q1", (0.3, 0.5)), t_end=0.3, engine=engine)
+        for each in (replace(crank, scene=rubbing), geared):
+            rows = whole(each)
+            assert rows.outcomes == ["finished"] * 2
+            assert column(each, rows, "drift").max() < 1e-6
+            mechanism = build(SceneValues(each.scene, "x").base)
+            assert mechanism.friction or mechanism.description.couplings
+            start = assemble(mechanism, [rows.values[0, list(each.columns()).index("q1")]])
+            motion = simulate(mechanism, start, 0.0 * start, 0.3, rtol=1e-11, atol=1e-11)
+            found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]
+            assert found == pytest.approx(motion.q[-1], abs=1e-7)
 
     def test_change_points_are_passed(self, engine) -> None:
         bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, engine=engine)
