@@ -76,7 +76,7 @@ def advance_lanes(
     n = at.n
     N = 2 * n + 1 if aims.work else 2 * n
     work = np.zeros(at.size_of_work)
-    states = np.empty(2 * N)
+    states, series = np.empty(2 * N), np.empty((2, at.order + 1))
     direction = 1.0 if t_end >= 0.0 else -1.0
     for lane in range(len(y)):
         real = reals[lane if len(reals) > 1 else 0]
@@ -132,10 +132,10 @@ def advance_lanes(
                 quality = _land(whole, real, work, at, end - t, states, 0, N)
             if aims.extremes:
                 for j in range(n):
-                    _extremes(whole, work, at, states, j, end - t, low, high)
+                    _extremes(whole, work, at, states, j, end - t, low, high, series)
             if aims.link >= 0 and math.isnan(flip):
                 now = phi + _angle(whole, states, 0, aims.link) - begun
-                flip = t + _crossing(work, at, aims.link, now, end - t)
+                flip = t + _crossing(whole, work, at, aims.link, now, end - t, series)
             for m in range(N):
                 states[m] = states[N + m]
             for m in range(2 * n):  # c and s of the next start
@@ -195,16 +195,34 @@ def _energies(whole, real, work, at, y, q):
 
 
 @compiled()
+def _keep_series(whole, work, at, j, joint, series):
+    """The series of a joint's rate, or of its link's, and below it that of its integral over x."""
+    above = whole[at.parent + j]
+    for k in range(at.order + 1):
+        rate = work[at.W + j * at.K + k]
+        if joint and above >= 0:
+            rate -= work[at.W + above * at.K + k]
+        series[0, k], series[1, k] = rate, rate / (k + 1)
+
+
+@compiled()
 def _values(series, K, x):
-    """The integral, the value and two derivatives at x of the polynomial."""
-    value, slope, bend = series[K - 1], 0.0, 0.0
-    turn = series[K - 1] / K
+    """The integral, the value and the derivative at x of a series."""
+    value, slope, turn = series[0, K - 1], 0.0, series[1, K - 1]
     for k in range(K - 2, -1, -1):
-        bend = bend * x + 2.0 * slope
         slope = slope * x + value
-        value = value * x + series[k]
-        turn = turn * x + series[k] / (k + 1)
-    return turn * x, value, slope, bend
+        value = value * x + series[0, k]
+        turn = turn * x + series[1, k]
+    return turn * x, value, slope
+
+
+@compiled()
+def _bend(series, K, x):
+    """Its second derivative."""
+    bend = 0.0
+    for k in range(K - 1, 1, -1):
+        bend = bend * x + k * (k - 1.0) * series[0, k]
+    return bend
 
 
 @compiled()
@@ -213,13 +231,13 @@ def _root(series, K, kind, goal, begin, end, sign):
     low, high = begin, end
     x = 0.5 * (low + high)
     for _ in range(NEWTON):
-        turn, value, slope, bend = _values(series, K, x)
+        turn, value, slope = _values(series, K, x)
         if kind == 0:
             f, g = turn - goal, value
         elif kind == 1:
             f, g = value - goal, slope
         else:
-            f, g = slope - goal, bend
+            f, g = slope - goal, _bend(series, K, x)
         if f * sign > 0.0:
             low = x
         else:
@@ -233,19 +251,14 @@ def _root(series, K, kind, goal, begin, end, sign):
 
 
 @compiled()
-def _extremes(whole, work, at, y, j, h, low, high):
+def _extremes(whole, work, at, y, j, h, low, high, rates):
     """Widen low and high of q_j and qd_j by what they are within a step h from y."""
     n, K = at.n, at.order + 1
-    rates = np.empty(K)
-    above = whole[at.parent + j]
-    for k in range(K):
-        rates[k] = work[at.W + j * at.K + k]
-        if above >= 0:
-            rates[k] -= work[at.W + above * at.K + k]
-    begin, before, before_slope = 0.0, rates[0], rates[1]
+    _keep_series(whole, work, at, j, True, rates)
+    begin, before, before_slope = 0.0, rates[0, 0], rates[0, 1]
     for part in range(1, QUARTERS + 1):
         end = h * (part / QUARTERS)
-        turn, rate, slope, _ = _values(rates, K, end)
+        turn, rate, slope = _values(rates, K, end)
         low[j], high[j] = min(low[j], y[j] + turn), max(high[j], y[j] + turn)
         low[n + j], high[n + j] = min(low[n + j], rate), max(high[n + j], rate)
         if before * rate < 0.0:
@@ -260,16 +273,16 @@ def _extremes(whole, work, at, y, j, h, low, high):
 
 
 @compiled()
-def _crossing(work, at, link, angle, h):
+def _crossing(whole, work, at, link, angle, h, rates):
     """Where |angle + turn of the link| first exceeds pi within a step h; nan if it does not."""
     if abs(angle) > math.pi:
         return 0.0
     K = at.order + 1
-    rates = work[at.W + link * at.K : at.W + link * at.K + K]
-    begin, before = 0.0, rates[0]
+    _keep_series(whole, work, at, link, False, rates)
+    begin, before = 0.0, rates[0, 0]
     for part in range(1, QUARTERS + 1):
         end = h * (part / QUARTERS)
-        turn, rate, _, _ = _values(rates, K, end)
+        turn, rate, _ = _values(rates, K, end)
         reach, there = end, angle + turn
         if before * rate < 0.0:  # it may go beyond and come back within the part
             x = _root(rates, K, 1, 0.0, begin, end, before)

@@ -134,15 +134,19 @@ class _Group(NamedTuple):
     tau: Array  # (k, n)
 
 
-def best_engine(wanted: str, points: int) -> str:
-    """The engine that `wanted` names; auto: compiled with the extra `fast` for many points."""
+def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
+    """The engine that `wanted` names; auto: compiled with the extra `fast` for many points.
+
+    Raises InputError where the compiled one is wanted and not installed.
+    """
     there = find_spec("numba") is not None
     if wanted == "compiled" and not there:
         limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
         raise InputError("engine", value=wanted, limit=limit)
     if wanted != "auto":
         return wanted
-    return "compiled" if there and points >= WORTH_LOADING else "python"
+    plain = not mechanism.has_forces and not mechanism.description.couplings
+    return "compiled" if there and plain and points >= WORTH_LOADING else "python"
 
 
 WORTH_LOADING = 1000  # points whose time is that of loading numba

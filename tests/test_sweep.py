@@ -228,15 +228,17 @@ class TestWorkers:
             whole(replace(self.SMALL, version="0.0"), workers=2)
 
     def test_the_engine_is_chosen(self) -> None:
-        assert best_engine("auto", 10) == "python"
-        assert best_engine("python", 10**6) == "python"
-        assert best_engine("auto", 10**6) == ENGINES[-1]
+        arm, sprung = (build(from_text(text(x), x)) for x in ("2r", "spring-slider-crank"))
+        assert best_engine("auto", 10, arm) == "python"
+        assert best_engine("python", 10**6, arm) == "python"
+        assert best_engine("auto", 10**6, arm) == ENGINES[-1]
+        assert best_engine("auto", 10**6, sprung) == "python"
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setattr("robodyn.sweep.find_spec", lambda name: None)
-        assert best_engine("auto", 10**6) == "python"
+        assert best_engine("auto", 10**6, check(SWING)) == "python"
         with pytest.raises(InputError, match=r"robodyn\[fast\]"):
-            best_engine("compiled", 10)
+            best_engine("compiled", 10, check(SWING))
 
 
 def test_what_no_point_could_have_is_refused() -> None:

@@ -277,7 +277,7 @@ def _plan(
         chosen_engine = "python"
     else:
         try:
-            chosen_engine = best_engine(chosen_engine, variation.size)
+            chosen_engine = best_engine(chosen_engine, variation.size, mechanism)
         except InputError as error:
             error.what = "--engine"
             raise
