@@ -20,7 +20,8 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from robodyn.errors import InputError, RobodynError
-from robodyn.sweep import Plan, Rows, run_chunk
+from robodyn.sweep import Rows, run_chunk
+from robodyn.sweep_plan import Plan, base_mechanism
 
 MANY_SCENES = 1000  # from so many on reading them is what takes the time
 AHEAD = 2  # chunks under way for each worker
@@ -88,7 +89,8 @@ def _executor(plan: Plan, count: int) -> Executor:
     for k in plan.scene_axes:
         values = plan.variation.axes[k].values
         scenes *= len(values) if values else plan.variation.size
-    if plan.engine == "compiled" and plan.kind == "motion" and scenes < MANY_SCENES:
+    compiled = plan.engine == "compiled" and plan.kind == "motion"
+    if compiled and scenes < MANY_SCENES and not base_mechanism(plan.scene, plan.source).has_forces:
         return ThreadPoolExecutor(count)
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 

@@ -14,7 +14,7 @@ from bench_frontier import ROOT
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.sweep import Plan
+from robodyn.sweep_plan import Plan
 from robodyn.sweep_workers import results
 from robodyn.variation import Axis, Variation
 

@@ -16,7 +16,7 @@ import pytest
 from conftest import ROOT, Outcome
 
 import robodyn as package
-from robodyn import inverse_dynamics, load, simulate, sweep
+from robodyn import inverse_dynamics, load, simulate, sweep_plan
 
 Run = Callable[..., Outcome]
 ARM = ("sweep", "robots/2r.yaml")
@@ -172,12 +172,12 @@ SMALL = ("--vary", "q1=0:3:30", "--vary", "q2=0:3:30", "--time", 0.3, "--engine"
 @pytest.fixture
 def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine chunks for 900 points."""
-    small = sweep.Plan
+    small = sweep_plan.Plan
 
-    def plan(**options: object) -> sweep.Plan:
+    def plan(**options: object) -> sweep_plan.Plan:
         return small(**options, chunk=100)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("robodyn.cli.sweep.Plan", plan)
+    monkeypatch.setattr("robodyn.cli.sweep_plan.Plan", plan)
 
 
 @pytest.mark.usefixtures("_small_chunks")
@@ -251,7 +251,7 @@ def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> No
         assert "the same command goes on" in told
         assert "Traceback" not in told
     assert not path.exists()
-    assert partial.read_bytes().count(b"\n") % sweep.CHUNK == 1
+    assert partial.read_bytes().count(b"\n") % sweep_plan.CHUNK == 1
     assert json.loads((tmp_path / "out.csv.partial.json").read_text())["kind"] == "motion"
 
 

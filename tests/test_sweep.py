@@ -15,7 +15,8 @@ from robodyn.description import from_text
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.mechanism import build
 from robodyn.scene_values import SceneValues
-from robodyn.sweep import Plan, Rows, best_engine, check, run_chunk
+from robodyn.sweep import Rows, run_chunk
+from robodyn.sweep_plan import Plan, best_engine, check
 from robodyn.sweep_workers import results
 from robodyn.variation import Axis, Variation, spaced
 
@@ -99,7 +100,7 @@ class TestMotions:
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
     def test_springs_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweep.single", None)
+        monkeypatch.setattr("robodyn.sweep_motions.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
         crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
         rows = whole(crank)
@@ -235,7 +236,7 @@ class TestWorkers:
         assert best_engine("auto", 10**6, sprung) == "python"
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweep.find_spec", lambda name: None)
+        monkeypatch.setattr("robodyn.sweep_plan.find_spec", lambda name: None)
         assert best_engine("auto", 10**6, check(SWING)) == "python"
         with pytest.raises(InputError, match=r"robodyn\[fast\]"):
             best_engine("compiled", 10, check(SWING))
