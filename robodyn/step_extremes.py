@@ -24,11 +24,19 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
 
     `rates` (K, n, B), K > 1, are the coefficients v_k.
     """
-    parts = [np.zeros_like(h), *(h * (part / QUARTERS) for part in range(1, QUARTERS + 1))]
-    turn, rate, slope = (np.stack(x) for x in zip(*(values(rates, x) for x in parts), strict=True))
+    edges = h * (np.arange(QUARTERS + 1)[:, None] / QUARTERS)
+    turn, rate, slope = np.zeros((3, QUARTERS + 1, *rates.shape[1:]))
+    rate[0], slope[0] = rates[0], rates[1]
+    scaled = rates * powers(h, len(rates))[:, None]
+    orders = np.arange(len(rates), dtype=float)
+    for p in range(1, QUARTERS + 1):
+        u = (p / QUARTERS) ** orders
+        turn[p] = edges[p] * np.einsum("k,knb->nb", u / (orders + 1.0), scaled)
+        rate[p] = np.einsum("k,knb->nb", u, scaled)
+        slope[p] = np.einsum("k,knb->nb", u[1:] * orders[1:], scaled[1:])
+        slope[p] /= edges[p]
     turn_low, turn_high = turn.min(axis=0), turn.max(axis=0)
     rate_low, rate_high = rate.min(axis=0), rate.max(axis=0)
-    edges = np.stack(parts)
     found = []
     for first, series in ((rate, rates), (slope, derivative(rates))):
         part, i, b = np.nonzero(first[:-1] * first[1:] < 0.0)
@@ -55,6 +63,16 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
 
     `angle` (B,) is that at the steps' begin, `rates` (K, B) the coefficients of its rate.
     """
+    # a bound of the turn tells most steps that they cannot reach so far
+    most = (np.abs(rates) * powers(np.abs(h), len(rates))).sum(axis=0) * np.abs(h)
+    (near,) = np.nonzero(~(np.abs(angle) + most <= limit))
+    found = np.full(len(h), np.nan)
+    if len(near):
+        found[near] = _crossings(angle[near], rates[:, near], h[near], limit)
+    return found
+
+
+def _crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
     B = len(h)
     found = np.full(B, np.nan)
     begin, before = np.zeros(B), rates[0]
@@ -83,15 +101,21 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
 def values(rates: Array, x: Array) -> tuple[Array, Array, Array]:
     """The turn, the rate and its derivative at x (B,) of rates (K, n, B), each (n, B)."""
     K = len(rates)
-    power = np.empty((K, len(x)))
-    power[0] = 1.0
-    for k in range(1, K):
-        np.multiply(power[k - 1], x, out=power[k])
+    power = powers(x, K)
     orders = np.arange(K, dtype=float)[:, None]
     turn = np.einsum("kb,knb->nb", power * x / (orders + 1.0), rates)
     rate = np.einsum("kb,knb->nb", power, rates)
     slope = np.einsum("kb,knb->nb", power[:-1] * orders[1:], rates[1:])
     return turn, rate, slope
+
+
+def powers(x: Array, K: int) -> Array:
+    """x^k (K, B) of x (B,)."""
+    power = np.empty((K, len(x)))
+    power[0] = 1.0
+    for k in range(1, K):
+        np.multiply(power[k - 1], x, out=power[k])
+    return power
 
 
 def derivative(series: Array) -> Array:
