@@ -71,10 +71,10 @@ def sweeps(bench: Any) -> list[Any]:
                 limits = {"bound": 1 / 20 if engine == "compiled" else 1 / 5}
             what = f"sweep of {points}, 2R, {TIME:g} s, {engine}"
             rows.append(compared(what, times, points, f"simulate, {method}", **limits))
-        few = replace(here, variation=Variation(axes, points // 10, 1))
-        ratio = peak(here) / peak(few)
-        yardstick_text = f"the same of {points // 10}: {peak(few):.3g} MB"
-        rows.append(Row(f"memory of that sweep, {engine}", ratio, None, 3.0, None, yardstick_text))
+        few = replace(here, variation=Variation(axes, here.chunk, 1))
+        many, one = peak(here), peak(few)
+        text = f"of one chunk: {one:.3g} MB"
+        rows.append(Row(f"its memory, {engine}", many / one, None, 1.5, None, text))
     return rows
 
 
