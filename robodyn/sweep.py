@@ -1,8 +1,8 @@
 """A sweep: the same simulation or torque at every point of a variation, chunk by chunk.
 
-A chunk is CHUNK points, whatever computes it: its rows depend on the plan and its number alone, so
-that any number of workers on any machine of the same kind writes the same digits.  A point without
-a result is a row with its outcome, not an error.
+A chunk has as many points wherever it is computed: its rows depend on the plan and its number
+alone, so that any number of workers on any machine of the same kind writes the same digits.  A
+point without a result is a row with its outcome, not an error.
 """
 
 from __future__ import annotations

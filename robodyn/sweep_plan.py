@@ -15,7 +15,8 @@ from robodyn.mechanism import Mechanism, build
 from robodyn.scene_values import SceneValues
 from robodyn.variation import Variation
 
-CHUNK = 2000  # points
+# points of a chunk: in numpy many share the cost of a call, compiled they are quick to share out
+CHUNKS = {"python": 2000, "compiled": 500}
 WORTH_LOADING = 1000  # points whose time is that of loading numba
 RESULTS = ("final", "extremes", "drift", "flip")
 _ENDS = ("min", "max")
@@ -45,7 +46,7 @@ class Plan:
     most: int = 100_000  # steps of a motion
     engine: str = "python"  # or compiled
     version: str = __version__
-    chunk: int = CHUNK
+    chunk: int = CHUNKS["python"]
 
     @property
     def chunks(self) -> int:

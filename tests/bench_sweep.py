@@ -14,7 +14,7 @@ from bench_frontier import ROOT
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.sweep_plan import Plan
+from robodyn.sweep_plan import CHUNKS, Plan
 from robodyn.sweep_workers import results
 from robodyn.variation import Axis, Variation
 
@@ -49,7 +49,7 @@ def sweeps(bench: Any) -> list[Any]:
 
     rows = []
     for engine in ("python", "compiled")[: 1 if find_spec("numba") is None else 2]:
-        here = replace(plan, engine=engine)
+        here = replace(plan, engine=engine, chunk=CHUNKS[engine])
         first = replace(here, chunk=singles)
         place = slice(len(axes) + 1, len(axes) + 5)
 

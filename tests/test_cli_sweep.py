@@ -175,7 +175,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     small = sweep_plan.Plan
 
     def plan(**options: object) -> sweep_plan.Plan:
-        return small(**options, chunk=100)  # type: ignore[arg-type]
+        return small(**{**options, "chunk": 100})  # type: ignore[arg-type]
 
     monkeypatch.setattr("robodyn.cli.sweep_plan.Plan", plan)
 
@@ -251,7 +251,7 @@ def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> No
         assert "the same command goes on" in told
         assert "Traceback" not in told
     assert not path.exists()
-    assert partial.read_bytes().count(b"\n") % sweep_plan.CHUNK == 1
+    assert partial.read_bytes().count(b"\n") % sweep_plan.CHUNKS["python"] == 1
     assert json.loads((tmp_path / "out.csv.partial.json").read_text())["kind"] == "motion"
 
 

@@ -14,7 +14,7 @@ from robodyn.mechanism import Mechanism, build
 from robodyn.quantities import parse_angle, parse_number, parse_vector
 from robodyn.scene_values import SceneValues, is_angle
 from robodyn.simulation import Settings
-from robodyn.sweep_plan import RESULTS, Plan, best_engine
+from robodyn.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
 from robodyn.variation import Axis, Variation, spaced, stepped
 from robodyn.yaml_values import nearest
 
@@ -100,6 +100,7 @@ def new_plan(
         atol=atol,
         most=max_steps,
         engine=chosen_engine,
+        chunk=CHUNKS[chosen_engine],
     )
 
 
