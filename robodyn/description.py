@@ -24,7 +24,11 @@ def read(path: str | Path) -> Description:
 
 def from_text(text: str, source: str) -> Description:
     """The description that `text` writes; DescriptionError with all of its faults."""
-    root = yaml_tree.parse(text, source)
+    return from_tree(yaml_tree.parse(text, source), source)
+
+
+def from_tree(root: Node | None, source: str) -> Description:
+    """The description that a parsed scene holds; DescriptionError with all of its faults."""
     if root is None:
         raise DescriptionError(source, [Fault("", "is empty: a scene needs at least `links`")])
     if not isinstance(root, Mapping):

@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 
 TINY = 1e-290  # in place of a coefficient that vanishes
 
+# of the loops generic in the model, compiled or over many lanes
+PASSES = 3  # Newton steps that close a state
+HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
+PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
+
 
 class Status(IntEnum):
     """Why an engine stopped."""
@@ -74,6 +79,11 @@ def step_size(z: NDArray[Any], rtol: float, atol: float) -> float:
     )
     angle = (p + 1) * (atol + rtol)
     return float(h * (angle / (h * tol)) ** (1 / (p + 1)) if h * tol > angle else h)
+
+
+def best_order(rtol: float) -> int:
+    """The order at which a second of motion costs the least with the generic loops."""
+    return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
 
 
 def default_order(tolerance: float) -> int:

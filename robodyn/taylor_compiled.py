@@ -6,8 +6,6 @@ one; the loops are those of `taylor_kernel.py`.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +13,7 @@ from robodyn.actuation import Actuation
 from robodyn.dense_dynamics import elimination_is_safe
 from robodyn.mechanism import Mechanism
 from robodyn.projection import regular_rank, suspect_quality
-from robodyn.taylor import Chunk, Status
+from robodyn.taylor import Chunk, Status, best_order
 from robodyn.taylor_kernel import advance
 from robodyn.taylor_layout import numbers
 
@@ -71,8 +69,3 @@ class CompiledEngine:
         states = states[N : (taken + 1) * N].reshape(taken, N)
         rows = rows[: given * N].reshape(given, N)
         return Chunk(ends[:taken], states, times[:given], rows, Status(status))
-
-
-def best_order(rtol: float) -> int:
-    """The order at which a second of motion costs the least, whatever the mechanism."""
-    return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))

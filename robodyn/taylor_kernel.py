@@ -23,30 +23,30 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
-from robodyn.taylor import Status
+from robodyn.taylor import HOPELESS, PARTS, PASSES, Status
 
 F = TypeVar("F", bound=Callable[..., object])
-
-PASSES = 3
-HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
-PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 REACHED, FULL = int(Status.REACHED), int(Status.FULL)
 SINGULAR, STUCK, NOT_FINITE = int(Status.SINGULAR), int(Status.STUCK), int(Status.NOT_FINITE)
 
 
-def _compiled(associative: bool = False) -> Callable[[F], F]:
-    """A decorator that compiles; with the sums of `associative` functions in any order."""
+def compiled(associative: bool = False, parallel: bool = False) -> Callable[[F], F]:
+    """A decorator that compiles; with the sums of `associative` functions in any order.
+
+    `parallel` functions let other threads run.
+    """
     fastmath = {"reassoc", "contract"} if associative else False
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": fastmath, "nogil": parallel}
     njit: Any = numba.njit  # annotated in some versions only
 
     def decorate(function: F) -> F:
-        compiled: F
+        made: F
         try:
-            compiled = njit(cache=True, error_model="numpy", fastmath=fastmath)(function)
+            made = njit(cache=True, **options)(function)
         except RuntimeError:  # no directory to write a cache to
-            compiled = njit(error_model="numpy", fastmath=fastmath)(function)
-        return compiled
+            made = njit(**options)(function)
+        return made
 
     return decorate
 
@@ -55,7 +55,7 @@ def _compiled(associative: bool = False) -> Callable[[F], F]:
 # (unsigned indices: signed ones are checked for counting from the end, which no loop is fast with)
 
 
-@_compiled(associative=True)
+@compiled(associative=True)
 def _dot(work, a, b, count):
     """Sum of products of `count` numbers from a and from b."""
     a, b = np.uintp(a), np.uintp(b)
@@ -65,7 +65,7 @@ def _dot(work, a, b, count):
     return total
 
 
-@_compiled(associative=True)
+@compiled(associative=True)
 def _turned(work, w, c, s, count):
     """Real and imaginary part of i sum w (c + i s)."""
     w, c, s = np.uintp(w), np.uintp(c), np.uintp(s)
@@ -76,7 +76,7 @@ def _turned(work, w, c, s, count):
     return x, y
 
 
-@_compiled(associative=True)
+@compiled(associative=True)
 def _moment(work, c, s, fx, fy, count):
     """Sum of c fy - s fx."""
     c, s, fx, fy = np.uintp(c), np.uintp(s), np.uintp(fx), np.uintp(fy)
@@ -86,7 +86,7 @@ def _moment(work, c, s, fx, fy, count):
     return total
 
 
-@_compiled()
+@compiled()
 def _factorise(whole, work, L, pivot, first, start, size):
     """L D L^T of a skyline, in place; `pivot` receives the inverse of D."""
     for i in range(size):
@@ -104,7 +104,7 @@ def _factorise(whole, work, L, pivot, first, start, size):
         work[pivot + i] = 1.0 / d
 
 
-@_compiled()
+@compiled()
 def _solve(whole, work, L, pivot, first, start, size, x):
     """x := (L D L^T)^-1 x."""
     for i in range(1, size):
@@ -122,7 +122,7 @@ def _solve(whole, work, L, pivot, first, start, size, x):
 # -- closures ------------------------------------------------------------------------------------
 
 
-@_compiled()
+@compiled()
 def _directions(whole, work, at, y, q):
     """c and s of the angles from y[q]."""
     for i in range(at.n):
@@ -134,7 +134,7 @@ def _directions(whole, work, at, y, q):
         work[at.s + k] = math.sin(alpha)
 
 
-@_compiled()
+@compiled()
 def _normal(whole, real, work, at):
     """Psi in joint coordinates and Psi Psi^T factorised, at c, s.
 
@@ -176,7 +176,7 @@ def _normal(whole, real, work, at):
     return quality
 
 
-@_compiled()
+@compiled()
 def _subtract(whole, work, at, y, i):
     """y[i:] -= Psi^T (Psi Psi^T)^-1 x."""
     _solve(whole, work, at.normal, at.normal_pivot, at.normal_first, at.normal_start, at.rows, at.x)
@@ -186,7 +186,7 @@ def _subtract(whole, work, at, y, i):
             y[i + whole[at.joint + g]] -= work[at.Psi + g] * x
 
 
-@_compiled()
+@compiled()
 def _close(whole, real, work, at, y, q):
     """Move the state at y[q] to the nearest that closes, and leave its directions in c and s.
 
@@ -226,7 +226,7 @@ def _close(whole, real, work, at, y, q):
 # -- series --------------------------------------------------------------------------------------
 
 
-@_compiled()
+@compiled()
 def _system(whole, real, work, at):
     """[M Psi^T; Psi 0] at c0, s0, factorised; Z = i A E beside the diagonal."""
     for i in range(at.pivot - at.system):
@@ -251,7 +251,7 @@ def _system(whole, real, work, at):
     _factorise(whole, work, at.system, at.pivot, at.first, at.start, at.n + at.rows)
 
 
-@_compiled()
+@compiled()
 def _series(whole, real, work, at, y, q):
     """The coefficients of w, from the state at y[q] and its directions c0, s0."""
     _system(whole, real, work, at)
@@ -327,7 +327,7 @@ def _series(whole, real, work, at, y, q):
                 work[at.FY + i] -= real[at.P_im + e] * minus_lambda
 
 
-@_compiled()
+@compiled()
 def _power(whole, real, work, at):
     """The coefficients of sum_j (tau_j - D_j qd_j) qd_j."""
     rate = np.empty(at.K)
@@ -348,7 +348,7 @@ def _power(whole, real, work, at):
                 work[at.power + k] -= real[at.damping + j] * square
 
 
-@_compiled()
+@compiled()
 def _longest(work, at, atol, rtol):
     """The step whose last terms are within the tolerance, s; -1 where they are not finite."""
     speed = 0.0
@@ -370,7 +370,7 @@ def _longest(work, at, atol, rtol):
     return h
 
 
-@_compiled()
+@compiled()
 def _evaluate(whole, work, at, h, y, i, new, j, N):
     """The state at h after y[i:], into new[j:]; N numbers: q, qd, and the work if asked for."""
     power = 1.0
@@ -395,7 +395,7 @@ def _evaluate(whole, work, at, h, y, i, new, j, N):
         new[j + N - 1] = y[i + N - 1] + done
 
 
-@_compiled()
+@compiled()
 def _copy(values, to, i):
     """to[i:] = values."""
     for m in range(len(values)):
@@ -405,14 +405,14 @@ def _copy(values, to, i):
 # -- steps ---------------------------------------------------------------------------------------
 
 
-@_compiled()
+@compiled()
 def _land(whole, real, work, at, h, states, i, N):
     """The closed state at h after states[i:], into states[i + N:]; its quality."""
     _evaluate(whole, work, at, h, states, i, states, i + N, N)
     return _close(whole, real, work, at, states, i + N)
 
 
-@_compiled()
+@compiled()
 def advance(whole, real, at, atol, rtol, fixed, suspect, t, y, bound, times, steps):
     """Up to `steps` steps: ends, states (the first is y), how many; rows, how many; a status."""
     N, work = len(y), np.zeros(at.size_of_work)

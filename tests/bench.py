@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from bench_frontier import frontier, taylor_process
 from bench_motions import many_loops, motions, series_engines
+from bench_sweep import sweeps
 from numpy.typing import NDArray
 
 import robodyn
@@ -304,6 +305,7 @@ MEASURES = [
     series_engines,
     many_loops,
     motions,
+    sweeps,
 ]
 
 

@@ -22,7 +22,7 @@ from robodyn.errors import InputError, RobodynError
 
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "trajectory"),
-    *("terms", "equations", "assemble", "energy", "check", "bench", "export"),
+    *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
     *("plot", "draw", "animate", "init", "schema"),
 )
 

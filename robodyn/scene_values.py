@@ -1,0 +1,157 @@
+"""The numbers of a scene file, by name, and the scene read again with some of them replaced.
+
+A number's name is its place in the file: `gravity`, `links.forearm.m` (or `links[1].m`),
+`springs[0].stiffness`, `links.rocker.from[0]`, `start.crank`.  What a key may leave out
+(`payload`, `damping`, `gravity`) has a name too.  The whole file is read again each time, so a
+new length moves what hangs from the tip, and limits are checked as for any file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from robodyn import description, yaml_tree
+from robodyn.errors import InputError
+from robodyn.quantities import parse_angle
+from robodyn.scene import Description
+from robodyn.yaml_tree import Node, Scalar, Sequence
+
+LINK_KEYS = ("m", "l", "r", "I", "payload", "damping")
+_ANGLE = re.compile(r"(q|qd|qdd)[0-9]+|start\..*|.*\.angle", re.ASCII)
+
+
+@dataclass(slots=True)
+class _Place:
+    """Where a number stands: the collection, and its key or index there."""
+
+    around: yaml_tree.Mapping | Sequence
+    at: str | int
+
+    def put(self, value: float) -> None:
+        scalar = Scalar(repr(float(value)), False, self.around.line)
+        if isinstance(self.around, Sequence):
+            assert isinstance(self.at, int)
+            self.around.items[self.at] = scalar
+            return
+        pairs = self.around.pairs
+        for k, (key, _) in enumerate(pairs):
+            if key.text == self.at:
+                pairs[k] = (key, scalar)
+                return
+        pairs.append((Scalar(str(self.at), False, self.around.line), scalar))
+
+
+class SceneValues:
+    """A scene's text, and its numbers by name.
+
+    Raises DescriptionError for a faulty scene.
+    """
+
+    def __init__(self, text: str, source: str) -> None:
+        self.source = source
+        self.base = description.from_text(text, source)
+        root = yaml_tree.parse(text, source)
+        assert root is not None
+        self._root = _unshared(root)
+        assert isinstance(self._root, yaml_tree.Mapping)
+        self._places = dict(_numbers(self._root, ""))
+        self._places.setdefault("gravity", _Place(self._root, "gravity"))
+        links = {key.text: node for key, node in self._root.pairs}["links"]
+        assert isinstance(links, Sequence)
+        for k, (link, node) in enumerate(zip(self.base.links, links.items, strict=True)):
+            assert isinstance(node, yaml_tree.Mapping)
+            for key in LINK_KEYS:
+                self._places.setdefault(f"links[{k}].{key}", _Place(node, key))
+            prefix = f"links[{k}]."
+            for name in [name for name in self._places if name.startswith(prefix)]:
+                named = f"links.{link.name}.{name.removeprefix(prefix)}"
+                self._places.setdefault(named, self._places[name])
+        for k, node in enumerate(_entries(self._root, "springs")):
+            assert isinstance(node, yaml_tree.Mapping)
+            self._places.setdefault(f"springs[{k}].damping", _Place(node, "damping"))
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all numbers, links by their names."""
+        return sorted(name for name in self._places if not name.startswith("links["))
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
+
+    def clash(self, names: Iterable[str]) -> tuple[str, str] | None:
+        """Two of the names that stand for one number, or for a point and one of its entries."""
+        given = list(names)
+        for k, first in enumerate(given):
+            for second in given[k + 1 :]:
+                a, b = self._places[first], self._places[second]
+                inner = {self._node(a), self._node(b)} & {id(a.around), id(b.around)}
+                if inner or (a.around is b.around and a.at == b.at):
+                    return first, second
+        return None
+
+    @staticmethod
+    def _node(place: _Place) -> int | None:
+        """The identity of the collection at a place, where there is one."""
+        around, at = place.around, place.at
+        if isinstance(around, Sequence):
+            assert isinstance(at, int)
+            return id(around.items[at])
+        return next((id(node) for key, node in around.pairs if key.text == at), None)
+
+    def replaced(self, values: Mapping[str, float]) -> Description:
+        """The scene with these numbers in place of its own (others stay as replaced before).
+
+        Raises InputError for an unknown name, DescriptionError for values that no scene may have.
+        """
+        for name, value in values.items():
+            if name not in self._places:
+                raise InputError(name, where=self.source, limit="is no number of the scene")
+            self._places[name].put(value)
+        return description.from_tree(self._root, self.source)
+
+
+def is_angle(name: str) -> bool:
+    """Whether the number of this name (or the joint's angle, rate) may be written in degrees."""
+    return _ANGLE.fullmatch(name) is not None
+
+
+def _entries(root: yaml_tree.Mapping, key: str) -> list[Node]:
+    found = {name.text: node for name, node in root.pairs}.get(key)
+    return found.items if isinstance(found, Sequence) else []
+
+
+def _unshared(node: Node) -> Node:
+    """A copy in which no two places hold the same node, as aliases do."""
+    if isinstance(node, Scalar):
+        return node
+    if isinstance(node, Sequence):
+        return Sequence([_unshared(item) for item in node.items], node.line, node.size)
+    pairs = [(key, _unshared(value)) for key, value in node.pairs]
+    return yaml_tree.Mapping(pairs, node.line, node.size)
+
+
+def _numbers(node: Node, name: str) -> Iterator[tuple[str, _Place]]:
+    """The places of all numbers below a node."""
+    if isinstance(node, Sequence):
+        for k, item in enumerate(node.items):
+            if _is_number(item):
+                yield f"{name}[{k}]", _Place(node, k)
+            yield from _numbers(item, f"{name}[{k}]")
+    elif isinstance(node, yaml_tree.Mapping):
+        for key, value in node.pairs:
+            inner = f"{name}.{key.text}" if name else key.text
+            if _is_number(value) and key.text != "name":
+                yield inner, _Place(node, key.text)
+            yield from _numbers(value, inner)
+
+
+def _is_number(node: Node) -> bool:
+    if not isinstance(node, Scalar) or node.quoted:
+        return False
+    try:
+        parse_angle(node.text)
+    except ValueError:
+        return False
+    return True

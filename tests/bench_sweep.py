@@ -1,0 +1,110 @@
+"""A motion within a sweep of 10,000 against single calls, at equal error, for `make bench`."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from bench_frontier import ROOT
+from numpy.typing import NDArray
+
+import robodyn
+from robodyn.sweep_plan import CHUNKS, Plan
+from robodyn.sweep_workers import results
+from robodyn.variation import Axis, Variation
+
+Array = NDArray[np.float64]
+
+TIME = 2.0  # s
+TARGET = 1e-8  # median error at the end, rad and rad/s
+TOLERANCES = tuple(10.0 ** -(0.5 * k) for k in range(10, 25))
+SINGLES = 100  # calls whose time stands for all
+
+
+def sweeps(bench: Any) -> list[Any]:
+    """Starts of the 2R anywhere: a motion's time within a sweep, and memory against its size."""
+    from bench import Row, compared, in_turn
+
+    points, singles = (2000, 20) if bench.quick else (10_000, SINGLES)
+    axes = (Axis("q1", low=-np.pi, high=np.pi), Axis("q2", low=-np.pi, high=np.pi))
+    scene = (ROOT / "robots/2r.yaml").read_text()
+    plan = Plan(scene, "2r", Variation(axes, points, 1), (0.0, 0.0), (0.0, 0.0), t_end=TIME)
+    starts = plan.variation.points(0, singles)
+    exact = np.array([single(bench.arm, q, "taylor", "python", 1e-15) for q in starts])
+
+    def loosest(run: Callable[[float], Array]) -> float:
+        """The first tolerance that reaches the target at every second point."""
+        for tolerance in TOLERANCES:
+            if np.median(np.abs(run(tolerance) - exact).max(axis=1)) <= TARGET:
+                return tolerance
+        raise RuntimeError("no tolerance reaches the error")
+
+    def calls(method: str, engine: str, tolerance: float) -> Array:
+        return np.array([single(bench.arm, q, method, engine, tolerance) for q in starts])
+
+    rows = []
+    for engine in ("python", "compiled")[: 1 if find_spec("numba") is None else 2]:
+        here = replace(plan, engine=engine, chunk=CHUNKS[engine])
+        first = replace(here, chunk=singles)
+        place = slice(len(axes) + 1, len(axes) + 5)
+
+        def at(tolerance: float, first: Plan = first, place: slice = place) -> Array:
+            part = replace(first, rtol=tolerance, atol=tolerance)
+            return next(results(part, workers=1)).values[:, place]
+
+        tolerance = loosest(at)
+        ours = partial(sweep, replace(here, rtol=tolerance, atol=tolerance))
+        for method in ("DOP853", "taylor"):
+            theirs = loosest(partial(calls, method, engine if method == "taylor" else "auto"))
+            yardstick = partial(calls, method, engine if method == "taylor" else "auto", theirs)
+            times = [
+                (a, b * points / singles)
+                for a, b in in_turn(ours, yardstick, 1 if bench.quick else 5)
+            ]
+            limits = {}
+            if method == "DOP853":
+                limits = {"bound": 1 / 20 if engine == "compiled" else 1 / 5}
+            what = f"sweep of {points}, 2R, {TIME:g} s, {engine}"
+            rows.append(compared(what, times, points, f"simulate, {method}", **limits))
+        few = replace(here, variation=Variation(axes, here.chunk, 1))
+        many, one = peak(here), peak(few)
+        text = f"of one chunk: {one:.3g} MB"
+        rows.append(Row(f"its memory, {engine}", many / one, None, 1.5, None, text))
+    return rows
+
+
+def single(arm: robodyn.Mechanism, q: Array, method: str, engine: str, tolerance: float) -> Array:
+    """The state at the end, by one call."""
+    motion = robodyn.simulate(
+        arm,
+        q,
+        np.zeros(2),
+        TIME,
+        method=method,
+        rtol=max(tolerance, 3e-14) if method != "taylor" else tolerance,
+        atol=tolerance,
+        engine=engine,
+        t_eval=[TIME],
+    )
+    return np.concatenate([motion.q[-1], motion.qd[-1]])
+
+
+def sweep(plan: Plan, workers: int | None = None) -> None:
+    """All rows, none kept."""
+    for _ in results(plan, workers=workers):
+        pass
+
+
+def peak(plan: Plan) -> float:
+    """The largest memory of Python's and numpy's own, MB, with one worker."""
+    sweep(replace(plan, variation=replace(plan.variation, sample=10)), 1)
+    tracemalloc.start()
+    sweep(plan, 1)
+    found = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    return found

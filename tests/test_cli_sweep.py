@@ -1,0 +1,284 @@
+"""`robodyn sweep`: what it reads, writes, refuses, and how it goes on after it was cut off."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, Outcome
+
+import robodyn as package
+from robodyn import inverse_dynamics, load, simulate, sweep_plan
+
+Run = Callable[..., Outcome]
+ARM = ("sweep", "robots/2r.yaml")
+BAR = ("sweep", "robots/four-bar.yaml")
+
+
+# What varies
+
+
+def test_a_grid_of_starts(robodyn: Run) -> None:
+    given = robodyn(
+        *ARM, "--vary", "q1=0:90deg:30deg", "--vary", "qd2=1,2.5", "--q", "0.5,0.2", "--time", 0.5,
+        "--result", "final", "--quiet",
+    ).succeeds()  # fmt: skip
+    assert given.out.splitlines()[0] == "q1,qd2,t_end,q1_end,q2_end,qd1_end,qd2_end,outcome"
+    starts = [(math.radians(k), w) for k in (0, 30, 60, 90) for w in (1.0, 2.5)]
+    assert given.column("q1") == pytest.approx([q for q, _ in starts])
+    assert given.column("qd2") == [w for _, w in starts]
+    arm = load(ROOT / "robots/2r.yaml")
+    for row, (q, w) in zip(given.rows, starts, strict=True):
+        motion = simulate(arm, [q, 0.2], [0, w], 0.5, rtol=1e-11, atol=1e-11)
+        end = [float(row[name]) for name in ("q1_end", "q2_end", "qd1_end", "qd2_end")]
+        assert end == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("spec", "values"),
+    [
+        ("gravity=0:10:3", [0.0, 5.0, 10.0]),  # a whole number counts
+        ("gravity=0:10:5.0", [0.0, 5.0, 10.0]),  # a point makes it a step
+        ("gravity=0:10:4.", [0.0, 4.0, 8.0]),
+        ("q1=0:180deg:90deg", [0.0, math.pi / 2, math.pi]),
+        ("q1=-pi:pi:3", [-math.pi, 0.0, math.pi]),
+        ("q1=1:0:-0.5", [1.0, 0.5, 0.0]),
+        ("links.upper arm.m= 1, 2.5 ,3e-1", [1.0, 2.5, 0.3]),
+        ("tau2=4", [4.0]),
+    ],
+)
+def test_the_grammar_of_values(robodyn: Run, spec: str, values: list[float]) -> None:
+    given = robodyn(*ARM, "--vary", spec, "--time", 0.01, "--quiet").succeeds()
+    name = spec.partition("=")[0]
+    assert given.column(name) == pytest.approx(values, abs=1e-15)
+
+
+def test_a_sample_is_the_same_for_the_same_seed(robodyn: Run) -> None:
+    options = (*ARM, "--vary", "q1=0:1", "--vary", "gravity=3.7,9.81", "--sample", 9, "--quiet")
+    options += ("--time", 0.1, "--result", "drift")
+    first = robodyn(*options, "--seed", 1).succeeds()
+    assert robodyn(*options, "--seed", 1).out == first.out
+    assert robodyn(*options, "--seed", 2).out != first.out
+    assert len(first.rows) == 9
+    assert all(0.0 <= q < 1.0 for q in first.column("q1"))
+    assert set(first.column("gravity")) <= {3.7, 9.81}
+
+
+def test_a_grid_named_in_a_sample_is_drawn_from(robodyn: Run) -> None:
+    """The values of links.forearm.m=0.5:1.5:11 and q1=0:360deg:1deg, at random."""
+    given = robodyn(
+        *ARM, "--vary", "links.forearm.m=0.5:1.5:11", "--vary", "q1=0:360deg:1deg", "--sample", 50,
+        "--seed", 1, "--time", 0.1, "--quiet",
+    ).succeeds()  # fmt: skip
+    assert len(given.rows) == 50
+    for mass, angle in zip(given.column("links.forearm.m"), given.column("q1"), strict=True):
+        assert round(mass * 10) == pytest.approx(mass * 10, abs=1e-9)
+        assert round(math.degrees(angle)) == pytest.approx(math.degrees(angle), abs=1e-9)
+
+
+def test_torques(robodyn: Run) -> None:
+    given = robodyn(
+        *ARM, "--kind", "torque", "--vary", "q2=0,1", "--vary", "qdd1=0,2", "--q", "0.3,0",
+        "--qd", "1,2", "--qdd", "0,0.5", "--quiet",
+    ).succeeds()  # fmt: skip
+    assert given.out.splitlines()[0] == "q2,qdd1,tau1,tau2,outcome"
+    arm = load(ROOT / "robots/2r.yaml")
+    for row in given.rows:
+        tau = inverse_dynamics(arm, [0.3, float(row["q2"])], [1, 2], [float(row["qdd1"]), 0.5])
+        assert [float(row["tau1"]), float(row["tau2"])] == pytest.approx(tau, rel=1e-12)
+
+
+def test_a_point_that_cannot_be_assembled_is_a_row(robodyn: Run) -> None:
+    given = robodyn(*BAR, "--vary", "links.crank.l=0.35,1.2", "--q", "3", "--time", 0.2)
+    assert given.code == 0
+    assert [row["outcome"] for row in given.rows] == ["finished", "cannot assemble"]
+    assert set(given.rows[1].values()) == {"1.2", "", "cannot assemble"}
+    assert "1 cannot assemble" in given.err
+
+
+def test_flip_of_a_link(robodyn: Run) -> None:
+    options = (*ARM, "--vary", "qd1=0,9", "--time", 1, "--result", "flip", "--q", "-90deg,0")
+    given = robodyn(*options, "--flip", "upper arm", "--quiet").succeeds()
+    still, flips = given.rows
+    assert still["flip"] == ""
+    arm = load(ROOT / "robots/2r.yaml")
+    at = float(flips["flip"])
+    motion = simulate(arm, [-math.pi / 2, 0], [9, 0], at, rtol=1e-11, atol=1e-11)
+    assert motion.q[-1, 0] == pytest.approx(math.pi / 2, abs=1e-7)
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (["--vary", "mass=1:2:3"], ["mass", "known: q1, q2", "links.forearm.m"]),
+        (["--vary", "links.forearm.mm=1:2:3"], ["did you mean links.forearm.m?"]),
+        (["--vary", "q1"], ["NAME=VALUES"]),
+        (["--vary", "q1="], ["NAME=VALUES"]),
+        (["--vary", "q1=0:1"], ["--vary q1", "--sample"]),
+        (["--vary", "q1=1:0", "--sample", "3"], ["below"]),
+        (["--vary", "q1=0:1:0"], ["count"]),
+        (["--vary", "q1=0:1:-0.1"], ["leads nowhere"]),
+        (["--vary", "q1=0:1:1e-9"], ["makes more than"]),
+        (["--vary", "q1=0:1:2:3"], ["first:last:count"]),
+        (["--vary", "q1=0,x"], ["x: is not a number", "30deg"]),
+        (["--vary", "links.forearm.m=30deg"], ["30deg"]),
+        (["--vary", "q1=0", "--vary", "q1=1"], ["twice"]),
+        (["--vary", "links.forearm.m=1", "--vary", "links[1].m=1"], ["one number"]),
+        (["--vary", "links.forearm.m=-1:1:3"], ["links[1] (forearm).m = -1.0", ">= 0"]),
+        (["--vary", "q1=0", "--sample", "0"], ["--sample = 0"]),
+        (["--vary", "q1=0:1", "--sample", "3", "--seed", "-1"], ["--seed = -1"]),
+        (["--vary", "q1=0", "--time", "0"], ["--time = 0"]),
+        (["--vary", "q1=0", "--rtol", "0"], ["--rtol"]),
+        (["--vary", "q1=0", "--max-steps", "0"], ["--max-steps"]),
+        (["--vary", "q1=0", "--result", "final,speed"], ["--result = speed", "extremes"]),
+        (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
+        (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
+        (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
+        (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
+        (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
+        (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),
+        (["--vary", "tau1=0", "--kind", "torque"], ["tau1", "known: q1"]),
+    ],
+)
+def test_wrong_options_are_told(robodyn: Run, options: list[str], parts: list[str]) -> None:
+    robodyn(*ARM, *options).fails(2, *parts)
+
+
+def test_a_passive_joint_cannot_vary(robodyn: Run) -> None:
+    robodyn(*BAR, "--vary", "q2=0,1").fails(2, "q2", "coupler is passive")
+
+
+def test_missing_vary_is_a_usage_error(robodyn: Run) -> None:
+    assert robodyn(*ARM).code == 2
+
+
+# Files
+
+
+SMALL = ("--vary", "q1=0:3:30", "--vary", "q2=0:3:30", "--time", 0.3, "--engine", "python")
+
+
+@pytest.fixture
+def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine chunks for 900 points."""
+    small = sweep_plan.Plan
+
+    def plan(**options: object) -> sweep_plan.Plan:
+        return small(**{**options, "chunk": 100})  # type: ignore[arg-type]
+
+    monkeypatch.setattr("robodyn.cli.sweep_plan.Plan", plan)
+
+
+@pytest.mark.usefixtures("_small_chunks")
+def test_cut_off_anywhere_it_goes_on_to_the_same_bytes(robodyn: Run, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole.csv", tmp_path / "cut.csv"
+    done = robodyn(*ARM, *SMALL, "-o", whole, "--workers", 1)
+    assert "900 points" in done.err
+    assert "900 finished" in done.err
+    assert done.out == ""
+    data = whole.read_bytes()
+    assert robodyn(*ARM, *SMALL, "--quiet", "--workers", 1).succeeds().out.encode() == data
+    other = robodyn(*ARM, *SMALL, "-o", tmp_path / "two.csv", "--workers", 2)
+    assert other.code == 0
+    assert (tmp_path / "two.csv").read_bytes() == data
+
+    # what a run that was cut off leaves: the first lines, and what they are
+    facts = _facts_of(robodyn, tmp_path)
+    for part in (0.34, 0.78):
+        cut.with_name("cut.csv.partial").write_bytes(data[: int(part * len(data))])
+        cut.with_name("cut.csv.partial.json").write_bytes(facts)
+        resumed = robodyn(*ARM, *SMALL, "-o", cut, "--workers", 1)
+        assert "of 900 points: going on from there" in resumed.err
+        assert cut.read_bytes() == data
+        cut.unlink()
+    cut.with_name("cut.csv.partial").write_bytes(data)
+    cut.with_name("cut.csv.partial.json").write_bytes(facts)
+    refused = robodyn(*ARM, *SMALL, "--rtol", 1e-8, "-o", cut)
+    refused.fails(2, "cut.csv.partial", "there: rtol 1e-09; here: rtol 1e-08")
+    assert "nothing was left to do" in robodyn(*ARM, *SMALL, "-o", cut).err
+    assert cut.read_bytes() == data
+
+
+def _facts_of(robodyn: Run, folder: Path) -> bytes:
+    """What FILE.partial.json holds of the small sweep: from a run that fails at its first chunk."""
+    path = folder / "facts.csv"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("robodyn.sweep_workers.run_chunk", _failing)
+        failed = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
+    assert failed.code == 130
+    assert "0 of 900 points are in" in failed.err
+    assert not path.exists()
+    facts = path.with_name("facts.csv.partial.json").read_bytes()
+    known = json.loads(facts)
+    assert known["version"] == package.__version__
+    assert known["variation"][0]["name"] == "q1"
+    return facts
+
+
+def _failing(plan: object, number: int) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:200", "--vary",
+               "q2=0:3:200", "--time", "0.3", "--engine", "python", "-o", str(path)]  # fmt: skip
+    command += ["--workers", "2" if number == signal.SIGTERM else "1"]
+    partial = tmp_path / "out.csv.partial"
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 60
+    while not (partial.exists() and partial.stat().st_size > 1000):
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    process.send_signal(number)
+    assert process.stderr is not None
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 143}.get(number, -number)
+    if number != signal.SIGKILL:
+        assert "the same command goes on" in told
+        assert "Traceback" not in told
+    assert not path.exists()
+    assert partial.read_bytes().count(b"\n") % sweep_plan.CHUNKS["python"] == 1
+    assert json.loads((tmp_path / "out.csv.partial.json").read_text())["kind"] == "motion"
+
+
+# Streams
+
+
+def test_in_a_pipe_that_closes(shell: Run) -> None:
+    line = f"{sys.executable} -m robodyn sweep robots/2r.yaml --vary q1=0:3:3000 --time 0.1 --quiet"
+    done = shell(f"{line} --workers 2 | head -2 | wc -l")
+    assert done.out.strip() == "2"
+    assert done.err == ""
+    assert done.code == 0
+
+
+def test_a_device_is_written_as_it_comes(robodyn: Run) -> None:
+    given = robodyn(*ARM, "--vary", "q1=0,1", "--time", 0.1, "-o", os.devnull, "--quiet")
+    given.succeeds()
+    assert not Path(f"{os.devnull}.partial").exists()
+
+
+def test_the_rows_of_a_cluster(robodyn: Run) -> None:
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    failed = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "nonsense://x:1")
+    failed.fails(1, "nonsense", "no Dask scheduler")
+
+
+def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    refused = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "tcp://x:1")
+    refused.fails(2, "--scheduler", "robodyn[cluster]")

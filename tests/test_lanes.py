@@ -1,0 +1,337 @@
+"""Many motions at once, in numpy and compiled, against single motions of another method."""
+
+import math
+import re
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from conftest import ROOT, TWO_LINK
+from scipy.integrate import solve_ivp
+
+import oracles
+from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
+from robodyn import assemble, closure_gap, kinetic_energy, lanes, load, potential_energy, simulate
+from robodyn.actuation import Actuation
+from robodyn.description import from_text
+from robodyn.lane_forces import LaneForces
+from robodyn.lane_single import single
+from robodyn.lanes import Aims, Ends
+from robodyn.loop_rates import loop_velocities
+from robodyn.mechanism import Mechanism, build
+from robodyn.projection import suspect_quality
+from robodyn.scene_values import SceneValues
+from robodyn.taylor import Status, best_order
+from robodyn.taylor_layout import numbers
+
+ENGINES = ["python"]
+if find_spec("numba") is not None:
+    ENGINES.append("compiled")
+
+
+def integrate(engine: str) -> Callable[..., Ends]:
+    if engine == "python":
+        return lanes.integrate
+    from robodyn import lanes_compiled
+
+    return lanes_compiled.integrate
+
+
+def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None, **aims) -> Ends:
+    """Lanes of one mechanism, tau (L, n) or (n,)."""
+    tau = np.broadcast_to(np.zeros(mechanism.n) if tau is None else tau, (len(y), mechanism.n))
+    options = {"rtol": 1e-12, "atol": 1e-12, **aims}
+    whole, real, at = numbers(mechanism, Actuation((0.0,) * mechanism.n), best_order(1e-12))
+    reals = np.tile(real, (len(y), 1))
+    reals[:, at.torque : at.torque + at.n] = tau
+    suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+    work = bool(tau.any()) or any(mechanism.damping)
+    angle = np.zeros(len(y)) if angle is None else angle
+    return integrate(engine)(
+        whole, reals, at, y, t_end, angle, Aims(suspect=suspect, work=work, **options)
+    )
+
+
+@cache
+def scene(name: str) -> Mechanism:
+    return load(ROOT / "robots" / f"{name}.yaml")
+
+
+def swings(count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.hstack([rng.uniform(-math.pi, math.pi, (count, 2)), rng.normal(size=(count, 2))])
+
+
+def turning(mechanism: Mechanism, count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    q = assemble(mechanism, rng.uniform(-math.pi, math.pi, (count, len(mechanism.actuated))))
+    return np.hstack([q, loop_velocities(mechanism, q, rng.normal(size=(count, 1)) * 3)])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+class TestAgainstDOP853:
+    def compare(self, engine, mechanism, y, tau, time, bound) -> None:
+        found = run(engine, mechanism, y, time, tau)
+        for k, state in enumerate(y):
+            n = mechanism.n
+            motion = simulate(
+                mechanism, state[:n], state[n:], time, tau=tau, rtol=1e-12, atol=1e-12
+            )
+            assert found.status[k] == Status.REACHED
+            assert found.t[k] == time
+            expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+            assert np.abs(found.y[k] - expected).max() < bound * max(1.0, np.abs(expected).max())
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_trees(self, engine, seed) -> None:
+        drawn = seeded_tree(seed, 1 + seed)
+        rng = np.random.default_rng(seed)
+        y = np.hstack([drawn.q, drawn.qd]) + rng.normal(scale=0.3, size=(3, 2 * drawn.n))
+        self.compare(engine, drawn.mechanism, y, rng.uniform(-3, 3, drawn.n), 0.4, 1e-9)
+
+    @pytest.mark.parametrize("shape", LOOPS)
+    def test_loops(self, engine, shape) -> None:
+        drawn = seeded_scene(3, LOOPS[shape])
+        tau = np.zeros(drawn.mechanism.n)
+        tau[list(drawn.mechanism.actuated)] = 1.5
+        y = np.hstack([drawn.q, drawn.qd])[None]
+        self.compare(engine, drawn.mechanism, y, tau, 0.05, 1e-8)
+
+    @pytest.mark.parametrize("time", [1.0, -0.7])
+    def test_either_way(self, engine, time) -> None:
+        self.compare(engine, scene("2r"), swings(4), [0.3, -0.2], time, 1e-9)
+        self.compare(
+            engine, scene("four-bar"), turning(scene("four-bar"), 4), [1, 0, 0], time, 1e-9
+        )
+
+
+class TestForces:
+    """Springs, their dampers, and forces that turn with a link, in numpy."""
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_against_dop853(self, seed) -> None:
+        plain = (
+            seeded_tree(seed, 1 + seed % 4) if seed < 4 else seeded_scene(seed, LOOPS["four-bar"])
+        )
+        text = re.sub(r" friction: \{[^}]*\},", "", forced(seed, plain).text)
+        mechanism = build(from_text(text, "x"))
+        assert mechanism.springs
+        assert mechanism.joint_springs
+        assert not mechanism.friction
+        n = mechanism.n
+        y = np.hstack([plain.q, plain.qd])[None]
+        still = np.zeros(1)
+        whole, real, at = numbers(mechanism, Actuation((0.0,) * n), best_order(1e-12))
+        suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+        aims = Aims(1e-12, 1e-12, suspect=suspect, work=True)
+        forces = LaneForces([mechanism], np.zeros(1, int))
+        found = lanes.integrate(whole, real[None], at, y, 0.3, still, aims, forces)
+        motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
+        expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+        assert found.status == Status.REACHED
+        assert np.abs(found.y[0] - expected).max() < 1e-8 * max(1.0, np.abs(expected).max())
+        assert found.drift < 1e-8
+        energy = kinetic_energy(mechanism, motion.q, motion.qd)
+        energy = energy + potential_energy(mechanism, motion.q) - mechanism.energy_offset
+        assert found.energy[0, 0] == pytest.approx(energy.min(), rel=0.05, abs=0.5)
+
+    def test_each_lane_may_have_springs_of_its_own(self) -> None:
+        scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()
+        values = SceneValues(scene, "x")
+        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.0)]
+        names = ("springs[0].stiffness", "springs[0].damping")
+        made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
+        y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
+        y = np.repeat(y, 2, axis=0)
+        parts = [numbers(m, Actuation((0.0, 0.0)), best_order(1e-11)) for m in made]
+        reals = np.repeat([real for _, real, _ in parts], 2, axis=0)
+        aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
+        forces = LaneForces(made, np.repeat(np.arange(3), 2))
+        whole, _, at = parts[0]
+        found = lanes.integrate(whole, reals, at, y, 0.4, np.zeros(6), aims, forces)
+        for k in range(6):
+            m = made[k // 2]
+            motion = simulate(m, y[k, :2], y[k, 2:], 0.4, rtol=1e-11, atol=1e-11)
+            assert found.y[k, :2] == pytest.approx(motion.q[-1], abs=1e-8)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+class TestResults:
+    def test_error_follows_the_tolerance(self, engine) -> None:
+        y = swings(20)
+        exact = run(engine, scene("2r"), y, 1.0, rtol=1e-14, atol=1e-14).y
+        for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
+            found = run(engine, scene("2r"), y, 1.0, rtol=tolerance, atol=tolerance)
+            assert tolerance / 1e3 < np.abs(found.y - exact).max() < 1e4 * tolerance
+
+    @pytest.mark.parametrize("name", ["2r", "four-bar"])
+    def test_extremes_are_those_of_a_fine_grid(self, engine, name) -> None:
+        mechanism = scene(name)
+        y = swings(3, 5) if name == "2r" else turning(mechanism, 3, 5)
+        n = mechanism.n
+        found = run(engine, mechanism, y, 2.0)
+        for k, state in enumerate(y):
+            times = np.linspace(0.0, 2.0, 40_001)
+            motion = simulate(
+                mechanism,
+                state[:n],
+                state[n:],
+                2.0,
+                method="taylor",
+                rtol=1e-13,
+                atol=1e-13,
+                engine="python",
+                t_eval=times,
+            )
+            rows = np.hstack([motion.q, motion.qd])
+            # a grid misses an extreme by half of curvature times (half a step) squared
+            assert (found.low[k] < rows.min(axis=0) + 1e-10).all()
+            assert (found.high[k] > rows.max(axis=0) - 1e-10).all()
+            missed = np.abs(np.diff(rows, 2, axis=0)).max(axis=0)
+            assert (found.low[k] > rows.min(axis=0) - missed - 1e-10).all()
+            assert (found.high[k] < rows.max(axis=0) + missed + 1e-10).all()
+            energy = kinetic_energy(mechanism, state[:n], state[n:])
+            energy = energy + potential_energy(mechanism, state[:n]) - mechanism.energy_offset
+            assert found.energy[k] == pytest.approx([energy, energy], abs=1e-9)
+
+    def test_drift_takes_work_into_account(self, engine) -> None:
+        links = [
+            f"{{name: {k}, m: 1, l: 1.{k}, r: 0.5, I: 0.1, damping: 0.{k}}}" for k in (1, 2, 3)
+        ]
+        mechanism = build(from_text(f"gravity: 9.81\nlinks: [{', '.join(links)}]\n", "x"))
+        y = np.random.default_rng(0).normal(size=(5, 6))
+        found = run(engine, mechanism, y, 1.0, tau=[1.0, 0.5, -2.0])
+        assert found.drift.max() < 1e-9
+        assert (found.energy[:, 1] - found.energy[:, 0] > 1e-3).all()
+
+    def test_lanes_do_not_depend_on_each_other(self, engine) -> None:
+        y = swings(7)
+        tau = np.random.default_rng(3).normal(size=(7, 2))
+        angle = np.linspace(-1, 1, 7)
+        together = run(engine, scene("2r"), y, 1.5, tau, angle, link=1)
+        for k in range(7):
+            alone = run(engine, scene("2r"), y[k : k + 1], 1.5, tau[k], angle[k : k + 1], link=1)
+            for name in ("t", "y", "low", "high", "energy", "drift", "flip"):
+                expected = getattr(together, name)[k]
+                assert getattr(alone, name)[0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
+
+    def test_loops_stay_closed(self, engine) -> None:
+        mechanism = scene("four-bar")
+        found = run(engine, mechanism, turning(mechanism, 50), 3.0)
+        assert np.abs(closure_gap(mechanism, found.y[:, :3])).max() < 1e-14
+
+    def test_change_points_stop_a_lane_and_are_told(self, engine) -> None:
+        mechanism = scene("parallelogram")
+        found = run(engine, mechanism, turning(mechanism, 20), 5.0)
+        assert set(found.status) <= {Status.REACHED, Status.SINGULAR}
+        assert Status.SINGULAR in found.status
+        stopped = found.status == Status.SINGULAR
+        assert (found.t[stopped] < 5.0).all()
+
+    def test_too_many_steps_and_what_is_not_finite(self, engine) -> None:
+        found = run(engine, scene("2r"), swings(3), 10.0, most=5)
+        assert found.status.tolist() == [Status.FULL] * 3
+        assert found.steps.tolist() == [5] * 3
+        y = swings(3)
+        y[1, 2] = 1e200
+        found = run(engine, scene("2r"), y, 0.1)
+        assert found.status[[0, 2]].tolist() == [Status.REACHED] * 2
+        assert found.status[1] in (Status.NOT_FINITE, Status.STUCK)
+
+
+def flips_by_events(y: np.ndarray, t_end: float) -> np.ndarray:
+    """When the forearm of the 2R passes upright, by scipy's events on equations of the oracle."""
+    found = []
+    for state in y:
+        hanging = -math.pi / 2
+        first = math.remainder(state[:2].sum() - hanging, 2 * math.pi)
+        shift = first - state[:2].sum()
+
+        def upright(t, x, shift=shift):
+            return math.pi**2 - (x[0] + x[1] + shift) ** 2
+
+        upright.terminal = True
+        solution = solve_ivp(
+            lambda t, x: np.concatenate(
+                [x[2:], oracles.two_link_acceleration(TWO_LINK, x[:2], x[2:], np.zeros(2))]
+            ),
+            (0.0, t_end),
+            state,
+            method="DOP853",
+            rtol=1e-11,
+            atol=1e-11,
+            max_step=0.05,
+            events=upright,
+        )
+        found.append(solution.t_events[0][0] if len(solution.t_events[0]) else math.nan)
+    return np.array(found)
+
+
+def from_hanging(y: np.ndarray) -> np.ndarray:
+    return np.remainder(y[:, :2].sum(axis=1) + 1.5 * math.pi, 2 * math.pi) - math.pi
+
+
+@cache
+def flips() -> tuple[np.ndarray, np.ndarray]:
+    y = swings(24, 8)
+    y[:, 2:] *= 3
+    return y, flips_by_events(y, 2.0)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_flips_are_where_events_find_them(engine) -> None:
+    y, expected = flips()
+    assert 5 < np.isnan(expected).sum() < 19
+    found = run(engine, scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
+    assert found.flip == pytest.approx(expected, abs=1e-8, nan_ok=True)
+
+
+class TestSingle:
+    def test_is_what_lanes_find(self) -> None:
+        y, expected = flips()
+        y = y[:6]
+        together = run("python", scene("2r"), y, 2.0, angle=from_hanging(y), link=1)
+        ends = Ends.room(6, 2)
+        aims = Aims(1e-12, 1e-12, link=1)
+        for k, state in enumerate(y):
+            angle = float(from_hanging(y)[k])
+            outcome = single(scene("2r"), state, np.zeros(2), 2.0, angle, aims, ends, k)
+            assert outcome == "finished"
+        for name in ("t", "y", "low", "high", "energy", "flip"):
+            wanted = getattr(together, name)
+            assert getattr(ends, name) == pytest.approx(wanted, abs=1e-7, nan_ok=True)
+        assert ends.flip == pytest.approx(expected[:6], abs=1e-7, nan_ok=True)
+        assert ends.drift.max() < 1e-10
+
+    def test_passes_change_points(self) -> None:
+        mechanism = scene("parallelogram")
+        y = turning(mechanism, 20)
+        stopped = run("python", mechanism, y, 3.0).status == Status.SINGULAR
+        (k,) = np.flatnonzero(stopped)[:1]
+        ends = Ends.room(1, 3)
+        outcome = single(mechanism, y[k], np.zeros(3), 3.0, 0.0, Aims(1e-9, 1e-9), ends, 0)
+        motion = simulate(mechanism, y[k, :3], y[k, 3:], 3.0, rtol=1e-11, atol=1e-11)
+        assert outcome == "finished"
+        assert ends.y[0, :3] == pytest.approx(motion.q[-1], abs=1e-5)
+
+    @pytest.mark.parametrize("speed", [0.01, 1.0])
+    def test_friction_as_radau_has_it(self, speed) -> None:
+        text = "gravity: 9.81\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, "
+        rubbing = build(from_text(f"{text}friction: {{torque: 0.5, speed: {speed}}}}}]\n", "x"))
+        ends = Ends.room(1, 1)
+        y = np.array([0.3, 0.0])
+        assert single(rubbing, y, np.zeros(1), 2.0, 0.0, Aims(1e-9, 1e-9), ends, 0) == "finished"
+        motion = simulate(rubbing, [0.3], [0], 2.0, method="Radau", rtol=1e-9, atol=1e-9)
+        assert ends.y[0] == pytest.approx([motion.q[-1, 0], motion.qd[-1, 0]], abs=1e-6)
+
+    def test_outcomes_of_what_cannot_go_on(self) -> None:
+        ends = Ends.room(2, 2)
+        aims = Aims(1e-9, 1e-9, most=5)
+        y = np.array([0.3, 0.2, 0.0, 0.0])
+        outcome = single(scene("2r"), y, np.zeros(2), 10.0, 0.0, aims, ends, 0)
+        assert outcome == "too many evaluations"
+        assert 0.0 < ends.t[0] < 10.0
+        broken = np.array([math.nan, 0.0, 0.0, 0.0])
+        assert single(scene("2r"), broken, np.zeros(2), 1.0, 0.0, aims, ends, 1) == "cannot start"

@@ -1,0 +1,304 @@
+"""Chunks of a sweep against single simulations, the same for any workers, on a real cluster."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from robodyn import assemble, inverse_dynamics, loop_rates, simulate, sweep_workers
+from robodyn.description import from_text
+from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.mechanism import build
+from robodyn.scene_values import SceneValues
+from robodyn.sweep import Rows, run_chunk
+from robodyn.sweep_plan import Plan, best_engine, check
+from robodyn.sweep_workers import results
+from robodyn.variation import Axis, Variation, spaced
+
+ENGINES = ["python"]
+if find_spec("numba") is not None:
+    ENGINES.append("compiled")
+
+
+def text(name: str) -> str:
+    return (ROOT / f"robots/{name}.yaml").read_text()
+
+
+def plan(name: str, *axes: Axis, sample: int | None = None, seed: int = 0, **options) -> Plan:
+    scene = text(name)
+    joints = len(build(from_text(scene, name)).actuated)
+    zero = (0.0,) * joints
+    given = {"q": zero, "qd": zero, "tau": zero, "qdd": zero, "t_end": 1.0} | options
+    return Plan(scene, name, Variation(axes, sample, seed), **given)
+
+
+def whole(plan: Plan, **options) -> Rows:
+    parts = [*results(plan, **options)]
+    outcomes = [*itertools.chain.from_iterable(part.outcomes for part in parts)]
+    return Rows(np.concatenate([part.values for part in parts]), outcomes)
+
+
+def column(plan: Plan, rows: Rows, name: str) -> np.ndarray:
+    return rows.values[:, plan.columns().index(name)]
+
+
+SWING = plan(
+    "2r",
+    Axis("links.forearm.m", spaced(0.5, 1.5, 3)),
+    Axis("links.upper arm.l", (0.7, 0.8)),
+    Axis("q1", spaced(-1.0, 1.0, 3)),
+    Axis("qd2", (0.5,)),
+    Axis("tau2", (0.0, 0.4)),
+)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+class TestMotions:
+    def test_rows_are_single_simulations(self, engine) -> None:
+        swing = replace(SWING, engine=engine)
+        rows = whole(swing)
+        assert rows.outcomes == ["finished"] * 36
+        scene = SceneValues(swing.scene, "x")
+        names = [axis.name for axis in swing.variation.axes]
+        assert swing.columns()[:5] == names
+        for row in rows.values:
+            at = dict(zip(names, row[:5], strict=True))
+            arm = build(scene.replaced({name: at[name] for name in names[:2]}))
+            motion = simulate(
+                arm, [at["q1"], 0], [0, at["qd2"]], 1.0, tau=[0, at["tau2"]], rtol=1e-11, atol=1e-11
+            )
+            end = [1.0, *motion.q[-1], *motion.qd[-1]]
+            assert row[5:10] == pytest.approx(end, abs=2e-7)
+
+    def test_loops_and_what_cannot_be_assembled(self, engine) -> None:
+        four_bar = plan(
+            "four-bar",
+            Axis("links.crank.l", (0.35, 1.2)),
+            Axis("q1", spaced(0.0, 3.0, 5)),
+            qd=(2.0,),
+            engine=engine,
+        )
+        rows = whole(four_bar)
+        scene = SceneValues(four_bar.scene, "x")
+        assert {"finished", "cannot assemble"} == set(rows.outcomes)
+        for row, outcome in zip(rows.values, rows.outcomes, strict=True):
+            bar = build(scene.replaced({"links.crank.l": row[0]}))
+            try:
+                q = assemble(bar, [row[1]])
+            except RobodynError:
+                assert outcome == "cannot assemble"
+                assert np.isnan(row[2:]).all()
+                continue
+            assert outcome == "finished"
+            qd = loop_rates.loop_velocities(bar, q, [2.0])
+            motion = simulate(bar, q, qd, 1.0, rtol=1e-11, atol=1e-11)
+            assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
+
+    def test_springs_go_together(self, engine, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweep_motions.single", None)
+        axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
+        crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
+        rows = whole(crank)
+        for row in rows.values:
+            scene = SceneValues(crank.scene, "x").replaced({"springs[0].stiffness": row[0]})
+            motion = simulate(build(scene), assemble(build(scene), [row[1]]), [0, 0], 0.5)
+            assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
+
+    def test_friction_and_gears_go_one_by_one(self, engine) -> None:
+        axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
+        crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
+        rubbing = crank.scene.replace(
+            "name: crank,", "name: crank, friction: {torque: 1, speed: 0.1},"
+        )
+        assert rubbing != crank.scene
+        geared = plan("geared-five-bar", Axis("q1", (0.3, 0.5)), t_end=0.3, engine=engine)
+        for each in (replace(crank, scene=rubbing), geared):
+            rows = whole(each)
+            assert rows.outcomes == ["finished"] * 2
+            assert column(each, rows, "drift").max() < 1e-6
+            mechanism = build(SceneValues(each.scene, "x").base)
+            assert mechanism.friction or mechanism.description.couplings
+            start = assemble(mechanism, [rows.values[0, list(each.columns()).index("q1")]])
+            motion = simulate(mechanism, start, 0.0 * start, 0.3, rtol=1e-11, atol=1e-11)
+            found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]
+            assert found == pytest.approx(motion.q[-1], abs=1e-7)
+
+    def test_change_points_are_passed(self, engine) -> None:
+        bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, engine=engine)
+        rows = whole(bars)
+        assert rows.outcomes == ["finished"] * 2
+        assert column(bars, rows, "drift").max() < 1e-6
+
+    def test_a_sample_and_its_engines_agree(self, engine) -> None:
+        drawn = plan(
+            "2r", Axis("q1", low=-1.0, high=1.0), Axis("gravity", (3.7, 9.81)), sample=30, seed=4
+        )
+        expected = whole(drawn).values
+        found = whole(replace(drawn, engine=engine)).values
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9, nan_ok=True)
+        assert (np.unique(found[:, 1]) == [3.7, 9.81]).all()
+
+    def test_only_the_results_that_are_wanted(self, engine) -> None:
+        few = replace(SWING, engine=engine, results=("final", "flip"))
+        assert few.columns()[5:] == ["t_end", "q1_end", "q2_end", "qd1_end", "qd2_end", "flip",
+                                     "outcome"]  # fmt: skip
+        everything = whole(replace(SWING, engine=engine))
+        assert whole(few).values[:, :10] == pytest.approx(everything.values[:, :10], abs=1e-12)
+
+
+def test_flips_count_from_where_gravity_pulls() -> None:
+    """A pendulum pushed over the top, with gravity along -Y, along +X, and none at all."""
+    scene = "gravity: {}\nlinks: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1}}]\n"
+    found = []
+    for gravity, q in (("9.81", -math.pi / 2), ("[9.81, 0]", 0.0), ("0", 0.7)):
+        turn = Plan(
+            scene.format(gravity), "x", Variation((Axis("q1", (q, q + 0.5)),)), (0.0,), (9.0,),
+            t_end=2.0, rtol=1e-12, atol=1e-12,
+        )  # fmt: skip
+        found.append(column(turn, whole(turn), "flip"))
+    assert found[0] == pytest.approx(found[1], abs=1e-10)
+    assert found[0][1] < found[0][0]  # nearer to upright
+    assert found[2] == pytest.approx([math.pi / 9.0] * 2, abs=1e-12)
+
+
+def test_torques_are_inverse_dynamics() -> None:
+    axes = Axis("links.coupler.m", (1.0, 2.0)), Axis("q1", spaced(0.0, 6.0, 13))
+    bar = plan("four-bar", *axes, Axis("qdd1", (0.0, 3.0)), qd=(5.0,), kind="torque")
+    rows = whole(bar)
+    assert bar.columns() == ["links.coupler.m", "q1", "qdd1", "tau1", "fx1", "fy1", "outcome"]
+    assert set(rows.outcomes) == {"finished"}
+    for row in rows.values:
+        mechanism = build(SceneValues(bar.scene, "x").replaced({"links.coupler.m": row[0]}))
+        q = assemble(mechanism, [row[1]])
+        qd = loop_rates.loop_velocities(mechanism, q, [5.0])
+        qdd = loop_rates.loop_accelerations(mechanism, q, qd, [row[2]])
+        assert row[3] == pytest.approx(inverse_dynamics(mechanism, q, qd, qdd)[0], rel=1e-9)
+
+
+class TestWorkers:
+    SMALL = replace(
+        plan(
+            "2r",
+            Axis("q1", low=-3.0, high=3.0),
+            Axis("links.forearm.m", (0.5, 0.9)),
+            sample=70,
+            seed=1,
+        ),
+        chunk=20,
+    )
+
+    @pytest.mark.parametrize("engine", ENGINES)
+    def test_any_number_gives_the_same(self, engine) -> None:
+        small = replace(self.SMALL, engine=engine)
+        assert small.chunks == 4
+        expected = whole(small, workers=1)
+        for workers in (2, 3):
+            found = whole(small, workers=workers)
+            assert found.values.tobytes() == expected.values.tobytes()
+            assert found.outcomes == expected.outcomes
+
+    def test_a_later_beginning_gives_the_rest(self) -> None:
+        expected = whole(self.SMALL, workers=1).values
+        assert whole(self.SMALL, begin=2).values.tobytes() == expected[40:].tobytes()
+        assert [*results(self.SMALL, begin=4)] == []
+
+    def test_few_chunks_are_under_way(self, monkeypatch) -> None:
+        taken: list[int] = []
+        many = replace(self.SMALL, chunk=1)
+        monkeypatch.setattr(sweep_workers, "run_chunk", lambda plan, k: taken.append(k))
+
+        class Now:
+            def result(self) -> None:
+                return None
+
+        def submit(function, *arguments):
+            function(*arguments)
+            return Now()
+
+        for number, _ in enumerate(sweep_workers._ordered(submit, many, 0, 4)):
+            assert len(taken) <= number + 4
+        assert taken == [*range(70)]
+
+    def test_an_error_of_a_worker_comes_through(self) -> None:
+        with pytest.raises(RobodynError, match="version"):
+            whole(replace(self.SMALL, version="0.0"), workers=2)
+
+    def test_the_engine_is_chosen(self) -> None:
+        arm, sprung = (build(from_text(text(x), x)) for x in ("2r", "spring-slider-crank"))
+        assert best_engine("auto", 10, arm) == "python"
+        assert best_engine("python", 10**6, arm) == "python"
+        assert best_engine("auto", 10**6, arm) == ENGINES[-1]
+        assert best_engine("auto", 10**6, sprung) == "python"
+
+    def test_a_missing_extra_is_told(self, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweep_plan.find_spec", lambda name: None)
+        assert best_engine("auto", 10**6, check(SWING)) == "python"
+        with pytest.raises(InputError, match=r"robodyn\[fast\]"):
+            best_engine("compiled", 10, check(SWING))
+
+
+def test_what_no_point_could_have_is_refused() -> None:
+    with pytest.raises(DescriptionError, match="must be >= 0"):
+        check(plan("2r", Axis("links.forearm.m", low=-0.5, high=1.0), sample=5))
+    assert check(SWING).n == 2
+
+
+def test_a_chunk_is_part_of_the_whole() -> None:
+    parts = replace(SWING, chunk=7)
+    expected = run_chunk(SWING, 0).values
+    assert whole(parts, workers=1).values == pytest.approx(expected, abs=1e-12, nan_ok=True)
+
+
+class TestCluster:
+    """A scheduler and workers of Dask in processes of their own."""
+
+    @pytest.fixture(scope="class")
+    def address(self) -> Iterator[str]:
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+        import warnings
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from distributed import LocalCluster
+
+            cluster = LocalCluster(
+                n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            )
+        yield cluster.scheduler_address
+        cluster.close()
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_gives_what_one_process_gives(self, address) -> None:
+        expected = whole(TestWorkers.SMALL, workers=1)
+        found = whole(TestWorkers.SMALL, scheduler=address)
+        assert found.values.tobytes() == expected.values.tobytes()
+        assert found.outcomes == expected.outcomes
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_on_the_command_line(self, address, robodyn) -> None:
+        options = ("sweep", "robots/2r.yaml", "--vary", "q1=0,1,2", "--time", 0.2, "--quiet")
+        here = robodyn(*options)
+        there = robodyn(*options, "--scheduler", address)
+        assert there.code == 0
+        assert there.out == here.out
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_errors_come_through(self, address) -> None:
+        with pytest.raises(RobodynError, match="version"):
+            whole(replace(TestWorkers.SMALL, version="0.0"), scheduler=address)
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_no_scheduler_is_an_error(self) -> None:
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+        with pytest.raises(RobodynError, match="no Dask scheduler answers"):
+            whole(TestWorkers.SMALL, scheduler="nonsense://127.0.0.1:1")
+
+    def test_a_missing_extra_is_told(self, monkeypatch) -> None:
+        monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+        with pytest.raises(InputError, match=r"robodyn\[cluster\]"):
+            whole(TestWorkers.SMALL, scheduler="tcp://127.0.0.1:1")
