@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from robodyn.closed_form import mass_matrix as mass_matrix
     from robodyn.closed_form import other_forces as other_forces
     from robodyn.closed_form import potential_energy as potential_energy
-    from robodyn.control import controller as controller
+    from robodyn.control.laws import controller as controller
+    from robodyn.control.tracking import ReferenceTable as ReferenceTable
     from robodyn.dynamics import coupling_torques as coupling_torques
     from robodyn.dynamics import forward_dynamics as forward_dynamics
     from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
@@ -41,10 +42,9 @@ if TYPE_CHECKING:
     from robodyn.reaction_forces import shaking_force as shaking_force
     from robodyn.simulation import Motion as Motion
     from robodyn.simulation import simulate as simulate
-    from robodyn.time_scaling import shortest_motion as shortest_motion
-    from robodyn.tracking import ReferenceTable as ReferenceTable
-    from robodyn.trajectory import ReferenceMotion as ReferenceMotion
-    from robodyn.trajectory import reference_motion as reference_motion
+    from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
+    from robodyn.trajectories.trajectory import ReferenceMotion as ReferenceMotion
+    from robodyn.trajectories.trajectory import reference_motion as reference_motion
 
 __version__ = "0.1.0"
 
@@ -60,7 +60,7 @@ _ROOMS = {
         "other_forces",
         "potential_energy",
     ],
-    "control": ["controller"],
+    "control.laws": ["controller"],
     "dynamics": [
         "coupling_torques",
         "forward_dynamics",
@@ -74,9 +74,9 @@ _ROOMS = {
     "mechanism": ["Mechanism", "load"],
     "reaction_forces": ["reactions", "shaking_force"],
     "simulation": ["Motion", "simulate"],
-    "tracking": ["ReferenceTable"],
-    "time_scaling": ["shortest_motion"],
-    "trajectory": ["ReferenceMotion", "reference_motion"],
+    "control.tracking": ["ReferenceTable"],
+    "trajectories.time_scaling": ["shortest_motion"],
+    "trajectories.trajectory": ["ReferenceMotion", "reference_motion"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -19,7 +19,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
 from robodyn.recording import Outcome
 from robodyn.simulation import SCIPY_RTOL, SMALLEST_RTOL, Settings, run
-from robodyn.taylor_run import stepping_engine
+from robodyn.taylor.run import stepping_engine
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from robodyn.extended import Reference, reference
 from robodyn.mechanism import Mechanism
 from robodyn.recording import Outcome, Report
 from robodyn.simulation import METHODS, SCIPY_RTOL, SMALLEST_RTOL, Settings, run
-from robodyn.taylor_run import compiled_engine, stepping_engine
+from robodyn.taylor.run import compiled_engine, stepping_engine
 
 Array = NDArray[np.float64]
 Watch = Callable[[float], None]  # the part that is done

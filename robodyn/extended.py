@@ -22,8 +22,8 @@ from robodyn.mechanism import Mechanism
 from robodyn.projection import CUT
 from robodyn.straightline import compile_forces
 from robodyn.taylor import step_size
-from robodyn.taylor_arrays import ArraySeries, solve_columns
-from robodyn.torque_series import TorqueSeries
+from robodyn.taylor.arrays import ArraySeries, solve_columns
+from robodyn.taylor.torques import TorqueSeries
 
 Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble

@@ -1,7 +1,7 @@
 """Forward simulation: solve_ivp with constraint projection, or the Taylor series.
 
 A run goes through one of scipy's solvers, made to project after every step (`solvers.py`), or
-through the Taylor integrator (`taylor_run.py`), which needs no scipy.  Rows of output and the
+through the Taylor integrator (`taylor/run.py`), which needs no scipy.  Rows of output and the
 statistics leave the run in batches, so its memory does not grow with its length.
 """
 
@@ -67,7 +67,7 @@ class Settings:
     baumgarte: float = 20.0  # 1/s
     max_evaluations: int = MAX_EVALUATIONS
     order: int | None = None  # of the Taylor series; None: by the tolerance
-    engine: str = "auto"  # of the Taylor series; see `taylor_run.py`
+    engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
@@ -255,7 +255,7 @@ def _integrate_series(
     recorder: Recorder,
     projects: bool,
 ) -> Outcome:
-    from robodyn.taylor_run import taylor_run
+    from robodyn.taylor.run import taylor_run
 
     return taylor_run(
         recorder.mechanism,

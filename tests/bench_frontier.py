@@ -26,7 +26,7 @@ from scipy.integrate import ode, odeint
 
 import robodyn
 from robodyn.actuation import Actuation
-from robodyn.taylor_run import compiled_engine, stepping_engine
+from robodyn.taylor.run import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]

@@ -21,9 +21,9 @@ from robodyn.benchmark import benchmark
 from robodyn.description import from_text
 from robodyn.mechanism import build
 from robodyn.right_hand_side import right_hand_side
-from robodyn.taylor_code import compile_expansion
-from robodyn.taylor_run import compiled_engine, stepping_engine
-from robodyn.taylor_steps import ArrayEngine, StraightEngine
+from robodyn.taylor.code import compile_expansion
+from robodyn.taylor.run import compiled_engine, stepping_engine
+from robodyn.taylor.steps import ArrayEngine, StraightEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)

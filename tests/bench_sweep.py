@@ -14,9 +14,9 @@ from bench_frontier import ROOT
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.sweep_plan import CHUNKS, Plan
-from robodyn.sweep_workers import results
-from robodyn.variation import Axis, Variation
+from robodyn.sweeps.sweep_plan import CHUNKS, Plan
+from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.variation import Axis, Variation
 
 Array = NDArray[np.float64]
 

@@ -110,7 +110,7 @@ def test_expressions_leave_the_compiled_series_out():
 
 
 def test_without_numba(monkeypatch):
-    monkeypatch.setattr("robodyn.taylor_run.find_spec", lambda name: None)
+    monkeypatch.setattr("robodyn.taylor.run.find_spec", lambda name: None)
     result = arm(tolerances=(1e-8,))
     assert "taylor" in methods(result)
     assert "taylor compiled" not in methods(result)

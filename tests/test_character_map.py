@@ -8,9 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from robodyn.character_map import DEEP, PALETTE, map_lines
-from robodyn.colour_scale import NONE, painted, rgb
-from robodyn.value_map import ValueMap, value_map
+from robodyn.pictures.character_map import DEEP, PALETTE, map_lines
+from robodyn.pictures.colour_scale import NONE, painted, rgb
+from robodyn.pictures.value_map import ValueMap, value_map
 
 CODE = re.compile(r"\x1b\[([\d;]*)m")
 CUBE = (0, 95, 135, 175, 215, 255)

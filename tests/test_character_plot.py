@@ -9,10 +9,10 @@ import pytest
 from conftest import ROOT
 
 import robodyn
-from robodyn.character_drawing import LINES, drawing_lines
-from robodyn.character_plot import Canvas, chart_lines
-from robodyn.chart import Chart, chart
-from robodyn.drawing import drawing
+from robodyn.pictures.character_drawing import LINES, drawing_lines
+from robodyn.pictures.character_plot import Canvas, chart_lines
+from robodyn.pictures.chart import Chart, chart
+from robodyn.pictures.drawing import drawing
 
 ALL = "".join(map(chr, range(0x2800, 0x2900)))
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robodyn.chart import (
+from robodyn.errors import InputError
+from robodyn.pictures.chart import (
     MOST_POINTS,
     chart,
     choose_columns,
@@ -22,8 +23,7 @@ from robodyn.chart import (
     tick_texts,
     ticks,
 )
-from robodyn.column_units import UNITS, unit_of
-from robodyn.errors import InputError
+from robodyn.pictures.column_units import UNITS, unit_of
 
 MOTION = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "fx1", "fy1", "energy", "gap")
 

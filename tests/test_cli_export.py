@@ -13,9 +13,9 @@ from conftest import FOUR_BAR, ROOT, Outcome
 
 import oracles
 from model_readers import read_mjcf, read_urdf
+from robodyn.export.mjcf import mjcf
+from robodyn.export.urdf import urdf
 from robodyn.mechanism import load
-from robodyn.mjcf import mjcf
-from robodyn.urdf import urdf
 
 Run = Callable[..., Outcome]
 SCENES = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))

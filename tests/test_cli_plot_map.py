@@ -15,7 +15,7 @@ import pytest
 from conftest import Outcome
 
 from robodyn.cli import map_figure
-from robodyn.colour_scale import NONE, rgb, viridis
+from robodyn.pictures.colour_scale import NONE, rgb, viridis
 
 Run = Callable[..., Outcome]
 MAP = ("--x", "q1", "--y", "q2", "--colour")

@@ -16,7 +16,8 @@ import pytest
 from conftest import ROOT, Outcome
 
 import robodyn as package
-from robodyn import inverse_dynamics, load, simulate, sweep_plan
+from robodyn import inverse_dynamics, load, simulate
+from robodyn.sweeps import sweep_plan
 
 Run = Callable[..., Outcome]
 ARM = ("sweep", "robots/2r.yaml")
@@ -214,7 +215,7 @@ def _facts_of(robodyn: Run, folder: Path) -> bytes:
     """What FILE.partial.json holds of the small sweep: from a run that fails at its first chunk."""
     path = folder / "facts.csv"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("robodyn.sweep_workers.run_chunk", _failing)
+        patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", _failing)
         failed = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
     assert failed.code == 130
     assert "0 of 900 points are in" in failed.err

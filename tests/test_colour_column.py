@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from robodyn.colour_column import MOST_WORDS, ColourColumn
 from robodyn.errors import InputError
+from robodyn.pictures.colour_column import MOST_WORDS, ColourColumn
 from robodyn.table import Reader
 
 

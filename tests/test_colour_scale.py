@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robodyn.colour_scale import (
+from robodyn.pictures.colour_scale import (
     COLOURS,
     LEVELS,
     NONE,

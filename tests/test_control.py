@@ -32,7 +32,7 @@ from robodyn.accuracy import error_estimate, settings_for
 from robodyn.actuation import Actuation
 from robodyn.mechanism import Mechanism
 from robodyn.simulation import Settings
-from robodyn.taylor_solver import TaylorSolver
+from robodyn.taylor.solver import TaylorSolver
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 ARM = load(ROBOTS / "2r.yaml")

@@ -27,8 +27,8 @@ from robodyn.evaluators import _accelerations
 from robodyn.extended import reference
 from robodyn.quantities import parse_coupling
 from robodyn.right_hand_side import right_hand_side
-from robodyn.taylor_arrays import ArraySeries
-from robodyn.taylor_code import compile_expansion
+from robodyn.taylor.arrays import ArraySeries
+from robodyn.taylor.code import compile_expansion
 
 FIVE_BAR = """
 gravity: 9.81

@@ -13,14 +13,14 @@ from robodyn import (
     RobodynError,
     SingularError,
     assemble,
-    driven_torques,
     gravity_vector,
     inverse_dynamics,
     load,
     loop_accelerations,
     other_forces,
 )
-from robodyn.driven_torques import driving_torques, rest_torques
+from robodyn.control.driven_torques import driving_torques, rest_torques
+from robodyn.control import driven_torques
 from robodyn.mechanism import Mechanism
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

@@ -9,7 +9,7 @@ from conftest import ROOT
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn import description, dynamics, mechanism
-from robodyn.force_arrows import LONGEST, forces, metres_a_newton
+from robodyn.pictures.force_arrows import LONGEST, forces, metres_a_newton
 from robodyn.scene import Load, Spring
 
 

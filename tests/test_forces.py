@@ -40,8 +40,8 @@ from robodyn.extended import reference
 from robodyn.right_hand_side import right_hand_side
 from robodyn.scene import Description, JointSpring, Load, Moment, Point
 from robodyn.straightline import compile_forces
-from robodyn.taylor_arrays import ArraySeries
-from robodyn.taylor_code import compile_expansion
+from robodyn.taylor.arrays import ArraySeries
+from robodyn.taylor.code import compile_expansion
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}

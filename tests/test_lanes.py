@@ -13,18 +13,19 @@ from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
-from robodyn import assemble, closure_gap, kinetic_energy, lanes, load, potential_energy, simulate
+from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energy, simulate
 from robodyn.actuation import Actuation
 from robodyn.description import from_text
-from robodyn.lane_forces import LaneForces
-from robodyn.lane_single import single
-from robodyn.lanes import Aims, Ends
 from robodyn.loop_rates import loop_velocities
 from robodyn.mechanism import Mechanism, build
 from robodyn.projection import suspect_quality
-from robodyn.scene_values import SceneValues
+from robodyn.sweeps import lanes
+from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_single import single
+from robodyn.sweeps.lanes import Aims, Ends
+from robodyn.sweeps.scene_values import SceneValues
 from robodyn.taylor import Status, best_order
-from robodyn.taylor_layout import numbers
+from robodyn.taylor.layout import numbers
 
 ENGINES = ["python"]
 if find_spec("numba") is not None:
@@ -34,7 +35,7 @@ if find_spec("numba") is not None:
 def integrate(engine: str) -> Callable[..., Ends]:
     if engine == "python":
         return lanes.integrate
-    from robodyn import lanes_compiled
+    from robodyn.sweeps import lanes_compiled
 
     return lanes_compiled.integrate
 

@@ -24,9 +24,9 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
+from robodyn.export.mjcf import MINIMUM, TIMESTEP, mjcf
+from robodyn.export.mjcf_elements import DEEPEST
 from robodyn.mechanism import build, load
-from robodyn.mjcf import MINIMUM, TIMESTEP, mjcf
-from robodyn.mjcf_elements import DEEPEST
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)

@@ -16,10 +16,10 @@ from model_readers import read_mjcf, read_urdf
 from random_mechanisms import mechanism
 from robodyn.description import Description, Link
 from robodyn.errors import InputError
+from robodyn.export.mjcf import mjcf
+from robodyn.export.model_xml import RESERVED, Names, link_names, number, refuse_unsaid
+from robodyn.export.urdf import urdf
 from robodyn.mechanism import build
-from robodyn.mjcf import mjcf
-from robodyn.model_xml import RESERVED, Names, link_names, number, refuse_unsaid
-from robodyn.urdf import urdf
 
 FORMATS = pytest.mark.parametrize("write", [urdf, mjcf])
 

@@ -8,10 +8,10 @@ from conftest import FOUR_BAR, ROOT
 
 import oracles
 import robodyn
-from robodyn.bodies import at
 from robodyn.closed_form import phases
 from robodyn.errors import InputError
-from robodyn.motion_frames import FINER, frames, time_decimals, traced_point, unwrapped
+from robodyn.pictures.bodies import at
+from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point, unwrapped
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 FOUR = robodyn.load(ROOT / "robots/four-bar.yaml")

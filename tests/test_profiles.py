@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robodyn.errors import InputError
-from robodyn.profiles import Profile, profile
+from robodyn.trajectories.profiles import Profile, profile
 
 PARTS = (0.05, 0.25, 1 / 3, 0.5)
 PROFILES = [

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from robodyn.errors import InputError
-from robodyn.resumable_file import ResumableFile
+from robodyn.sweeps.resumable_file import ResumableFile
 
 HEADER = b"a,b\n"
 LINES = [f"{k},{k * k}\n".encode() for k in range(7)]

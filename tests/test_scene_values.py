@@ -5,7 +5,7 @@ from conftest import ROOT
 
 from robodyn.description import from_text
 from robodyn.errors import DescriptionError, InputError
-from robodyn.scene_values import SceneValues, is_angle
+from robodyn.sweeps.scene_values import SceneValues, is_angle
 
 TEXT = """
 gravity: 9.81

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from robodyn import splines
+from robodyn.trajectories import splines
 
 
 def draw(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robodyn.step_extremes import crossings, extremes, values
+from robodyn.sweeps.step_extremes import crossings, extremes, values
 
 
 def series(seed: int, B: int = 200) -> tuple[np.ndarray, np.ndarray]:

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from robodyn import assemble, inverse_dynamics, loop_rates, simulate, sweep_workers
+from robodyn import assemble, inverse_dynamics, loop_rates, simulate
 from robodyn.description import from_text
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.mechanism import build
-from robodyn.scene_values import SceneValues
-from robodyn.sweep import Rows, run_chunk
-from robodyn.sweep_plan import Plan, best_engine, check
-from robodyn.sweep_workers import results
-from robodyn.variation import Axis, Variation, spaced
+from robodyn.sweeps import sweep_workers
+from robodyn.sweeps.scene_values import SceneValues
+from robodyn.sweeps.sweep import Rows, run_chunk
+from robodyn.sweeps.sweep_plan import Plan, best_engine, check
+from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.variation import Axis, Variation, spaced
 
 ENGINES = ["python"]
 if find_spec("numba") is not None:
@@ -100,7 +101,7 @@ class TestMotions:
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
     def test_springs_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweep_motions.single", None)
+        monkeypatch.setattr("robodyn.sweeps.sweep_motions.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
         crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
         rows = whole(crank)
@@ -236,7 +237,7 @@ class TestWorkers:
         assert best_engine("auto", 10**6, sprung) == "python"
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweep_plan.find_spec", lambda name: None)
+        monkeypatch.setattr("robodyn.sweeps.sweep_plan.find_spec", lambda name: None)
         assert best_engine("auto", 10**6, check(SWING)) == "python"
         with pytest.raises(InputError, match=r"robodyn\[fast\]"):
             best_engine("compiled", 10, check(SWING))

@@ -8,8 +8,8 @@ from test_simulation import SENSITIVITY, UNFORCED, reference
 
 from random_mechanisms import LOOPS, Shape, seeded_scene, seeded_tree
 from robodyn.actuation import constant
-from robodyn.taylor_arrays import ArraySeries, _inverse, link_rates
-from robodyn.taylor_code import compile_expansion
+from robodyn.taylor.arrays import ArraySeries, _inverse, link_rates
+from robodyn.taylor.code import compile_expansion
 
 EXTENDED = pytest.mark.skipif(
     np.finfo(np.longdouble).eps > 1e-18, reason="longdouble is no wider than a double here"

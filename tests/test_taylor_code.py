@@ -12,10 +12,10 @@ import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import forward_dynamics
 from robodyn.actuation import constant, expressions
-from robodyn.taylor_arrays import ArraySeries
-from robodyn.taylor_code import compile_expansion
-from robodyn.taylor_steps import StraightEngine, relative_matrix
-from robodyn.torque_series import TorqueSeries
+from robodyn.taylor.arrays import ArraySeries
+from robodyn.taylor.code import compile_expansion
+from robodyn.taylor.steps import StraightEngine, relative_matrix
+from robodyn.taylor.torques import TorqueSeries
 
 ORDER = 12
 FREE = 1e100  # a tolerance that holds no step

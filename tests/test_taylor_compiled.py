@@ -28,8 +28,9 @@ from robodyn.taylor import Status
 
 pytest.importorskip("numba")
 
-from robodyn import taylor_kernel, taylor_layout
-from robodyn.taylor_compiled import CompiledEngine
+from robodyn.taylor import kernel as taylor_kernel
+from robodyn.taylor import layout as taylor_layout
+from robodyn.taylor.compiled import CompiledEngine
 
 REFERENCES = Path(__file__).parent / "references"
 ALL = 10**5  # steps, more than any motion here takes

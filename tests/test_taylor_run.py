@@ -14,12 +14,13 @@ import oracles
 from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import LOOPS, mechanism, seeded_scene
-from robodyn import assemble, simulate, taylor_run
+from robodyn import assemble, simulate
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, SingularError
 from robodyn.extended import reference as longdouble_reference
 from robodyn.loop_rates import loop_velocities
 from robodyn.recording import Outcome
+from robodyn.taylor import run as taylor_run
 
 
 def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, engine="python", **options):
@@ -253,7 +254,7 @@ class TestProcess:
         line = [sys.executable, "-c", code]
         done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=True)
         modules = json.loads(done.stderr)
-        assert "robodyn.taylor_run" in modules
+        assert "robodyn.taylor.run" in modules
         assert not [name for name in modules if name.split(".")[0] in ("scipy", "numba")]
         assert len(done.stdout.splitlines()) > 5
 

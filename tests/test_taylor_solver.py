@@ -9,7 +9,7 @@ from test_simulation import SENSITIVITY, reference, scene
 
 from random_mechanisms import seeded_tree
 from robodyn import actuation, closure_gap, simulate
-from robodyn.taylor_solver import TaylorSolver
+from robodyn.taylor.solver import TaylorSolver
 
 EACH = pytest.mark.parametrize("name", SENSITIVITY)
 

@@ -11,8 +11,8 @@ from robodyn import closure_gap, closure_jacobian
 from robodyn.actuation import Actuation, constant, expressions
 from robodyn.projection import float_closing
 from robodyn.taylor import Status, default_order, step_size
-from robodyn.taylor_steps import ArrayEngine, StraightEngine
-from robodyn.torque_series import TorqueSeries
+from robodyn.taylor.steps import ArrayEngine, StraightEngine
+from robodyn.taylor.torques import TorqueSeries
 
 ENGINES = pytest.mark.parametrize("kind", [StraightEngine, ArrayEngine])
 EACH = pytest.mark.parametrize("name", SENSITIVITY)

@@ -13,16 +13,21 @@ import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.errors import InputError
-from robodyn.joint_paths import Sweep, constant_speed, path_through
 from robodyn.mechanism import Mechanism
-from robodyn.time_scaling import (
+from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through
+from robodyn.trajectories.time_scaling import (
     LimitError,
     check_limits,
     limits_of,
     shortest_along,
     shortest_motion,
 )
-from robodyn.trajectory import ReferenceMotion, all_joints, motion_along, reference_motion
+from robodyn.trajectories.trajectory import (
+    ReferenceMotion,
+    all_joints,
+    motion_along,
+    reference_motion,
+)
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 CHAIN = robodyn.load(ROOT / "robots/3r.yaml")

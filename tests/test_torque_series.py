@@ -17,7 +17,7 @@ from robodyn import simulate
 from robodyn.actuation import FUNCTIONS, callback, expressions, table
 from robodyn.errors import InputError, RobodynError
 from robodyn.recording import Outcome
-from robodyn.torque_series import TorqueSeries
+from robodyn.taylor.torques import TorqueSeries
 
 ORDER = 10
 T0 = 0.3

@@ -14,10 +14,15 @@ import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.joint_paths import Sweep, constant_speed, path_through, piece_at
-from robodyn.loop_path import LoopPath
 from robodyn.mechanism import Mechanism
-from robodyn.trajectory import ReferenceMotion, all_joints, motion_along, reference_motion
+from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through, piece_at
+from robodyn.trajectories.loop_path import LoopPath
+from robodyn.trajectories.trajectory import (
+    ReferenceMotion,
+    all_joints,
+    motion_along,
+    reference_motion,
+)
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 BAR = robodyn.load(ROOT / "robots/four-bar.yaml")

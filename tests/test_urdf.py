@@ -18,7 +18,7 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
-from robodyn.urdf import urdf
+from robodyn.export.urdf import urdf
 
 ARMS = ("pendulum", "2r", "3r")
 examples = settings(deadline=None, max_examples=40)

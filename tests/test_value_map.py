@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robodyn.errors import InputError
-from robodyn.value_map import ValueMap, find_grid, value_map
+from robodyn.pictures.value_map import ValueMap, find_grid, value_map
 
 NAMES = ("q1", "q2", "flip")
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from robodyn.variation import Axis, Variation, spaced, stepped
+from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 
 GRID = Variation((Axis("a", (1.0, 2.0, 3.0)), Axis("b", (5.0, 6.0)), Axis("c", (0.0, -1.0))))
 

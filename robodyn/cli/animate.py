@@ -12,16 +12,16 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn.bodies import at
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.options import Model, Size, named
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
 from robodyn.closed_form import phases
 from robodyn.csv_fields import shown
-from robodyn.drawing import drawing
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
-from robodyn.motion_frames import Frames, frames, traced_point, unwrapped
+from robodyn.pictures.bodies import at
+from robodyn.pictures.drawing import drawing
+from robodyn.pictures.motion_frames import Frames, frames, traced_point, unwrapped
 from robodyn.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from robodyn.cli.pictures import FONT, Picture
-from robodyn.colour_scale import COLOURS
-from robodyn.drawing import Drawing
 from robodyn.errors import RobodynError
-from robodyn.motion_frames import FINER, time_decimals
 from robodyn.output_file import open_output
+from robodyn.pictures.colour_scale import COLOURS
+from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.motion_frames import FINER, time_decimals
 
 DOTS = 100  # an inch
 COLOURS_OF_GIF = 128

@@ -7,13 +7,13 @@ import shutil
 import sys
 from collections.abc import Sequence
 
-from robodyn.character_drawing import drawing_lines
-from robodyn.character_map import DEEP, PALETTE, map_lines
-from robodyn.character_plot import chart_lines
-from robodyn.chart import Chart
-from robodyn.drawing import Drawing
 from robodyn.output_file import open_output
-from robodyn.value_map import ValueMap
+from robodyn.pictures.character_drawing import drawing_lines
+from robodyn.pictures.character_map import DEEP, PALETTE, map_lines
+from robodyn.pictures.character_plot import chart_lines
+from robodyn.pictures.chart import Chart
+from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.value_map import ValueMap
 
 WIDTH, HEIGHT = 80, 24  # where there is no terminal
 ROWS = 12  # of a panel

@@ -23,12 +23,12 @@ from robodyn.cli.options import (
 )
 from robodyn.cli.output import note
 from robodyn.cli.states import Quantity, complete, open_input, remarks, single_state, table_source
-from robodyn.drawing import Drawing, drawing, first_pose, span
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, load
+from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
 
 if TYPE_CHECKING:
-    from robodyn.force_arrows import Force
+    from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8
 MOST_POSES = 200
@@ -147,7 +147,7 @@ def _figure(
 
     scale, around = 0.0, []
     if found:
-        from robodyn.force_arrows import metres_a_newton
+        from robodyn.pictures.force_arrows import metres_a_newton
 
         scale = metres_a_newton(found, span(drawn.mechanism, drawn.q))
         room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
@@ -164,8 +164,8 @@ def _figure(
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
     """The drawing of one state, and its forces."""
     from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
-    from robodyn.force_arrows import forces
     from robodyn.loop_rates import check_way_on
+    from robodyn.pictures.force_arrows import forces
 
     given, tau = quantities[:3], quantities[3]
     if tau.option is None:

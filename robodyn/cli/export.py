@@ -54,15 +54,15 @@ def export(
         for option, value in (("--q", q), ("--timestep", timestep)):
             if value is not None:
                 raise InputError(option, value=value, limit="is for mjcf, urdf has no word for it")
-        from robodyn.model_xml import vector
-        from robodyn.urdf import urdf
+        from robodyn.export.model_xml import vector
+        from robodyn.export.urdf import urdf
 
         text = urdf(mechanism)
         if mechanism.gamma:
             gravity = f"({', '.join(vector(mechanism.gamma).split())})"
             note(f"Note: URDF has no gravity: set {gravity} m/s^2 where it is loaded")
     else:
-        from robodyn.mjcf import TIMESTEP, mjcf
+        from robodyn.export.mjcf import TIMESTEP, mjcf
 
         step = TIMESTEP if timestep is None else timestep
         if not 0.0 < step < float("inf"):

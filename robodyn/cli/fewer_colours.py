@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from robodyn.colour_scale import Rgb
+from robodyn.pictures.colour_scale import Rgb
 
 
 def in_palette(png: bytes, palette: Sequence[Rgb]) -> bytes:

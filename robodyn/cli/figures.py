@@ -10,11 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robodyn.chart import Chart, Panel, limits, spread
 from robodyn.cli.options import PictureFormat
-from robodyn.colour_scale import COLOURS, Rgb
 from robodyn.errors import InputError, RobodynError
 from robodyn.output_file import open_output
+from robodyn.pictures.chart import Chart, Panel, limits, spread
+from robodyn.pictures.colour_scale import COLOURS, Rgb
 
 if TYPE_CHECKING:
     from robodyn.benchmark import Benchmark

@@ -9,7 +9,7 @@ import numpy as np
 
 from robodyn.cli.figures import DOTS, new_figure
 from robodyn.cli.output import with_unit
-from robodyn.colour_scale import (
+from robodyn.pictures.colour_scale import (
     COLOURS,
     LEVELS,
     NONE,
@@ -21,8 +21,8 @@ from robodyn.colour_scale import (
     viridis,
     word_colours,
 )
-from robodyn.column_units import unit_of
-from robodyn.value_map import ValueMap
+from robodyn.pictures.column_units import unit_of
+from robodyn.pictures.value_map import ValueMap
 
 LONGEST = 5.6  # inches of the longer side of the map, where no size is given
 LEAST_DOTS = 640  # of a side whose cells are whole dots

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
-from robodyn.column_units import unit_of
 from robodyn.output_file import open_output
+from robodyn.pictures.column_units import unit_of
 from robodyn.table_writer import WRITERS
 
 if TYPE_CHECKING:

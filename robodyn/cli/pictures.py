@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robodyn.cli.figures import new_figure
-from robodyn.drawing import Drawing
-from robodyn.picture_plan import frame, head_places, label_places, obstacles, scale_bar
+from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.picture_plan import frame, head_places, label_places, obstacles, scale_bar
 
 if TYPE_CHECKING:
-    from robodyn.force_arrows import Force
+    from robodyn.pictures.force_arrows import Force
 
 # Okabe and Ito's colours, which colour-blind people tell apart, in pale, one a link
 LINK_COLOURS = ("#9ad0f3", "#f5c86e", "#7fd1b4", "#e3b4cf", "#f3ec9a", "#8fb8dd", "#efaa80")

@@ -7,16 +7,16 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn.chart import Array, Chart, chart, choose_columns, choose_x, place_of
 from robodyn.cli.figures import parse_size, picture_format
 from robodyn.cli.options import Ascii, OutputPicture, PictureFormat, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
-from robodyn.colour_column import ColourColumn
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
+from robodyn.pictures.chart import Array, Chart, chart, choose_columns, choose_x, place_of
+from robodyn.pictures.colour_column import ColourColumn
+from robodyn.pictures.value_map import ValueMap, value_map
 from robodyn.table import Reader
-from robodyn.value_map import ValueMap, value_map
 
 ONE_Y = "a map has one column along y"
 

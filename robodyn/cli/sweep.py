@@ -17,12 +17,12 @@ from robodyn.cli.output import note
 from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.csv_fields import quoted
 from robodyn.errors import InputError
-from robodyn.resumable_file import ResumableFile
-from robodyn.scene_values import SceneValues
-from robodyn.sweep import Rows
-from robodyn.sweep_plan import RESULTS, Plan, check
-from robodyn.sweep_workers import results
-from robodyn.variation import Variation
+from robodyn.sweeps.resumable_file import ResumableFile
+from robodyn.sweeps.scene_values import SceneValues
+from robodyn.sweeps.sweep import Rows
+from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
+from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.variation import Variation
 from robodyn.yaml_tree import read_text
 
 

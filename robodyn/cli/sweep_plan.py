@@ -12,10 +12,10 @@ from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, build
 from robodyn.quantities import parse_angle, parse_number, parse_vector
-from robodyn.scene_values import SceneValues, is_angle
 from robodyn.simulation import Settings
-from robodyn.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
-from robodyn.variation import Axis, Variation, spaced, stepped
+from robodyn.sweeps.scene_values import SceneValues, is_angle
+from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
+from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.yaml_values import nearest
 
 MOST_VALUES = 10_000_000  # of one --vary

@@ -22,7 +22,7 @@ from robodyn.quantities import parse_number, parse_vector
 from robodyn.table import Reader
 
 if TYPE_CHECKING:
-    from robodyn.tracking import ReferenceTable
+    from robodyn.control.tracking import ReferenceTable
 
 DEFAULT_DURATION = 10.0  # s
 
@@ -131,7 +131,7 @@ def torque_source(
 def _controlled(
     mechanism: Mechanism, options: TorqueOptions, duration: float | None
 ) -> tuple[Actuation, float]:
-    from robodyn.control import controller
+    from robodyn.control.laws import controller
 
     law = options.control
     assert law is not None
@@ -162,7 +162,7 @@ def _frequency(text: str) -> float:
 
 
 def _reference(mechanism: Mechanism, file: str) -> ReferenceTable:
-    from robodyn.tracking import ReferenceTable
+    from robodyn.control.tracking import ReferenceTable
 
     if not mechanism.actuated:
         raise InputError("--control", where=mechanism.source, limit="no joint is actuated")

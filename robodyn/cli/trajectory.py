@@ -27,18 +27,18 @@ from robodyn.cli.trajectory_options import (
     seconds_from,
 )
 from robodyn.errors import InputError
-from robodyn.joint_paths import JointPath, Sweep, constant_speed, path_through
 from robodyn.mechanism import Mechanism, load
-from robodyn.profiles import ACCELERATION
 from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate
-from robodyn.time_scaling import (
+from robodyn.trajectories.joint_paths import JointPath, Sweep, constant_speed, path_through
+from robodyn.trajectories.profiles import ACCELERATION
+from robodyn.trajectories.time_scaling import (
     Limits,
     check_limits,
     limits_of,
     shortest_along,
     shortest_through,
 )
-from robodyn.trajectory import ReferenceMotion, motion_along
+from robodyn.trajectories.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
 MOST_CYCLES = 100_000  # of a sweep

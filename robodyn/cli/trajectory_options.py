@@ -14,7 +14,7 @@ from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
 from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_time
 from robodyn.table import Reader
-from robodyn.time_scaling import (
+from robodyn.trajectories.time_scaling import (
     LimitError,
 )
 

@@ -16,8 +16,8 @@ from bench_frontier import Array, Case, Run
 
 import robodyn
 from robodyn import Mechanism
-from robodyn.mjcf import mjcf as exported_text
-from robodyn.model_xml import Names, link_names
+from robodyn.export.mjcf import mjcf as exported_text
+from robodyn.export.model_xml import Names, link_names
 from robodyn.scene import Description
 
 STEPS = [round(250 * 2 ** (k / 2)) for k in range(20)]  # fewer are unstable

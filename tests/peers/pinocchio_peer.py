@@ -13,9 +13,9 @@ import pinocchio as pin
 from bench_frontier import Array, Run
 
 from robodyn import Mechanism
-from robodyn.model_xml import Names, link_names
+from robodyn.export.model_xml import Names, link_names
+from robodyn.export.urdf import urdf
 from robodyn.scene import Description
-from robodyn.urdf import urdf
 
 
 class Model:

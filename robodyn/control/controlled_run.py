@@ -1,0 +1,193 @@
+"""A controller along the steps of a run: what it holds, where it jumps, how it tracks."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.control.tracking import ReferenceTable
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism
+from robodyn.run_control import JointTracking
+
+Array = NDArray[np.float64]
+Law = Callable[..., tuple[float, ...]]  # torques of the actuated joints from t, q0.., qd0..
+
+ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
+
+
+class Pieces:
+    """Which piece of a reference holds at a time; at a row, that ahead in the run's direction."""
+
+    def __init__(self, reference: ReferenceTable) -> None:
+        self.times = reference.times
+        self.last = len(self.times) - 2
+        self.reset()
+
+    def reset(self) -> None:
+        self.first, self.high, self.find = 0, self.last, bisect_right
+
+    def at(self, t: float) -> int:
+        k = self.find(self.times, t) - 1
+        return self.first if k < self.first else self.high if k > self.high else k
+
+    def reach(self, t: float, forward: bool) -> None:
+        """A run has come to a row at t: until it comes to the next, that piece is the furthest.
+
+        So a step that ends on a row does not see beyond it.
+        """
+        self.reset()
+        if forward:
+            self.high = self.at(t)
+        else:
+            self.find = bisect_left
+            self.first = self.at(t)
+
+
+class Tracked:
+    """What the accepted steps of a run tell of the tracking error e and its rate ed.
+
+    Between the ends of a step e is taken for the cubic that has both there.
+    """
+
+    restarts = False
+
+    def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: Law) -> None:
+        self.mechanism, self.reference, self.law = mechanism, reference, law
+        self._forget()
+
+    def _forget(self) -> None:
+        joints = self.reference.joints
+        self._last: tuple[Array, Array, Array] | None = None  # t, e, ed where a batch ended
+        self._square = np.zeros(joints)  # integral of e^2
+        self._duration = 0.0
+        self._largest, self._at = np.full(joints, -1.0), np.zeros(joints)
+        self._torque = np.zeros(joints)
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        """Those that act at t, in the state y = (q, qd, ...)."""
+        return self.law(t, *y[: 2 * self.mechanism.n])
+
+    def errors(self, t: Array, y: Array) -> Array:
+        """q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
+        error: Array = self.reference.at(t)[0] - y[:, list(self.mechanism.actuated)]
+        return error
+
+    def observe(self, t: Array, y: Array) -> None:
+        """Take accepted steps: times (k,) and states (k, 2n or more)."""
+        n, driven = self.mechanism.n, list(self.mechanism.actuated)
+        rates = self.reference.at(t)[1]
+        e, ed = self.errors(t, y), rates - y[:, n : 2 * n][:, driven]
+        for k in range(len(t)):
+            acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
+            self._torque = np.fmax(self._torque, acting)
+        self._compare(np.broadcast_to(t[:, None], e.shape), np.abs(e))
+        if self._last is not None:
+            t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
+        self._last = t[-1:], e[-1:], ed[-1:]
+        h = np.diff(t)[:, None]
+        cubic = _cubics(h, e, ed)
+        for u, extreme in _extremes(cubic):
+            self._compare(t[:-1, None] + u * h, np.abs(extreme))
+        parts = [cubic[i] * cubic[j] / (i + j + 1) for i, j in product(range(4), repeat=2)]
+        self._square += np.abs((h * sum(parts)).sum(axis=0))
+        self._duration += abs(float(t[-1] - t[0]))
+
+    def _compare(self, t: Array, size: Array) -> None:
+        """Keep the largest of sizes (k, actuated) at times t (k, actuated), and its time."""
+        if len(size):
+            worst = size.argmax(axis=0), np.arange(size.shape[1])
+            larger = size[worst] > self._largest
+            self._largest = np.where(larger, size[worst], self._largest)
+            self._at = np.where(larger, t[worst], self._at)
+
+    def tracking(self) -> list[JointTracking]:
+        """Of each actuated joint."""
+        mean = self._square / self._duration if self._duration else self._largest**2
+        names = [self.mechanism.link_names[k] for k in self.mechanism.actuated]
+        columns = (np.sqrt(mean), self._largest, self._at, self._torque)
+        rows = zip(names, *(column.tolist() for column in columns), strict=True)
+        return [JointTracking(*row) for row in rows]
+
+
+def _cubics(h: Array, e: Array, ed: Array) -> tuple[Array, Array, Array, Array]:
+    """The cubic of each step (k,), by the powers of u from 0 to 1 along it."""
+    slope, end, rise = ed[:-1] * h, ed[1:] * h, np.diff(e, axis=0)
+    return e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
+
+
+def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Array]]:
+    """Where in each step its cubic has an extreme, and how large; zero where there is none."""
+    begin, slope, c2, c3 = cubic
+    with np.errstate(all="ignore"):  # slope + 2 c2 u + 3 c3 u^2 = 0 may have no root
+        q = -(c2 + np.copysign(np.sqrt(c2**2 - 3.0 * c3 * slope), c2))
+        found = []
+        for u in (q / (3.0 * c3), slope / q):
+            inside = (u > 0.0) & (u < 1.0)
+            u = np.where(inside, u, 0.0)
+            value = begin + u * (slope + u * (c2 + u * c3))
+            found.append((u, np.where(inside, value, 0.0)))
+    return found
+
+
+class Continuous(Tracked):
+    """A law that acts all the time."""
+
+    def __init__(
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, pieces: Pieces, jumps: bool
+    ) -> None:
+        super().__init__(mechanism, reference, law)
+        self.restarts = jumps
+        self.pieces = pieces
+        self.forward = True
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        self._forget()
+        self.forward = t_end >= 0.0
+        self.pieces.reset()
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        if self.restarts:
+            self.pieces.reach(t, self.forward)
+
+
+class Sampled(Tracked):
+    """A law that is sampled, its torques held from one sample to the next."""
+
+    restarts = True
+
+    def __init__(
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, rate: float
+    ) -> None:
+        super().__init__(mechanism, reference, law)
+        self.rate = rate
+        self.times = array("d")
+        self.values = array("d")  # torques (actuated) of each sample in turn
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        if t_end < 0.0:
+            limit = "a torque is not held backwards: the time must not be negative"
+            raise InputError("control_rate", value=f"{self.rate:g}", limit=limit)
+        self._forget()
+        self.times, self.values = array("d"), array("d")
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        if not self.times or t > self.times[-1]:
+            self.values.extend(self.law(t, *y[: 2 * self.mechanism.n]))
+            self.times.append(t)
+
+    def at(self, t: float) -> Sequence[float]:
+        """The torques held at t."""
+        joints = self.reference.joints
+        k = max(bisect_right(self.times, t * ROUNDED) - 1, 0) * joints
+        return self.values[k : k + joints]
+
+    def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
+        return self.at(t)

@@ -1,0 +1,227 @@
+"""Which columns of tables are drawn, in which panels, with which ticks: a chart before it is drawn.
+
+Curves of one unit share a panel; panels are stacked and share x.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.csv_fields import shown
+from robodyn.errors import InputError
+from robodyn.pictures.column_units import quantity_of, unit_of
+
+Array = NDArray[np.float64]
+
+USUAL = ("q*", "tau*")  # what is drawn where nothing is asked for
+ROW = "row"  # the name of x where there is no t
+MOST_POINTS = 20_000  # of a curve, before it is thinned
+BINS = 4_000
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One column of one file against x, (T,) each."""
+
+    column: str
+    file: int
+    label: str
+    x: Array
+    y: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """The curves of one unit, and what stands at their axis."""
+
+    label: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """Panels over one x."""
+
+    x_label: str
+    panels: tuple[Panel, ...]
+    to_scale: bool  # x and y are both metres of the plane
+
+    @property
+    def curves(self) -> list[Curve]:
+        return [curve for panel in self.panels for curve in panel.curves]
+
+
+def choose_x(header: Sequence[str], wanted: str | None, source: str) -> str | None:
+    """The column along x: the one wanted, else t, else None for the number of the row."""
+    if wanted is None:
+        return "t" if "t" in header else None
+    if wanted not in header:
+        raise _unknown(wanted, "--x", header, source)
+    return wanted
+
+
+def place_of(name: str, option: str, header: Sequence[str], source: str) -> int:
+    """Where in the header a column is; InputError, with those that are there, where it is not."""
+    if name not in header:
+        raise _unknown(name, option, header, source)
+    return header.index(name)
+
+
+def choose_columns(
+    header: Sequence[str], patterns: Sequence[str] | None, x: str | None, source: str
+) -> list[str]:
+    """The columns to draw; InputError, with those that are there, where one is not.
+
+    In a pattern `*` stands for a number, and where no column has one there, for anything: `q*` is
+    q1, q2, ...  None takes q* and tau*, else all columns with a unit, else all but x.
+    """
+    others = [name for name in header if name != x]
+    if patterns is None:
+        usual = [name for p in USUAL for name in _matching(others, p, r"\d+")]
+        chosen = usual or [name for name in others if unit_of(name)] or others
+        if not chosen:
+            raise InputError("no column to draw", where=source, limit=f"there is only {x}")
+        return chosen
+    found: list[str] = []
+    for pattern in patterns:
+        names = _matching(header, pattern, r"\d+") or _matching(header, pattern, ".*")
+        if not names:
+            raise _unknown(pattern, "--y", header, source)
+        found += [name for name in names if name not in found]
+    return found
+
+
+def _matching(header: Sequence[str], pattern: str, star: str) -> list[str]:
+    expression = re.compile(star.join(map(re.escape, pattern.split("*"))))
+    return [name for name in header if expression.fullmatch(name)]
+
+
+def _unknown(name: str, option: str, header: Sequence[str], source: str) -> InputError:
+    limit = f"is no column; there are {shown(', '.join(header))}"
+    return InputError(option, where=source, value=shown(name), limit=limit)
+
+
+def chart(
+    sources: Sequence[str], xs: Sequence[str | None], tables: Sequence[dict[str, Array]]
+) -> Chart:
+    """The chart of tables: of each its name, its column along x, and its columns, (T,) each.
+
+    Raises InputError where a table has no row, or the tables have different columns along x.
+    """
+    if len(set(xs)) > 1:
+        named = ", ".join(f"{s}: {x or ROW}" for s, x in zip(sources, xs, strict=True))
+        raise InputError("the files have different x", value=named, limit="give --x")
+    labels = short_names(sources)
+    grouped: dict[str, list[Curve]] = {}
+    for file, (table, x) in enumerate(zip(tables, xs, strict=True)):
+        columns = [name for name in table if name != x or len(table) == 1]
+        if not all(len(values) for values in table.values()):
+            limit = "the header is followed by no row: nothing to draw"
+            raise InputError("no rows", where=sources[file], limit=limit)
+        for name in columns:
+            y = table[name]
+            along = np.arange(1.0, len(y) + 1.0) if x is None else table[x]
+            label = f"{name} {labels[file]}".rstrip()
+            curve = Curve(name, file, label, *thinned(along, y))
+            grouped.setdefault(unit_of(name), []).append(curve)
+    x_name = xs[0] or ROW
+    unit = unit_of(x_name)
+    panels = tuple(Panel(_label(unit, curves), tuple(curves)) for unit, curves in grouped.items())
+    to_scale = unit == "m" and len(panels) == 1 and "m" in grouped
+    return Chart(f"{x_name} [{unit}]" if unit else x_name, panels, to_scale)
+
+
+def _label(unit: str, curves: Sequence[Curve]) -> str:
+    names = list(dict.fromkeys(curve.column for curve in curves))
+    if len(names) > 1:
+        names = list(dict.fromkeys(map(quantity_of, names)))
+    named = ", ".join(names) if len(names) <= 3 else ""
+    return f"{named} [{unit}]".strip() if unit else named
+
+
+def short_names(sources: Sequence[str]) -> list[str]:
+    """What tells files apart: nothing for one, names without their directories if these differ."""
+    if len(sources) == 1:
+        return [""]
+    short = [re.sub(r"^.*[/\\]|\.csv$", "", source) for source in sources]
+    return short if len(set(short)) == len(short) else list(sources)
+
+
+def thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """A long curve along rising x, less the points that nobody could see.
+
+    Of each of many equal parts of the rows the least and the largest y are kept, and both ends.
+    """
+    if len(x) <= MOST_POINTS or not (np.diff(x) >= 0.0).all():
+        return x, y
+    edges = np.linspace(0, len(y), BINS + 1).astype(int)
+    kept = [np.array([0, len(y) - 1])]
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        part = y[begin:end]
+        kept.append(begin + np.array([part.argmin(), part.argmax()]))
+    places = np.unique(np.concatenate(kept))
+    return x[places], y[places]
+
+
+def limits(values: Sequence[Array]) -> tuple[float, float]:
+    """The least and the largest value, apart also where all are equal (to rounding)."""
+    low = min(float(v.min()) for v in values)
+    high = max(float(v.max()) for v in values)
+    size = max(abs(low), abs(high))
+    if high - low <= 1e-12 * size or high == low:
+        half = 0.05 * size or 1.0
+        return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+    return low, high
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """At most `most` round numbers in [low, high], 1, 2 or 5 times a power of ten apart.
+
+    Two at least, which may then be farther apart.
+    """
+    power = 10.0 ** math.floor(math.log10((high - low) / most))
+    found: list[float] = []
+    for apart in (factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)):
+        finer = found
+        rounding = 1e-9 + 1e-15 * max(abs(low), abs(high)) / apart
+        first, last = math.ceil(low / apart - rounding), math.floor(high / apart + rounding)
+        found = [k * apart for k in range(first, last + 1)]
+        if len(found) <= most:
+            break
+    return found if len(found) > 1 or len(finer) < 2 else [finer[0], finer[-1]]
+
+
+def tick_texts(values: Sequence[float]) -> list[str]:
+    """The ticks as short texts that differ."""
+    texts: list[str] = []
+    for digits in (6, 9, 12, 17):
+        texts = [f"{value:.{digits}g}" for value in values]
+        if len(set(texts)) == len(texts):
+            break
+    return [text.replace("e+0", "e").replace("e-0", "e-") for text in texts]
+
+
+def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float] | None:
+    """Places near those wanted, at least `gap` apart, in [low, high]; None if they do not fit."""
+    if (len(wanted) - 1) * gap > high - low:
+        return None
+    order = sorted(range(len(wanted)), key=lambda k: wanted[k])
+    groups: list[tuple[float, list[int]]] = []  # the lowest place of each, and who is in it
+    for k in order:
+        place, members = min(max(wanted[k], low), high), [k]
+        while groups and groups[-1][0] + gap * len(groups[-1][1]) > place + 1e-12 * gap:
+            members = groups.pop()[1] + members
+            centre = sum(wanted[m] - gap * i for i, m in enumerate(members)) / len(members)
+            place = min(max(centre, low), high - gap * (len(members) - 1))
+        groups.append((place, members))
+    places = [0.0] * len(wanted)
+    for place, members in groups:
+        for i, k in enumerate(members):
+            places[k] = place + gap * i
+    return places

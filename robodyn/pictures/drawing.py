@@ -1,0 +1,111 @@
+"""What a picture of a mechanism shows, to scale: links, joints, centres of gravity, supports.
+
+Points of the plane are complex numbers, m.  Each shape is a polygon or a line in the frame of a
+body; a pose says where each body is, `place + turn * points`, where |turn| = 1 but for springs:
+these are stretched along their x axis alone.  So a figure, an animation and a terminal draw the
+same things.  Symbols are as large as a part of the mechanism's span.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.assembly import attempt
+from robodyn.closed_form import phases
+from robodyn.errors import AssemblyError
+from robodyn.mechanism import Mechanism
+from robodyn.pictures.bodies import Body, at, bodies
+from robodyn.pictures.outlines import Shape
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+HALF_WIDTH = 0.024  # of a link, as a part of the span
+SHORTEST = 1e-12  # m, of a spring whose ends coincide
+
+
+class Drawing(NamedTuple):
+    """The bodies of a mechanism at poses q (T, n), and the half width of its links, m."""
+
+    mechanism: Mechanism
+    q: Array
+    half_width: float
+    bodies: tuple[Body, ...]
+    place: Complex  # (T, bodies)
+    turn: Complex  # (T, bodies)
+
+    def placed(self, pose: int) -> Iterator[tuple[int, Shape, Complex]]:
+        """Each shape at a pose, with the index of its body and its points in the plane."""
+        for b, body in enumerate(self.bodies):
+            for shape in body.shapes:
+                place, turn = self.place[pose, b], self.turn[pose, b]
+                yield b, shape, _moved(shape.points, place, turn)
+
+    def box(self) -> tuple[float, float, float, float]:
+        """x and y of the least, x and y of the largest of all points at all poses, m."""
+        corners = []
+        for b, body in enumerate(self.bodies):
+            points = np.concatenate([shape.points for shape in body.shapes])
+            z = _moved(points, self.place[:, b, None], self.turn[:, b, None])
+            corners.append((z.real.min(), z.imag.min(), -z.real.max(), -z.imag.max()))
+        left, bottom, right, top = np.min(corners, axis=0).tolist()
+        return left, bottom, -right, -top
+
+
+def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
+    moved: Complex = place + turn * points.real + 1j * turn / np.abs(turn) * points.imag
+    return moved
+
+
+def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
+    """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n)."""
+    poses = np.atleast_2d(np.asarray(q, float))
+    E = phases(mechanism, poses)
+    half_width = HALF_WIDTH * span(mechanism, poses)
+    found = tuple(bodies(mechanism, E, half_width))
+    place = np.stack([at(body.origin, E) for body in found], axis=-1)
+    turn = np.stack([_turn(body, E) for body in found], axis=-1)
+    return Drawing(mechanism, poses, half_width, found, place, turn)
+
+
+def _turn(body: Body, E: Complex) -> Complex:
+    if body.end is not None:
+        d: Complex = at(body.end, E) - at(body.origin, E)
+        return np.where(d == 0, SHORTEST, d)
+    if body.turns and body.link is not None:
+        return E[:, body.link]
+    return np.ones(len(E), complex)
+
+
+def span(mechanism: Mechanism, q: Array) -> float:
+    """The largest extent of joints, tips and centres of gravity over the poses q (T, n), m.
+
+    1 where they all are one point.
+    """
+    E = phases(mechanism, q)
+    points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
+    z = np.concatenate([at(point, E) for point in points])
+    return float(max(np.ptp(z.real), np.ptp(z.imag))) or 1.0
+
+
+def first_pose(mechanism: Mechanism) -> Array:
+    """A closed configuration (n,) to show a mechanism in: its start, zeros, or what closes first.
+
+    Raises AssemblyError where no turn of all actuated joints by a twelfth closes.
+    """
+    start = mechanism.description.start or (None,) * mechanism.n
+    if not mechanism.rows:
+        return np.array([angle or 0.0 for angle in start])
+    given = np.array([start[k] or 0.0 for k in mechanism.actuated])
+    turns = np.arange(12) * np.pi / 6
+    q, missing = attempt(mechanism, given + turns[:, None])
+    closes = np.flatnonzero(missing <= 0.0)
+    if not closes.size:
+        limit = "no pose found that closes: give --q"
+        raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
+    pose: Array = q[closes[0]]
+    return pose

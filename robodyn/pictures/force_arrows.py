@@ -1,0 +1,72 @@
+"""Forces as arrows: weights, the force in every pin, loads and springs, all to one scale."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.closed_form import absolute_rates, phases
+from robodyn.dynamics import pin_forces
+from robodyn.forces import spring_forces
+from robodyn.mechanism import Mechanism
+from robodyn.pictures.bodies import at, planar
+from robodyn.reaction_forces import reactions
+from robodyn.scene import Load, Spring
+
+Array = NDArray[np.float64]
+
+LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
+SEEN = 1e-9  # forces below this part of the largest are none
+
+
+class Force(NamedTuple):
+    """A force on a link: where it acts, m, and what it is, N, as complex numbers."""
+
+    kind: str  # gravity, pin or load
+    name: str
+    place: complex
+    force: complex
+
+
+def forces(
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array
+) -> list[Force]:
+    """The weights, the force in every pin, loads and springs, of one motion, each (n,).
+
+    r1 is the force on link 1 at its own joint, f1 that on the side of closure 1 named first, s1
+    that of spring 1 on its end named first; springs at joints and loads without a point have none.
+    Forces that are zero but for rounding are left out.
+    """
+    E = phases(mechanism, q)
+    found = []
+    for k, link in enumerate(mechanism.description.links):
+        for mass, point, name in (
+            (link.m, mechanism.centres[k], f"m{k + 1} g"),
+            (link.payload, mechanism.tips[k], f"payload {k + 1} g"),
+        ):
+            found.append(Force("gravity", name, complex(at(point, E)), mass * mechanism.gamma))
+    joints = reactions(mechanism, q, qd, qdd, multipliers) @ np.array([1, 1j])
+    for k, force in enumerate(joints.tolist()):
+        found.append(Force("pin", f"r{k + 1}", complex(at(mechanism.pivots[k], E)), force))
+    pins = pin_forces(mechanism, multipliers) @ np.array([1, 1j])
+    for c, force in enumerate(pins.tolist()):
+        pin = planar(mechanism, mechanism.description.closures[c].first)
+        found.append(Force("pin", f"f{c + 1}", complex(at(pin, E)), force))
+    between = [k for k, s in enumerate(mechanism.description.springs) if isinstance(s, Spring)]
+    if between:
+        pulls = spring_forces(mechanism, E, absolute_rates(mechanism, qd))
+        for k, spring, pull in zip(between, mechanism.springs, pulls.tolist(), strict=True):
+            found.append(Force("load", f"s{k + 1}", complex(at(spring.ends[0], E)), pull))
+    forced = [k for k, x in enumerate(mechanism.description.loads) if isinstance(x, Load)]
+    for k, item in zip(forced, mechanism.forces, strict=True):
+        force = item.force * (complex(E[item.link]) if item.turns else 1.0)
+        found.append(Force("load", f"load {k + 1}", complex(at(item.point, E)), force))
+    least = SEEN * max(abs(item.force) for item in found)
+    return [item for item in found if abs(item.force) > least]
+
+
+def metres_a_newton(found: list[Force], span: float) -> float:
+    """The scale of arrows: the largest force is LONGEST of the span."""
+    return LONGEST * span / max((abs(item.force) for item in found), default=1.0)

@@ -1,0 +1,169 @@
+"""A map: values over two columns, as the cells of a grid or as points, before it is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import InputError
+from robodyn.pictures.chart import limits
+from robodyn.pictures.colour_scale import ColourScale, colour_scale
+from robodyn.pictures.column_units import unit_of
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+ALIKE = 1e-9  # of the span: values of x this close are one line of the grid
+EVEN = 0.1  # of a step, by which a line of an even grid may be off its place
+MOST_LINES = 1.25  # times those with points has an even grid
+LEAST_FILLED = 0.5  # of the cells of a grid have more than this share a row
+LARGEST = 1e290
+MOST_FLAT = 5.0  # width to height, or height to width, of a map to scale
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells with edges x (nx + 1,) and y (ny + 1,), rising.
+
+    `row` (ny, nx) is the row of the table that each cell shows, -1 where there is none; `hidden`
+    counts the rows that show nowhere, as a later one has the same cell.
+    """
+
+    x_edges: Array
+    y_edges: Array
+    row: Rows
+    hidden: int
+
+
+@dataclass(frozen=True, slots=True)
+class ValueMap:
+    """Values (T,) at points x, y (T,).
+
+    Values are numbers on a scale, or places in `words`; nan is a point without a value.
+    """
+
+    x_name: str
+    y_name: str
+    name: str
+    x: Array
+    y: Array
+    values: Array
+    words: tuple[str, ...]
+    scale: ColourScale | None
+    grid: Grid | None
+
+    @property
+    def has_none(self) -> bool:
+        """Whether a point has no value."""
+        return bool(np.isnan(self.values).any())
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """The least and the largest x, then y, that are drawn."""
+        if self.grid is None:
+            return (*limits([self.x]), *limits([self.y]))
+        x, y = self.grid.x_edges, self.grid.y_edges
+        return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
+
+    @property
+    def to_scale(self) -> bool:
+        """Whether x and y have one unit, and extents that can be drawn to one scale."""
+        left, right, bottom, top = self.box
+        flat = (right - left) / (top - bottom)
+        alike = unit_of(self.x_name) == unit_of(self.y_name) != ""
+        return alike and 1.0 / MOST_FLAT <= flat <= MOST_FLAT
+
+    def rows_at(self, columns: int, rows: int) -> Rows:
+        """The row of the table (rows, columns) at each dot of a raster over the box, -1 for none.
+
+        y rises from raster row to raster row.  A cell of a grid shows at the dots whose centres it
+        holds; of several points in a dot the last shows, and one with a value before one without.
+        """
+        left, right, bottom, top = self.box
+        if self.grid is not None:
+            x = left + (np.arange(columns) + 0.5) / columns * (right - left)
+            y = bottom + (np.arange(rows) + 0.5) / rows * (top - bottom)
+            column = np.searchsorted(self.grid.x_edges, x).clip(1, self.grid.row.shape[1]) - 1
+            row = np.searchsorted(self.grid.y_edges, y).clip(1, self.grid.row.shape[0]) - 1
+            found: Rows = self.grid.row[row[:, None], column]
+            return found
+        column = ((self.x - left) / (right - left) * columns).astype(int).clip(0, columns - 1)
+        row = ((self.y - bottom) / (top - bottom) * rows).astype(int).clip(0, rows - 1)
+        found = np.full((rows, columns), -1)
+        for group in (np.isnan(self.values), ~np.isnan(self.values)):
+            found[row[group], column[group]] = np.flatnonzero(group)
+        return found
+
+
+def value_map(
+    names: tuple[str, str, str],
+    x: Array,
+    y: Array,
+    values: Array,
+    words: Sequence[str] = (),
+    log: bool = False,
+) -> ValueMap:
+    """The map of the columns `names`: x, y and colour.  Arrays (T,), as ValueMap has them.
+
+    Raises InputError where there is no row, or a number is too large to be drawn.
+    """
+    if not len(x):
+        raise InputError("no rows", limit="the header is followed by no row: nothing to draw")
+    x, y = _drawable(names[0], x), _drawable(names[1], y)
+    if not words:
+        values = _drawable(names[2], values, flush=not log)
+    scale = None if words else colour_scale(values, log)
+    return ValueMap(*names, x, y, values, tuple(words), scale, find_grid(x, y))
+
+
+def _drawable(name: str, values: Array, flush: bool = True) -> Array:
+    """Values whose sums and differences are numbers; with `flush` those next to 0 are 0."""
+    size = np.abs(values)
+    if (size > LARGEST).any():
+        value = float(values[size > LARGEST][0])
+        raise InputError(name, value=value, limit=f"beyond {LARGEST:g} nothing can be drawn")
+    return np.where(size < 1.0 / LARGEST, 0.0, values) if flush else values
+
+
+def find_grid(x: Array, y: Array) -> Grid | None:
+    """The grid on which the points x, y (T,) lie, None where they fill half of none.
+
+    Lines of an even grid that have no point at all are found too.
+    """
+    x_lines, y_lines = _lines(x), _lines(y)
+    cells = len(x_lines) * len(y_lines)
+    if min(len(x_lines), len(y_lines)) < 2 or len(x) <= LEAST_FILLED * cells:
+        return None
+    x_edges, y_edges = _edges(x_lines), _edges(y_lines)
+    row = np.full((len(y_lines), len(x_lines)), -1)
+    row[np.searchsorted(y_edges, y) - 1, np.searchsorted(x_edges, x) - 1] = np.arange(len(x))
+    filled = int((row >= 0).sum())
+    if filled <= LEAST_FILLED * cells:
+        return None
+    return Grid(x_edges, y_edges, row, len(x) - filled)
+
+
+def _lines(values: Array) -> Array:
+    """The different values, rising, and those that an even grid of them lacks."""
+    lines: Array = np.unique(values)
+    if len(lines) < 2:
+        return lines
+    apart = np.diff(lines) > ALIKE * (lines[-1] - lines[0])
+    lines = lines[np.append(True, apart)]
+    steps = np.diff(lines)
+    place = np.append(0.0, np.cumsum(np.round(steps / steps.min())))
+    whole = place[-1] + 1.0
+    if len(lines) < whole <= MOST_LINES * len(lines):
+        even: Array = np.linspace(lines[0], lines[-1], int(whole))
+        if (np.abs(even[place.astype(int)] - lines) < EVEN * (even[1] - even[0])).all():
+            return even
+    return lines
+
+
+def _edges(lines: Array) -> Array:
+    """Halfway between the lines, and as far beyond the first and the last."""
+    middle = 0.5 * (lines[1:] + lines[:-1])
+    return np.concatenate([[2.0 * lines[0] - middle[0]], middle, [2.0 * lines[-1] - middle[-1]]])

@@ -1,0 +1,1 @@
+"""Many motions at once: what varies, lanes that advance together, chunks that can be resumed."""

@@ -1,0 +1,171 @@
+"""The motions of a chunk of a sweep: together where lanes serve them, one by one elsewhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.actuation import Actuation
+from robodyn.dense_dynamics import elimination_is_safe
+from robodyn.mechanism import Mechanism
+from robodyn.projection import regular_rank, suspect_quality
+from robodyn.recording import Outcome
+from robodyn.sweeps import lanes
+from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_single import single
+from robodyn.sweeps.lanes import Aims, Ends
+from robodyn.sweeps.sweep_plan import Plan, base_mechanism
+from robodyn.taylor import Status, best_order
+from robodyn.taylor.layout import Layout, numbers
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_OUTCOMES = {
+    Status.REACHED: Outcome.FINISHED,
+    Status.FULL: Outcome.TOO_MANY_EVALUATIONS,
+    Status.SINGULAR: Outcome.SINGULAR,
+    Status.STUCK: Outcome.STEP_TOO_SMALL,
+    Status.NOT_FINITE: Outcome.STEP_TOO_SMALL,
+}
+
+
+class Group(NamedTuple):
+    """Points of a chunk that share a mechanism, and their start."""
+
+    mechanism: Mechanism
+    points: Indices
+    q: Array  # (k, n)
+    qd: Array
+    tau: Array  # (k, n)
+
+
+def motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> None:
+    """The motions of all groups: together where lanes serve them, one by one elsewhere."""
+    base = base_mechanism(plan.scene, plan.source)
+    n, P = base.n, len(outcomes)
+    link = -1
+    if "flip" in plan.results:
+        link = plan.link % n
+    regular = not base.rows or regular_rank(base) == len(base.rows)
+    aims = Aims(
+        rtol=plan.rtol,
+        atol=plan.atol,
+        most=plan.most,
+        suspect=suspect_quality(base) if base.rows else 0.0,
+        extremes="extremes" in plan.results,
+        link=link,
+        work=any(g.mechanism.dissipates or g.tau.any() for g in groups),
+    )
+    ends = Ends.room(P, n)
+    offset = np.zeros(P)
+    angle = np.zeros(P)
+    alone: list[tuple[Group, int]] = []
+    together: list[Group] = []
+    for group in groups:
+        offset[group.points] = group.mechanism.energy_offset
+        if link >= 0:
+            angle[group.points] = _from_hanging(group.mechanism, group.q, link)
+        if regular and _served(group.mechanism):
+            together.append(group)
+        else:
+            alone += [(group, i) for i in range(len(group.points))]
+    for chosen, found in _integrated(plan, together, angle, aims):
+        for name in Ends.__slots__:
+            getattr(ends, name)[chosen] = getattr(found, name)
+        for lane, status in zip(chosen, found.status.tolist(), strict=True):
+            outcomes[lane] = _OUTCOMES[Status(status)].label
+    poor = {Status.SINGULAR, Status.STUCK} if base.rows else set()
+    for group in together:
+        alone += [(group, i) for i, k in enumerate(group.points) if ends.status[k] in poor]
+    for group, i in alone:
+        k = int(group.points[i])
+        y = np.concatenate([group.q[i], group.qd[i]])
+        outcomes[k] = single(
+            group.mechanism, y, group.tau[i], plan.t_end, float(angle[k]), aims, ends, k
+        )
+    _columns(plan, ends, offset, values)
+
+
+def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
+    """The results into their columns."""
+    parts = []
+    if "final" in plan.results:
+        parts += [np.where(np.isnan(ends.y[:, 0]), math.nan, ends.t)[:, None], ends.y]
+    if "extremes" in plan.results:
+        both = np.stack([ends.low, ends.high], axis=-1)
+        parts += [both.reshape(len(both), -1), ends.energy + offset[:, None]]
+    if "drift" in plan.results:
+        parts.append(ends.drift[:, None])
+    if "flip" in plan.results:
+        parts.append(ends.flip[:, None])
+    if parts:
+        values[:, len(plan.variation.axes) :] = np.concatenate(parts, axis=1)
+
+
+def _served(mechanism: Mechanism) -> bool:
+    """Whether lanes serve it: no friction, which no series sees coming, no couplings; regular M."""
+    smooth = not mechanism.friction and not mechanism.description.couplings
+    return smooth and elimination_is_safe(mechanism)
+
+
+def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
+    """The angle of a link at q (k, n) from where it hangs along gravity, in [-pi, pi).
+
+    Without gravity it counts from the start.
+    """
+    if mechanism.gamma == 0:
+        return np.zeros(len(q))
+    hanging = math.atan2(mechanism.gamma.imag, mechanism.gamma.real)
+    alpha: Array = q @ mechanism.arrays.J[link]
+    return np.asarray(np.remainder(alpha - hanging + math.pi, 2.0 * math.pi) - math.pi)
+
+
+def _integrated(
+    plan: Plan, groups: list[Group], angle: Array, aims: Aims
+) -> Iterator[tuple[Indices, Ends]]:
+    """Points whose mechanisms have the same structure, and what their motions leave behind."""
+    compiled: Callable[..., Ends] = lanes.integrate
+    if plan.engine == "compiled":
+        from robodyn.sweeps.lanes_compiled import integrate as compiled
+    order = best_order(plan.rtol)
+    alike: dict[tuple[object, ...], list[tuple[Group, Array]]] = {}
+    structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
+    for group in groups:
+        if len(group.points):
+            whole, real, at = numbers(group.mechanism, Actuation((0.0,) * group.q.shape[1]), order)
+            key = (at, whole.tobytes(), *_forces_of(group.mechanism))
+            alike.setdefault(key, []).append((group, real))
+            structures[key] = whole, at
+    for key, members in alike.items():
+        whole, at = structures[key]
+        chosen = np.concatenate([group.points for group, _ in members])
+        tau = np.concatenate([group.tau for group, _ in members])
+        y = np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g, _ in members])
+        shared = len(members) == 1 and (tau == tau[0]).all()
+        if shared:
+            reals = members[0][1][None]
+            reals[0, at.torque : at.torque + at.n] = tau[0]
+        else:
+            reals = np.concatenate([np.tile(real, (len(g.points), 1)) for g, real in members])
+            reals[:, at.torque : at.torque + at.n] = tau
+        given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
+        if not members[0][0].mechanism.has_forces:
+            yield chosen, compiled(*given)
+            continue
+        which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
+        forces = LaneForces([group.mechanism for group, _ in members], which)
+        yield chosen, lanes.integrate(*given, forces)
+
+
+def _forces_of(mechanism: Mechanism) -> tuple[object, ...]:
+    """What must agree where lanes share the structure of their forces."""
+    return (
+        len(mechanism.springs),
+        tuple(spring.joint for spring in mechanism.joint_springs),
+        tuple((force.link, force.turns) for force in mechanism.forces),
+    )

@@ -1,0 +1,121 @@
+"""What a sweep computes: everything that its rows depend on.
+
+Plain values, which go to other processes and machines, and which tell one sweep from another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+
+from robodyn import __version__, assembly
+from robodyn.errors import InputError
+from robodyn.mechanism import Mechanism, build
+from robodyn.sweeps.scene_values import SceneValues
+from robodyn.sweeps.variation import Variation
+
+# points of a chunk: in numpy many share the cost of a call, compiled they are quick to share out
+CHUNKS = {"python": 2000, "compiled": 500}
+WORTH_LOADING = 1000  # points whose time is that of loading numba
+RESULTS = ("final", "extremes", "drift", "flip")
+_ENDS = ("min", "max")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All that the rows of a sweep depend on: plain values, which go to other processes.
+
+    `q`, `qd`, `qdd` and `tau` are those of the actuated joints, which axes named q1, tau2, ...
+    replace; every other axis names a number of the scene.
+    """
+
+    scene: str  # its text
+    source: str
+    variation: Variation
+    q: tuple[float, ...]
+    qd: tuple[float, ...]
+    tau: tuple[float, ...] = ()
+    qdd: tuple[float, ...] = ()
+    kind: str = "motion"  # or torque
+    t_end: float = 10.0
+    results: tuple[str, ...] = RESULTS
+    link: int = -1  # whose flip is told; -1: the last
+    rtol: float = 1e-9
+    atol: float = 1e-9
+    most: int = 100_000  # steps of a motion
+    engine: str = "python"  # or compiled
+    version: str = __version__
+    chunk: int = CHUNKS["python"]
+
+    @property
+    def chunks(self) -> int:
+        return -(-self.variation.size // self.chunk)
+
+    @property
+    def scene_axes(self) -> tuple[int, ...]:
+        """Which axes change the scene."""
+        values = SceneValues(self.scene, self.source)
+        return tuple(k for k, axis in enumerate(self.variation.axes) if axis.name in values)
+
+    def columns(self) -> list[str]:
+        """The names of the columns; the last, `outcome`, is text."""
+        mechanism = base_mechanism(self.scene, self.source)
+        joints = range(1, mechanism.n + 1)
+        names = [axis.name for axis in self.variation.axes]
+        if self.kind == "torque":
+            names += [f"tau{k + 1}" for k in mechanism.actuated]
+            described = mechanism.description
+            names += [f"f{x}{c + 1}" for c in range(len(described.closures)) for x in "xy"]
+            names += [f"tc{c + 1}" for c in range(len(described.couplings))]
+            return [*names, "outcome"]
+        if "final" in self.results:
+            names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
+        if "extremes" in self.results:
+            names += [f"{x}{k}_{end}" for x in ("q", "qd") for k in joints for end in _ENDS]
+            names += [f"energy_{end}" for end in _ENDS]
+        names += [name for name in ("drift", "flip") if name in self.results]
+        return [*names, "outcome"]
+
+    def facts(self) -> dict[str, object]:
+        """Everything that the rows depend on, as JSON has it."""
+        facts = asdict(self)
+        del facts["source"]  # which may be named from elsewhere
+        facts["variation"] = [asdict(axis) for axis in self.variation.axes]
+        facts |= {"sample": self.variation.sample, "seed": self.variation.seed}
+        return facts
+
+
+@lru_cache(maxsize=8)
+def base_mechanism(scene: str, source: str) -> Mechanism:
+    """The mechanism of the scene as it is."""
+    return build(SceneValues(scene, source).base)
+
+
+def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
+    """The engine that `wanted` names; auto: compiled with the extra `fast` for many points.
+
+    Raises InputError where the compiled one is wanted and not installed.
+    """
+    there = find_spec("numba") is not None
+    if wanted == "compiled" and not there:
+        limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
+        raise InputError("engine", value=wanted, limit=limit)
+    if wanted != "auto":
+        return wanted
+    plain = not mechanism.has_forces and not mechanism.description.couplings
+    return "compiled" if there and plain and points >= WORTH_LOADING else "python"
+
+
+def check(plan: Plan) -> Mechanism:
+    """The scene's mechanism; raises InputError for what no point could have.
+
+    Each axis is tried at both of its ends, the others at the scene's own values.
+    """
+    mechanism = base_mechanism(plan.scene, plan.source)
+    for k in plan.scene_axes:
+        axis = plan.variation.axes[k]
+        for value in axis.ends:
+            build(SceneValues(plan.scene, plan.source).replaced({axis.name: value}))
+    assembly.assembly_plan(mechanism)
+    return mechanism

@@ -1,0 +1,154 @@
+"""The chunks of a sweep, in order: computed here, by threads, processes, or a Dask cluster.
+
+Compiled loops let threads share the processor; numpy on small arrays, and reading scenes again, do
+not: these go to processes.  Only so many chunks are under way at a time that memory does not grow
+with their number.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from robodyn.errors import InputError, RobodynError
+from robodyn.sweeps.sweep import Rows, run_chunk
+from robodyn.sweeps.sweep_plan import Plan, base_mechanism
+
+MANY_SCENES = 1000  # from so many on reading them is what takes the time
+AHEAD = 2  # chunks under way for each worker
+
+
+class _Future(Protocol):
+    def result(self) -> Any: ...
+
+
+def results(
+    plan: Plan, begin: int = 0, workers: int | None = None, scheduler: str | None = None
+) -> Iterator[Rows]:
+    """The rows of the chunks from `begin` on, in order.
+
+    `workers` is the number of threads or processes (None: one a processor), `scheduler` the address
+    of a Dask scheduler that takes their place.  Raises RobodynError where a worker is lost.
+    """
+    if plan.engine == "compiled" and scheduler is None:
+        pass
+    left = plan.chunks - begin
+    if scheduler is not None:
+        with _cluster(scheduler) as (submit, width):
+            yield from _ordered(submit, plan, begin, AHEAD * width)
+        return
+    count = min(processors() if workers is None else workers, left)
+    if count <= 1:
+        for number in range(begin, plan.chunks):
+            yield run_chunk(plan, number)
+        return
+    executor, before = _executor(plan, count), set(multiprocessing.active_children())
+    try:
+        yield from _ordered(executor.submit, plan, begin, AHEAD * count)
+    except BrokenProcessPool:
+        raise RobodynError("a worker process ended", limit="was it out of memory?") from None
+    except BaseException:  # what is under way is of no use any more
+        for child in set(multiprocessing.active_children()) - before:
+            child.terminate()
+        executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    finally:
+        executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
+        del executor
+        gc.collect()  # a pool's semaphores are freed with it
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _ordered(submit: Callable[..., _Future], plan: Plan, begin: int, ahead: int) -> Iterator[Rows]:
+    waiting: deque[_Future] = deque()
+    for number in range(begin, plan.chunks):
+        waiting.append(submit(run_chunk, plan, number))
+        if len(waiting) >= ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def _executor(plan: Plan, count: int) -> Executor:
+    scenes = 1
+    for k in plan.scene_axes:
+        values = plan.variation.axes[k].values
+        scenes *= len(values) if values else plan.variation.size
+    compiled = plan.engine == "compiled" and plan.kind == "motion"
+    if compiled and scenes < MANY_SCENES and not base_mechanism(plan.scene, plan.source).has_forces:
+        return ThreadPoolExecutor(count)
+    return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
+
+
+def _begin_worker() -> None:
+    """Ctrl-C is the parent's to see; a worker ends with it, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[tuple[Callable[..., _Future], int]]:
+    """A function that submits to the cluster, and how many chunks it computes at once."""
+    try:
+        import distributed
+    except ImportError:
+        limit = "needs the extra `cluster` (pip install 'robodyn[cluster]')"
+        raise InputError("scheduler", value=address, limit=limit) from None
+    connect: Any = distributed.Client
+    try:
+        client: Any = connect(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        limit = f"no Dask scheduler answers there: {error}"
+        raise RobodynError("scheduler", value=address, limit=limit) from None
+    try:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise RobodynError("scheduler", value=address, limit="it has no workers")
+
+        def submit(function: Callable[..., Rows], *arguments: Any) -> _Future:
+            return _Remote(client.submit(function, *arguments, pure=False))
+
+        yield submit, threads
+    finally:
+        client.close()
+
+
+class _Remote:
+    """A future of the cluster, whose failures are told as errors of robodyn."""
+
+    def __init__(self, future: Any) -> None:
+        self._future = future
+
+    def result(self) -> Any:
+        try:
+            return self._future.result()
+        except RobodynError:
+            raise
+        except ModuleNotFoundError as error:
+            limit = f"a worker has no module {error.name}: install there what is installed here"
+            raise RobodynError("scheduler", limit=limit) from None
+        except Exception as error:
+            kind = type(error).__name__
+            raise RobodynError("scheduler", limit=f"the cluster failed: {kind}: {error}") from error

@@ -1,0 +1,91 @@
+"""A Taylor-series integrator for planar mechanisms: what its engines have in common.
+
+The series of a motion costs a few convolutions an order and a link for any planar linkage, as
+`code.py` says.  Three engines make them: straight-line floats and numpy arrays
+(`steps.py`), and compiled loops (`compiled.py`, with the extra `fast`);
+`run.py` chooses one and drives it.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TINY = 1e-290  # in place of a coefficient that vanishes
+
+# of the loops generic in the model, compiled or over many lanes
+PASSES = 3  # Newton steps that close a state
+HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
+PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
+
+
+class Status(IntEnum):
+    """Why an engine stopped."""
+
+    REACHED = 0  # the bound
+    FULL = 1  # as many steps as were asked for
+    SINGULAR = 2  # the next step would start too near a singular configuration
+    STUCK = 3  # the step is below the spacing of floats
+    NOT_FINITE = 4  # an acceleration or a torque is not finite
+
+
+class Chunk(NamedTuple):
+    """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
+
+    y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
+    was asked for.
+    """
+
+    t: Array
+    y: Array
+    row_t: Array
+    row_y: Array
+    status: Status
+
+
+class Engine(Protocol):
+    """What advances a state by steps of the Taylor series."""
+
+    order: int
+
+    def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
+        """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
+
+        `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        """
+        ...
+
+
+def step_size(z: NDArray[Any], rtol: float, atol: float) -> float:
+    """The step at which the last coefficients of z (n, order + 2) are as large as the tolerance.
+
+    Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
+    by atol + rtol, and no link turns so far that its turns cannot be counted.
+    """
+    p = z.shape[1] - 2
+    last, before = float(np.abs(z[:, -1]).max()), float(np.abs(z[:, -2]).max())
+    fast = float(np.abs(z[:, 1]).max())
+    tol = atol + rtol * fast
+    h = min(
+        (tol / ((p + 1) * last or TINY)) ** (1 / p),
+        (tol / (p * before or TINY)) ** (1 / (p - 1)),
+        2.0 / (fast or TINY),
+    )
+    angle = (p + 1) * (atol + rtol)
+    return float(h * (angle / (h * tol)) ** (1 / (p + 1)) if h * tol > angle else h)
+
+
+def best_order(rtol: float) -> int:
+    """The order at which a second of motion costs the least with the generic loops."""
+    return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))
+
+
+def default_order(tolerance: float) -> int:
+    """The order that measured cheapest: a step's cost grows with it, the number of steps falls."""
+    return 2 * max(3, round((4.0 - 0.5 * math.log(tolerance)) / 2.0))

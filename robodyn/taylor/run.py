@@ -1,0 +1,241 @@
+"""Runs the Taylor integrator: chooses the engine, steps onto kinks, crosses what is singular.
+
+A series that starts close to a singular configuration drowns in rounding.  Engines land elsewhere
+where they can; where they cannot, or a run starts there, a few steps of DOP853, whose stages
+`change_points.py` serves, lead across.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn import dense_dynamics
+from robodyn.actuation import Actuation
+from robodyn.errors import InputError, RobodynError
+from robodyn.kinks import kink_at, next_kink
+from robodyn.mechanism import Mechanism
+from robodyn.projection import float_closing, loop_terms, suspect_quality
+from robodyn.recording import Outcome, Recorder
+from robodyn.taylor import Chunk, Engine, Status, default_order
+from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine
+from robodyn.taylor.torques import TorqueSeries
+
+if TYPE_CHECKING:
+    from robodyn.right_hand_side import RightHandSide
+
+Array = NDArray[np.float64]
+
+STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
+STEPS = 128  # at a time: between them the run can be watched and interrupted
+COMPILED_STEPS = 4096
+PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
+HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
+COMPILED = "robodyn.taylor.compiled"
+SMALLEST_RTOL = 3e-14  # of scipy's methods
+
+
+def stepping_engine(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    rtol: float,
+    atol: float,
+    *,
+    order: int | None = None,
+    project: bool = True,
+    work: bool = False,
+) -> SteppingEngine:
+    """The engine in Python for a mechanism and its torques.
+
+    Raises InputError where a torque has no series, SingularError where a freedom has no inertia.
+    """
+    if order is None:
+        order = default_order(max(rtol, atol))
+    torques: tuple[float, ...] | TorqueSeries
+    if actuation.constants is not None:  # springs make a series of them
+        torques = actuation.constants
+    else:
+        torques = TorqueSeries(actuation, mechanism)
+    closing = float_closing(mechanism) if mechanism.rows and project else None
+    small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
+        mechanism
+    )
+    kind = StraightEngine if small else ArrayEngine
+    return kind(mechanism, closing, order, rtol, atol, torques, work)
+
+
+def compiled_engine(
+    mechanism: Mechanism, actuation: Actuation, rtol: float, atol: float, order: int | None
+) -> Engine | None:
+    """The compiled engine, or None where numba is not installed or the engine does not serve."""
+    if find_spec("numba") is None:
+        return None
+    from robodyn.taylor.compiled import CompiledEngine
+
+    if not CompiledEngine.serves(mechanism, actuation):
+        return None
+    return CompiledEngine(mechanism, actuation, rtol=rtol, atol=atol, order=order)
+
+
+def taylor_run(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    y: Array,
+    t_end: float,
+    recorder: Recorder,
+    *,
+    rtol: float,
+    atol: float,
+    order: int | None,
+    engine: str,
+    project: bool,
+    side: Callable[[], RightHandSide],
+) -> Outcome:
+    """Integrate from (0, y) to t_end; `side` makes what DOP853 needs, where it is needed.
+
+    `engine` is python, compiled, or auto: compiled once it is loaded in this process, which it is
+    for a run that takes longer than PATIENCE.
+    """
+    work = len(y) > 2 * mechanism.n
+    projects = project and bool(mechanism.rows)
+    closing = float_closing(mechanism) if projects else None
+    suspect = suspect_quality(mechanism) if projects else 0.0
+
+    def fast() -> Engine | None:
+        if project or not mechanism.rows:
+            return compiled_engine(mechanism, actuation, rtol, atol, order)
+        return None
+
+    stepping: Engine | None = None
+    if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
+        stepping = fast()
+        if stepping is None and engine == "compiled":
+            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, no "
+            limit += "springs, friction, forces that turn or couplings, and closures that do not "
+            limit += "depend on one another: take auto or python"
+            raise InputError("engine", value=engine, limit=limit)
+    waits = engine == "auto" and stepping is None
+    if stepping is None:
+        stepping = stepping_engine(
+            mechanism, actuation, rtol, atol, order=order, project=project, work=work
+        )
+    _check_start(mechanism, actuation, y)
+    t, begun = 0.0, time.perf_counter()
+    crosses = closing is not None and closing(y.tolist())[1] < suspect
+    while True:
+        bound = next_kink(actuation.kinks, t, t_end)
+        recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
+        if crosses:
+            before = t
+            t, y = _cross(
+                side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol, actuation
+            )
+            if t == before:
+                return Outcome.SINGULAR
+            status = Status.FULL
+        else:
+            steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            left = recorder.max_evaluations - recorder.report.evaluations
+            steps = max(1, min(steps, left + 1))
+            chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+            if len(chunk.t):
+                t, y = float(chunk.t[-1]), chunk.y[-1]
+                reach(actuation, t, y)
+            recorder.chunk(chunk, t_end)
+            if _held_by_stability(chunk, t_end, recorder, rtol, atol):
+                return Outcome.STIFF
+            status = chunk.status
+        if t == t_end:
+            return Outcome.FINISHED
+        stuck = status is Status.STUCK and closing is not None and not crosses
+        if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
+            return Outcome.STEP_TOO_SMALL
+        crosses = stuck or status is Status.SINGULAR
+        if waits and time.perf_counter() - begun > PATIENCE:
+            stepping, waits = fast() or stepping, False
+            simple = actuation.constants is not None and not mechanism.has_forces
+            if simple and find_spec("numba") is None:
+                recorder.report.hint = HINT
+
+
+def reach(actuation: Actuation, t: float, y: Array) -> None:
+    """Tell a torque that depends on the run's steps where one of them ended, if on a kink."""
+    if actuation.control is not None and (kink := kink_at(actuation.kinks, t)) is not None:
+        actuation.control.reach(kink, y.tolist())
+
+
+def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
+    try:
+        torques = actuation.function(mechanism.n)(0.0, y.tolist())
+    except (ArithmeticError, ValueError):
+        torques = [math.nan]
+    if not all(map(math.isfinite, torques)):
+        limit = "the torque is not finite there"
+        raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+
+def _held_by_stability(
+    chunk: Chunk, t_end: float, recorder: Recorder, rtol: float, atol: float
+) -> bool:
+    """Whether a run that would take too many steps takes them along what one cubic describes."""
+    count, n = len(chunk.t), recorder.mechanism.n
+    if count < STEPS or chunk.status is not Status.FULL:
+        return False
+    x = (chunk.t - chunk.t[0])[:, None]
+    span = float(x[-1, 0])
+    left = recorder.max_evaluations - recorder.report.evaluations
+    if (t_end - chunk.t[-1]) / span * count <= left:
+        return False
+    q, qd = chunk.y[:, :n], chunk.y[:, n : 2 * n]
+    fast = float(np.abs(qd).max())
+    if abs(span) * fast > 0.1 * count:  # turns of links hold it as well
+        return False
+    slope = (q[-1] - q[0]) / span
+    a, b = qd[0] - slope, qd[-1] - slope
+    u = x / span
+    cubic = q[0] + x * slope + span * u * (1.0 - u) * (a * (1.0 - u) - b * u)
+    return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
+
+
+def _cross(
+    side: RightHandSide,
+    t: float,
+    y: Array,
+    bound: float,
+    recorder: Recorder,
+    closing: Callable[[list[float]], tuple[list[float], float]] | None,
+    regular: float,
+    rtol: float,
+    atol: float,
+    actuation: Actuation,
+) -> tuple[float, Array]:
+    """DOP853 from (t, y) until the closures are regular again, or the bound."""
+    from robodyn.solvers import projected
+
+    assert closing is not None
+    tolerances = np.full(len(y), atol)
+    tolerances[2 * recorder.mechanism.n :] = 1e100  # the work chooses no step
+    options: dict[str, Any] = {
+        "rtol": max(rtol, SMALLEST_RTOL),
+        "atol": tolerances,
+        "projection": side.projection,
+        "near": side.near,
+        "observer": recorder.step,
+        "kinks": actuation.kinks,
+        "control": actuation.control,
+    }
+    solver = projected("DOP853")(side.rates, t, y, bound, **options)
+    while solver.status == "running":
+        if solver.step() is not None:
+            break
+        if closing(solver.y.tolist())[1] >= regular:
+            break
+    recorder.end_solver(solver)
+    return float(solver.t), np.array(solver.y)

@@ -1,0 +1,1 @@
+"""Reference motions: profiles, splines, loops that follow, shortest durations."""

@@ -1,0 +1,250 @@
+"""The passive joints of a mechanism, continued along a path of its actuated joints.
+
+A step is predicted by its Taylor series, corrected by Newton's method with the actuated joints
+held, and shortened where the correction, or the change of the rates, shows that it may have left
+the branch.  The states found are nodes, between which a state can be interpolated and corrected.
+
+Where det Psi_p (of the passive columns) changes its sign between two nodes there is a change
+point, at which two branches meet; the path runs straight on.  Where two branches only come near to
+one another the sign changes by a leap: the step is shortened until it follows its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.assembly import CLOSED, loop_size
+from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.errors import AssemblyError
+from robodyn.mechanism import Mechanism
+from robodyn.trajectories.joint_paths import JointPath, Pieces
+
+Array = NDArray[np.float64]
+
+TRAVEL = 0.1  # rad, the most that a joint moves between two nodes
+CORRECTION = 0.01  # rad, the most that Newton's method may correct a prediction
+FIRST_STEP = 1 / 64  # of a piece
+LEAST_STEP = 1e-11  # in u, below which the path has ended
+NEWTON_STEPS = 8
+MOST_NODES = 500_000
+NEAR = 1e-3  # and below this part one is near
+DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
+TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
+
+
+class PathEndError(AssemblyError):
+    """The loops cannot be closed beyond a part `u` of the path."""
+
+    def __init__(self, mechanism: Mechanism, u: float, q: Array, reason: str) -> None:
+        self.u = u
+        at = ", ".join(
+            f"q{k + 1} ({mechanism.link_names[k]}) = {q[k]:.6g} rad ({np.degrees(q[k]):.6g} deg)"
+            for k in mechanism.actuated
+        )
+        what = f"the loops cannot be followed beyond {at}"
+        super().__init__(what, where=mechanism.source, limit=reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Nodes:
+    """Closed states along a path, N intervals between N + 1 nodes; n joints."""
+
+    u: Array  # (N + 1,)
+    q: Array  # (N + 1, n)
+    begins: Array  # (N, n), q' at the beginning of each interval
+    ends: Array  # (N, n), and at its end
+    pieces: Pieces  # (N,)
+    crossings: tuple[tuple[float, float], ...]  # u of change points, and the largest |q'| there
+
+
+class _Node(NamedTuple):
+    u: float
+    q: Array
+    q1: Array
+    q2: Array
+    sign: float  # of det Psi_p; 0 where that is none
+
+
+def follow(mechanism: Mechanism, path: JointPath, start: Array) -> Nodes:
+    """The nodes of a path from the closed state `start` (n,) on.
+
+    Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
+    determine the others.
+    """
+    return _Follower(mechanism, path).nodes(start)
+
+
+def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
+    passive = list(mechanism.passive)
+    q = q.copy()
+    last = np.inf
+    for _ in range(NEWTON_STEPS):
+        gap = closure_gap(mechanism, q)
+        columns = closure_jacobian(mechanism, q)[..., passive]
+        inverse = np.linalg.pinv(columns, rcond=1e-9)
+        step = np.einsum("...ij,...j->...i", inverse, gap)
+        longest = np.abs(step).max(axis=-1, keepdims=True, initial=1e-300)
+        q[..., passive] -= step * np.minimum(1.0, 0.5 / longest)
+        most = float(longest.max())
+        if most < 1e-13 or (most < 1e-9 and most > 0.3 * last):
+            break
+        last = most
+    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
+    turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
+    return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
+
+
+def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: Array) -> Array:
+    """The cubic at parts x of intervals of lengths h, from values and slopes at their ends."""
+    y = 1.0 - x
+    rise = (1.0 + 2.0 * x) * y * y * begin + x * x * (3.0 - 2.0 * x) * end
+    return rise + x * y * h * (y * begin1 - x * end1)
+
+
+class _Follower:
+    """Finds the nodes of one path."""
+
+    def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
+        self.mechanism, self.path = mechanism, path
+        self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
+        self._square = len(self._passive) == len(mechanism.rows)
+        self._least = DEAD * loop_size(mechanism)
+        self._crossings: list[tuple[float, float]] = []
+
+    def nodes(self, start: Array) -> Nodes:
+        here, closed = corrected(self.mechanism, start[None])
+        q, u = here[0], 0.0
+        if not closed[0]:
+            raise self._ends(u, q, "the start does not close")
+        us, qs, begins, ends, pieces = [u], [q], [], [], []
+        for piece, end in enumerate(self.path.breaks[1:].tolist()):
+            node = self._node(u, q, piece, self._held(u, piece))
+            if node is None or (self._square and not node.sign):
+                reason = f"a {self._kind(q)}, from which the passive joints can go on in two ways"
+                raise self._ends(u, q, reason)
+            h = FIRST_STEP * (end - u)
+            while node.u < end:
+                left = end - node.u
+                step = left if left <= 1.001 * h else min(h, 0.5 * left)
+                found = self._step(node, end if step == left else node.u + step, piece)
+                if found is None:
+                    h = 0.4 * step
+                    if h < LEAST_STEP:
+                        raise self._ends(node.u, node.q, self._obstacle(node))
+                    continue
+                if len(us) > MOST_NODES:
+                    limit = f"the motion is too long: it takes more than {MOST_NODES:,} states"
+                    raise self._ends(node.u, node.q, limit)
+                easy, following = found
+                begins.append(node.q1)
+                ends.append(following.q1)
+                pieces.append(piece)
+                us.append(following.u)
+                qs.append(following.q)
+                fastest = float(np.abs(following.q1).max())
+                longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
+                h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
+                node = following
+            u, q = node.u, node.q
+        return Nodes(
+            np.array(us),
+            np.array(qs),
+            np.array(begins),
+            np.array(ends),
+            np.array(pieces),
+            tuple(self._crossings),
+        )
+
+    def _step(self, node: _Node, there: float, piece: int) -> tuple[bool, _Node] | None:
+        """The node at `there`, and whether the step was easy; None where it is too long."""
+        h = there - node.u
+        held = self._held(there, piece)
+        guess = node.q + h * node.q1 + 0.5 * h**2 * node.q2
+        guess[self._actuated] = held[0]
+        if np.abs(guess - node.q).max() > TRAVEL:
+            return None
+        closed_, closed = corrected(self.mechanism, guess[None])
+        q = closed_[0]
+        miss = float(np.abs(q - guess).max())
+        if not closed[0] or miss > CORRECTION or np.abs(q - node.q).max() > TRAVEL:
+            return None
+        found = self._node(there, q, piece, held)
+        if found is None:
+            return None
+        bend = h * float(np.abs(found.q1 - node.q1 - h * node.q2)[self._passive].max(initial=0.0))
+        if bend > 3 * CORRECTION:
+            return None
+        if node.sign * found.sign < 0.0 and not self._crosses(node, found, piece):
+            return None
+        return max(miss, bend / 3) < 0.2 * CORRECTION, found
+
+    def _node(self, u: float, q: Array, piece: int, held: Array) -> _Node | None:
+        """The state q with q' and q''; None where the actuated joints do not determine them."""
+        q1, q2 = np.zeros_like(q), np.zeros_like(q)
+        q1[self._actuated], q2[self._actuated] = held[1], held[2]
+        if not self._passive:
+            return _Node(u, q, q1, q2, 0.0)
+        Psi = closure_jacobian(self.mechanism, q)
+        columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
+        U, s, Vt = np.linalg.svd(columns, full_matrices=False)
+        if s[-1] <= self._least:
+            return None
+        inverse = (Vt.T / s) @ U.T
+        q1[self._passive] = -inverse @ (driving @ held[1])
+        bias = closure_bias(self.mechanism, q, q1)
+        q2[self._passive] = -inverse @ (driving @ held[2] + bias)
+        return _Node(u, q, q1, q2, self._sign(columns))
+
+    def _crosses(self, one: _Node, other: _Node, piece: int) -> bool:
+        """Whether the path goes straight on where det Psi_p changes its sign between two nodes."""
+        low, high = (one.u, one.q), (other.u, other.q)
+        h = other.u - one.u
+        while high[0] - low[0] > max(1e-8 * h, 4 * np.spacing(other.u)):
+            middle = 0.5 * (low[0] + high[0])
+            x, length = np.array((middle - one.u) / h), np.array(h)
+            guess = hermite(x, length, one.q, one.q1, other.q, other.q1)
+            guess[self._actuated] = self._held(middle, piece)[0]
+            found, closed = corrected(self.mechanism, guess[None])
+            if not closed[0]:
+                return False
+            columns = closure_jacobian(self.mechanism, found[0])[:, self._passive]
+            if self._sign(columns) == one.sign:
+                low = middle, found[0]
+            else:
+                high = middle, found[0]
+        if np.abs(high[1] - low[1]).max() > TOGETHER:
+            return False
+        fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
+        self._crossings.append((0.5 * (low[0] + high[0]), fastest))
+        return True
+
+    def _obstacle(self, node: _Node) -> str:
+        """Why the path does not go on from a node."""
+        Psi = closure_jacobian(self.mechanism, node.q)
+        if np.linalg.svd(Psi, compute_uv=False)[-1] > NEAR * loop_size(self.mechanism):
+            return "that is as far as they can be closed on this branch"
+        return "too near a change point to tell the branches apart: end before it, or run across"
+
+    def _kind(self, q: Array) -> str:
+        """What a configuration is at which Psi_p is singular."""
+        s = np.linalg.svd(closure_jacobian(self.mechanism, q), compute_uv=False)
+        return "dead centre" if s[-1] > self._least else "change point"
+
+    def _sign(self, columns: Array) -> float:
+        return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0
+
+    def _held(self, u: float, piece: int) -> Array:
+        """p, p', p'' of the actuated joints, (3, m)."""
+        return np.array(self.path.evaluate(np.array([u]), np.array([piece])))[:, 0]
+
+    def _ends(self, u: float, q: Array, reason: str) -> PathEndError:
+        driven, freedoms = len(self._actuated), self.mechanism.n - len(self.mechanism.rows)
+        if driven > freedoms:
+            reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so their "
+            reason += "angles depend on one another"
+        return PathEndError(self.mechanism, u, q, reason)

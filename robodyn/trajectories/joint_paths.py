@@ -1,0 +1,214 @@
+"""Paths p(u) of the actuated joints, u from 0 to 1: what is left of a motion without its duration.
+
+In the time T a path is run through as q = p(t/T), qd = p'/T, qdd = p''/T^2.  A path is smooth
+between its `breaks`; at a break a value is that of the piece after it, unless `piece` says which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError
+from robodyn.trajectories import splines
+from robodyn.trajectories.profiles import ACCELERATION, Profile, profile
+
+Array = NDArray[np.float64]
+Pieces = NDArray[np.int64]
+Values = tuple[Array, Array, Array]  # p, p', p'', each (T, m)
+
+SPLINES = ("cubic", "quintic")  # through points in one sweep; the others stop at each
+
+
+class JointPath(Protocol):
+    """A path of m joints."""
+
+    @property
+    def breaks(self) -> Array:
+        """The ends of its pieces, (K + 1,), from 0 to 1."""
+
+    @property
+    def scalable(self) -> bool:
+        """Whether it is the same path in any duration."""
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        """p, p', p'' at u (T,) in [0, 1]."""
+
+    def peaks(self) -> tuple[Array, Array]:
+        """The largest |p'| and |p''| of each joint, (m,)."""
+
+
+def piece_at(breaks: Array, u: Array) -> Pieces:
+    """The piece in which each u lies; at a break the one after it."""
+    return np.searchsorted(breaks[1:-1], u, side="right").astype(np.int64)
+
+
+class Legs:
+    """Straight legs (in joint space) from point to point, at rest at each point.
+
+    points (K, m); `times` (K,) increase from 0 to 1.
+    """
+
+    scalable = True
+
+    def __init__(self, points: Array, times: Array, profile: Profile) -> None:
+        self.points, self.knots, self.profile = points, times, profile
+        self._lengths = np.diff(times)
+        inner = np.array(profile.breaks[:-1])
+        starts = times[:-1, None] + self._lengths[:, None] * inner
+        self.breaks: Array = np.append(starts.reshape(-1), 1.0)
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        if piece is None:
+            piece = piece_at(self.breaks, u)
+        leg, part = np.divmod(piece, len(self.profile.breaks) - 1)
+        h = self._lengths[leg]
+        v = np.clip((u - self.knots[leg]) / h, 0.0, 1.0)
+        left = np.clip((self.knots[leg + 1] - u) / h, 0.0, 1.0)
+        late, s, s1, s2 = self.profile.evaluate(v, left, part)
+        begin, end = self.points[leg], self.points[leg + 1]
+        D = end - begin
+        p = np.where(late[:, None], end - D * s[:, None], begin + D * s[:, None])
+        return p, D * (s1 / h)[:, None], D * (s2 / h**2)[:, None]
+
+    def peaks(self) -> tuple[Array, Array]:
+        D, h = np.abs(np.diff(self.points, axis=0)), self._lengths[:, None]
+        rates = (D / h).max(axis=0) * self.profile.peak_rate
+        return rates, (D / h**2).max(axis=0) * self.profile.peak_acceleration
+
+
+class Spline:
+    """A spline through points (K, m) at `times` (K,) that increase from 0 to 1."""
+
+    scalable = True
+
+    def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
+        self.breaks = self.knots = times
+        self._end, self._kind, self._natural = points[-1], kind, natural
+        self._lengths = np.diff(times)
+        if kind == "cubic":
+            self._coefficients = splines.cubic_spline(times, points, natural)
+        else:
+            self._coefficients = splines.quintic_spline(times, points)
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        if piece is None:
+            piece = piece_at(self.breaks, u)
+        x = u - self.breaks[piece]
+        p, p1, p2 = (splines.evaluate(self._coefficients, piece, x, k) for k in range(3))
+        end = u == 1.0  # where rounding is left out
+        p[end] = self._end
+        if not self._natural:
+            p1[end] = 0.0
+        if self._natural or self._kind == "quintic":
+            p2[end] = 0.0
+        return p, p1, p2
+
+    def peaks(self) -> tuple[Array, Array]:
+        first, second = (splines.largest(self._coefficients, self._lengths, k) for k in (1, 2))
+        return first, second
+
+
+class Sweep:
+    """A chirp about a pose: p = pose + amplitude sin(phi), the frequency from first to last, Hz.
+
+    phi = 2 pi T (f0 u + (f1 - f0) u^2 / 2): the frequency f0 + (f1 - f0) u grows in proportion
+    to the time, so that the path depends on the duration T.
+    """
+
+    scalable = False
+
+    def __init__(
+        self, pose: Array, amplitude: Array, first: float, last: float, duration: float
+    ) -> None:
+        self.pose, self.amplitude = pose, amplitude
+        self._start, self._slope = 2 * np.pi * duration * np.array([first, last - first])
+        halves = np.pi * np.arange(1.0, np.ceil(duration * (first + last)))  # of a turn of phi
+        # phi = start u + slope u^2 / 2 at each, solved without cancellation
+        root = np.sqrt(np.maximum(self._start**2 + 2 * self._slope * halves, 0.0))
+        inner = 2 * halves / (self._start + root)
+        inner = inner[(inner > 1e-9) & (inner < 1 - 1e-9)]
+        self.breaks: Array = np.concatenate([[0.0], inner, [1.0]])
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        phase = (u * (self._start + 0.5 * self._slope * u))[:, None]
+        rate = (self._start + self._slope * u)[:, None]
+        sine, cosine = np.sin(phase), np.cos(phase)
+        return (
+            self.pose + self.amplitude * sine,
+            self.amplitude * cosine * rate,
+            self.amplitude * (cosine * self._slope - sine * rate**2),
+        )
+
+    def peaks(self) -> tuple[Array, Array]:
+        raise NotImplementedError("a sweep is another path in another duration")
+
+
+def path_through(
+    points: Array,
+    times: ArrayLike | None,
+    name: str,
+    acceleration: float = ACCELERATION,
+    natural: bool = False,
+) -> Legs | Spline:
+    """The path of a profile through points (K, m), at rest at its ends.
+
+    `times` (K,) increase (any unit); None spreads them in proportion to the distances between the
+    points in joint space.  Cubic and quintic are splines of continuity C2 and C4 where there are
+    more than two points; the other profiles stop at each point.  Raises InputError.
+    """
+    shape = profile(name, acceleration)
+    if len(points) < 2:
+        limit = "a motion needs two points or more"
+        raise InputError("points", value=len(points), limit=limit)
+    u = spread(points) if times is None else _scaled(_as_times(times, len(points)))
+    if natural and not (name == "cubic" and len(points) > 2):
+        raise InputError("ends", value="natural", limit="is for a cubic spline through points")
+    if name in SPLINES and len(points) > 2:
+        return Spline(points, u, name, natural)
+    return Legs(points, u, shape)
+
+
+def constant_speed(begin: Array, way: Array) -> Legs:
+    """The path from `begin` (m,) on by `way` (m,) at constant speed."""
+    return Legs(np.stack([begin, begin + way]), np.array([0.0, 1.0]), profile("constant"))
+
+
+def spread(points: Array) -> Array:
+    """Times from 0 to 1 in proportion to the distances between points (K, m) in joint space."""
+    distances = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(points) == 2:
+        return np.array([0.0, 1.0])
+    if not (distances > 0.0).all():
+        k = int(np.argmin(distances)) + 1
+        limit = "are the same, so that no time passes between them: give times"
+        raise InputError(f"points {k} and {k + 1}", limit=limit)
+    return _scaled(np.concatenate([[0.0], np.cumsum(distances)]))
+
+
+def _as_times(times: ArrayLike, count: int) -> Array:
+    found = np.asarray(times, float)
+    if found.shape != (count,):
+        limit = f"must be ({count},), one time a point"
+        raise InputError("times.shape", value=found.shape, limit=limit)
+    return found
+
+
+def _scaled(times: Array) -> Array:
+    steps = np.diff(times)
+    if not (np.isfinite(times).all() and (steps > 0.0).all()):
+        limit = "must be finite and increase"
+        raise InputError("times", value=_listed(times), limit=limit)
+    u: Array = (times - times[0]) / (times[-1] - times[0])
+    u[-1] = 1.0
+    if not (np.diff(u) > 0.0).all():
+        raise InputError("times", value=_listed(times), limit="are too close to one another")
+    return u
+
+
+def _listed(times: Sequence[float] | Array) -> str:
+    shown = ", ".join(f"{t:g}" for t in times[:10])
+    return shown + (", ..." if len(times) > 10 else "")

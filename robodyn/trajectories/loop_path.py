@@ -1,0 +1,141 @@
+"""The path of all joints of a mechanism when its actuated joints follow a path of their own.
+
+The passive joints are interpolated between the nodes of `continuation.py` and corrected by Newton's
+method.  A path that runs straight across a change point is smooth, so within STEP of it they are
+interpolated, to order 12, from states on both sides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.change_points import OFFSETS
+from robodyn.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanism import Mechanism
+from robodyn.trajectories.continuation import TRAVEL, PathEndError, corrected, follow, hermite
+from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
+
+Array = NDArray[np.float64]
+
+STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
+FEWEST = 64  # samples of a path of few pieces
+
+
+class OpenPath:
+    """A path of a mechanism of which every joint is actuated and no loop is to be kept."""
+
+    def __init__(self, path: JointPath) -> None:
+        self.path = path
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        """q, q', q'' of all joints at u (T,), each (T, n)."""
+        return self.path.evaluate(u, piece)
+
+    def grid(self) -> tuple[Array, Pieces]:
+        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
+        edges = self.path.breaks
+        pieces = len(edges) - 1
+        part = np.linspace(0.0, 1.0, 9)
+        u = (edges[:-1, None] + np.diff(edges)[:, None] * part).reshape(-1)
+        p = self.path.evaluate(u, np.repeat(np.arange(pieces), 9))[0].reshape(pieces, 9, -1)
+        travel = np.abs(np.diff(p, axis=1)).sum(axis=1).max(axis=1)
+        least = max(8, FEWEST // pieces)
+        counts = np.clip(np.ceil(travel / (0.5 * TRAVEL)), least, 20_000).astype(int)
+        return _samples(edges, np.arange(pieces), counts)
+
+
+class LoopPath:
+    """The path of all joints of a mechanism with passive joints, from the closed state `start`.
+
+    Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
+    determine the others.
+    """
+
+    def __init__(self, mechanism: Mechanism, path: JointPath, start: Array) -> None:
+        self.mechanism, self.path = mechanism, path
+        self._nodes = follow(mechanism, path, start)
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        """q, q', q'' of all joints at u (T,), each (T, n).
+
+        Raises SingularError at a configuration where the actuated joints do not determine them.
+        """
+        if piece is None:
+            piece = piece_at(self.path.breaks, u)
+        result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
+        direct = np.ones(len(u), bool)
+        for at, fastest in self._nodes.crossings:
+            within = self.path.breaks[:-1] <= at
+            of = int(np.flatnonzero(within & (at <= self.path.breaks[1:]))[0])
+            begin, end = self.path.breaks[of : of + 2].tolist()
+            offsets, step = _beside(at, STEP / fastest, begin, end)
+            near = np.flatnonzero(direct & (piece == of) & (np.abs(u - at) < 0.5 * step))
+            if len(near):
+                beside = self._closed(at + step * offsets, np.full(len(offsets), of))
+                weights = _lagrange(offsets, (u[near] - at) / step)
+                held = self.path.evaluate(u[near], piece[near])
+                for values, known, given in zip(result, beside, held, strict=True):
+                    values[near] = weights @ known
+                    values[near[:, None], list(self.mechanism.actuated)] = given
+                direct[near] = False
+        if direct.any():
+            closed = self._closed(u[direct], piece[direct])
+            for values, found in zip(result, closed, strict=True):
+                values[direct] = found
+        return result[0], result[1], result[2]
+
+    def grid(self) -> tuple[Array, Pieces]:
+        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
+        pieces = self._nodes.pieces
+        per_piece = np.bincount(pieces, minlength=len(self.path.breaks) - 1)
+        least = max(8, FEWEST // len(per_piece))
+        share = np.maximum(4, np.ceil(least / np.maximum(per_piece, 1))).astype(int)
+        return _samples(self._nodes.u, pieces, share[pieces])
+
+    def _closed(self, u: Array, piece: Pieces) -> Values:
+        nodes = self._nodes
+        p, p1, p2 = self.path.evaluate(u, piece)
+        k = np.clip(np.searchsorted(nodes.u, u, side="right") - 1, 0, len(nodes.u) - 2)
+        h = (nodes.u[k + 1] - nodes.u[k])[:, None]
+        x = (u - nodes.u[k])[:, None] / h
+        q = hermite(x, h, nodes.q[k], nodes.begins[k], nodes.q[k + 1], nodes.ends[k])
+        q[:, self.mechanism.actuated] = p
+        q, closed = corrected(self.mechanism, q)
+        if not closed.all():
+            worst = int(np.argmin(closed))
+            reason = f"they are open at u = {u[worst]:.9g} between two closed states"
+            raise PathEndError(self.mechanism, float(u[worst]), q[worst], reason)
+        q1 = loop_velocities(self.mechanism, q, p1)
+        return q, q1, loop_accelerations(self.mechanism, q, q1, p2)
+
+
+def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, float]:
+    """Where states lead across `at`, in steps from there, within [begin, end]; and the step.
+
+    On both sides if there is room, else more of them on one.
+    """
+    count = len(OFFSETS)
+    step = min(step, (end - begin) / (count + 3))
+    first = max(-int((at - begin) / step), -count)
+    last = min(int((end - at) / step), count)
+    whole = np.array([k for k in range(first, last + 1) if k], float)
+    return whole[np.sort(np.argsort(np.abs(whole), kind="stable")[:count])], step
+
+
+def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:
+    """count + 1 samples of each interval, both ends included, each with the interval's piece."""
+    us, of = [], []
+    for begin, end, piece, count in zip(edges[:-1], edges[1:], pieces, counts, strict=True):
+        us.append(np.append(begin + (end - begin) / count * np.arange(count), end))
+        of.append(np.full(count + 1, piece))
+    return np.concatenate(us), np.concatenate(of)
+
+
+def _lagrange(nodes: Array, x: Array) -> Array:
+    """Weights (T, nodes) of the polynomial through the nodes, at x (T,)."""
+    weights = np.ones((len(x), len(nodes)))
+    for i, node in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            weights[:, i] *= (x - other) / (node - other)
+    return weights

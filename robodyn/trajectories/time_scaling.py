@@ -1,0 +1,291 @@
+"""Limits of a reference motion, and the shortest duration that keeps them.
+
+A path q(u) run through in the time T has, with x = 1/T,
+
+    qd = x q'(u)        qdd = x^2 q''(u)        tau = a(u) x^2 + b(u) x + g(u)
+
+for open and for closed mechanisms: M qdd + C qd is quadratic in x, viscous dampers are linear, and
+gravity does not depend on x.  (Hollerbach, Dynamic scaling of manipulator trajectories, 1984.)  So
+rates and accelerations bound T in closed form, by the profile's peaks.  For torques, a(u), b(u) and
+g(u) follow from inverse dynamics at three values of x, and each u has the least x > 0 at which
+|tau| reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.
+Coulomb friction is no such polynomial: with it the three values of x are taken about the bound that
+the ones before gave, from a slow motion on, until it stays.
+
+Extremes are those of `path_extremes.py`: limits hold between the rows too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics import inverse_dynamics
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanism import Mechanism
+from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
+from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.path_extremes import Columns, least_along
+from robodyn.trajectories.profiles import ACCELERATION
+from robodyn.trajectories.profiles import profile as profile_of
+from robodyn.trajectories.trajectory import ReferenceMotion, all_joints, motion_along, whole_path
+
+Array = NDArray[np.float64]
+
+UNITS = {"qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}
+ROUNDING = 1e-12  # part of a limit by which it may be exceeded
+MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
+MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
+SETTLED = 1e-11  # part of x by which the last two differ
+CREEP = 1e-3  # part of a friction's speed at which it is still no more than a damper
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest absolute values of the actuated joints, (actuated,) each; None: no limit."""
+
+    qd: Array | None = None  # rad/s
+    qdd: Array | None = None  # rad/s^2
+    tau: Array | None = None  # N m
+
+    @property
+    def given(self) -> list[tuple[str, Array]]:
+        pairs = [("qd", self.qd), ("qdd", self.qdd), ("tau", self.tau)]
+        return [(name, values) for name, values in pairs if values is not None]
+
+
+class LimitError(RobodynError):
+    """A motion exceeds a limit; `quantity` is qd, qdd or tau."""
+
+    def __init__(self, what: str, quantity: str, *, value: object = None, limit: str = "") -> None:
+        self.quantity = quantity
+        super().__init__(what, value=value, limit=limit)
+
+
+@dataclass(frozen=True, slots=True)
+class Shortest:
+    """The shortest motion within limits, and which limit bounds it (of which joint, at which t)."""
+
+    motion: ReferenceMotion
+    bound: str
+
+
+def limits_of(
+    mechanism: Mechanism,
+    qd: ArrayLike | None = None,
+    qdd: ArrayLike | None = None,
+    tau: ArrayLike | None = None,
+) -> Limits:
+    """Limits from one value for all actuated joints, or one for each; InputError if not > 0."""
+    count = len(mechanism.actuated)
+    found = {}
+    for name, given in (("qd", qd), ("qdd", qdd), ("tau", tau)):
+        if given is None:
+            continue
+        values = np.atleast_1d(np.asarray(given, float))
+        if values.shape not in ((1,), (count,)):
+            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+            limit = f"needs 1 value, or {count}, one an actuated joint ({names})"
+            shown = "1 value" if values.size == 1 else f"{values.size} values"
+            raise InputError(f"max_{name}", value=shown, limit=limit)
+        if not (np.isfinite(values).all() and (values > 0.0).all()):
+            wrong = values[~(np.isfinite(values) & (values > 0.0))][0]
+            raise InputError(f"max_{name}", value=f"{wrong:g}", limit="must be > 0 and finite")
+        found[name] = np.broadcast_to(values, count).copy()
+    return Limits(**found)
+
+
+def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
+    """Raise LimitError, for the value that exceeds its limit most, if one does anywhere."""
+    if not limits.given:
+        return
+    mechanism, T = motion.mechanism, motion.duration
+    driven = list(mechanism.actuated)
+
+    def values(u: Array, piece: Pieces) -> Array:
+        q, q1, q2 = motion.path.evaluate(u, piece)
+        known = {"qd": q1[:, driven] / T, "qdd": q2[:, driven] / T**2}
+        if limits.tau is not None:
+            known["tau"] = inverse_dynamics(mechanism, q, q1 / T, q2 / T**2)[:, driven]
+        return np.concatenate([known[name] for name, _ in limits.given], axis=1)
+
+    bounds = np.concatenate([bound for _, bound in limits.given])
+    least, u, piece, column = least_along(
+        lambda u, piece: -np.abs(values(u, piece)) / bounds, motion.path
+    )
+    if -least <= 1.0 + ROUNDING:
+        return
+    place, joint = divmod(column, len(driven))
+    name, bound = limits.given[place]
+    value = float(values(np.array([u]), np.array([piece]))[0, column])
+    k = driven[joint]
+    raise LimitError(
+        f"{name}{k + 1} ({mechanism.link_names[k]}) at t = {motion.begin + u * T:.6g} s",
+        name,
+        value=f"{value:.9g} {UNITS[name]}",
+        limit=f"exceeds the limit of {bound[joint]:.9g} {UNITS[name]}",
+    )
+
+
+def shortest_motion(
+    mechanism: Mechanism,
+    points: ArrayLike,
+    *,
+    max_qd: ArrayLike | None = None,
+    max_qdd: ArrayLike | None = None,
+    max_tau: ArrayLike | None = None,
+    times: ArrayLike | None = None,
+    profile: str = "quintic",
+    acceleration: float = ACCELERATION,
+    natural: bool = False,
+) -> ReferenceMotion:
+    """The shortest `reference_motion` of which no slower one exceeds a limit either.
+
+    Each limit is one value, or one an actuated joint.  `times` give proportions only.  A profile
+    that stops at each point takes the shortest time for each leg, unless there are `times`.
+    Raises what `reference_motion` does, InputError where nothing bounds the duration, and
+    LimitError where a torque is too large however slow the motion.
+    """
+    full = all_joints(mechanism, points)
+    limits = limits_of(mechanism, max_qd, max_qdd, max_tau)
+    return shortest_through(mechanism, full, limits, times, profile, acceleration, natural).motion
+
+
+def shortest_through(
+    mechanism: Mechanism,
+    points: Array,
+    limits: Limits,
+    times: ArrayLike | None,
+    profile: str,
+    acceleration: float,
+    natural: bool,
+) -> Shortest:
+    """`shortest_motion` through points (K, n), of which passive angles may be NaN."""
+    driven = points[:, list(mechanism.actuated)]
+    path = path_through(driven, times, profile, acceleration, natural)
+    begin = 0.0 if times is None else float(np.asarray(times, float)[0])
+    if times is not None or not isinstance(path, Legs) or len(points) == 2:
+        return shortest_along(mechanism, path, points, limits, begin)
+    whole = whole_path(mechanism, path, points)
+    durations: list[float] = []
+    bounds: list[str] = []
+    for k in range(len(points) - 1):
+        leg = Legs(driven[k : k + 2], np.array([0.0, 1.0]), profile_of(profile, acceleration))
+        ends = points[k : k + 2].copy()
+        if mechanism.passive:
+            ends[0] = whole.evaluate(path.knots[k : k + 1])[0][0]
+        found = shortest_along(mechanism, leg, ends, limits, begin + sum(durations))
+        durations.append(found.motion.duration)
+        bounds.append(f"leg {k + 1}: {found.bound}")
+    stamps = np.concatenate([[0.0], np.cumsum(durations)])
+    path = path_through(driven, stamps, profile, acceleration)
+    motion = motion_along(mechanism, path, points, float(stamps[-1]), begin)
+    return Shortest(motion, "; ".join(bounds))
+
+
+def shortest_along(
+    mechanism: Mechanism, path: JointPath, points: Array, limits: Limits, begin: float = 0.0
+) -> Shortest:
+    """The shortest motion along a path; `points` as for `trajectory.motion_along`."""
+    if not path.scalable:
+        raise InputError("duration", value="min", limit="a sweep is another path in another time")
+    if not limits.given:
+        raise InputError("duration", value="min", limit="needs a limit: a largest qd, qdd or tau")
+    whole = whole_path(mechanism, path, points)
+    found = [(0.0, "")]
+    rates, accelerations = path.peaks()
+    peaks = (("qd", rates, limits.qd, 1.0), ("qdd", accelerations, limits.qdd, 0.5))
+    for name, peak, largest, power in peaks:
+        if largest is not None:
+            each = (peak / largest) ** power
+            joint = int(np.argmax(each))
+            found.append((float(each[joint]), _joint(mechanism, name, joint)))
+    if limits.tau is not None:
+        found.append(_shortest_by_torque(mechanism, whole, limits.tau, begin))
+    duration, bound = max(found)
+    if not (math.isfinite(duration) and duration > 0.0 and rates.any()):
+        limit = "is not bounded: nothing moves, or no limit is reached however fast"
+        raise InputError("duration", value="min", limit=limit)
+    return Shortest(ReferenceMotion(mechanism, whole, duration, begin), bound)
+
+
+def _shortest_by_torque(
+    mechanism: Mechanism, whole: OpenPath | LoopPath, limit: Array, begin: float
+) -> tuple[float, str]:
+    driven = list(mechanism.actuated)
+    both = np.concatenate([limit, limit])
+
+    def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
+        """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""
+        q, q1, q2 = whole.evaluate(u, piece)
+        one, two, three = (
+            inverse_dynamics(mechanism, q, x * q1, x * x * q2)[:, driven]
+            for x in (0.5 * scale, scale, 1.5 * scale)
+        )
+        second, first = one - 2 * two + three, two - one
+        a = 2 * second / scale**2
+        b = (2 * first - 3 * second) / scale
+        return a, b, one - 0.5 * b * scale - 0.25 * a * scale**2
+
+    def reached(scale: float) -> Columns:
+        """The least x > 0 at which +tau and -tau reach their limits, (T, 2 actuated)."""
+
+        def least_x(u: Array, piece: Pieces) -> Array:
+            a, b, g = (np.concatenate([v, -v], axis=1) for v in parts(u, piece, scale))
+            c = np.minimum(g - both, 0.0)
+            root = b * b - 4 * a * c
+            below = b + np.sqrt(np.maximum(root, 0.0))
+            open_ = (root < 0.0) | (below <= 0.0)
+            return np.where(open_, np.inf, -2 * c / np.where(open_, 1.0, below))
+
+        return least_x
+
+    scale = _natural_scale(mechanism, whole)
+    slow, u, piece, column = least_along(
+        lambda u, piece: -_relative(parts(u, piece, scale)[2], both), whole
+    )
+    if -slow >= 1.0:
+        k = driven[column % len(driven)]
+        value = float(parts(np.array([u]), np.array([piece]), scale)[2][0, column % len(driven)])
+        q = whole.evaluate(np.array([u]), np.array([piece]))[0][0]
+        raise LimitError(
+            f"tau{k + 1} ({mechanism.link_names[k]}) at q = {', '.join(f'{x:.6g}' for x in q)}",
+            "tau",
+            value=f"{value:.9g} N m",
+            limit=f"holding this pose takes that, more than the limit of {both[column]:.9g} N m, "
+            "however slow the motion",
+        )
+    x, column = scale, 0
+    for _ in range(MOST_FITS):
+        before = x
+        x, u, _, column = least_along(reached(before), whole)
+        if mechanism.friction:  # beyond that the parabola is not its torque
+            x = min(max(x, 0.5 * before), 2.0 * before)
+        if abs(x - before) <= SETTLED * x or math.isinf(x):
+            break
+    duration = (1.0 + MARGIN) / x
+    if duration == 0.0:
+        return 0.0, ""
+    at = f" at t = {begin + u * duration:.6g} s"
+    return duration, _joint(mechanism, "tau", column % len(driven)) + at
+
+
+def _relative(values: Array, both: Array) -> Array:
+    return np.concatenate([values, -values], axis=1) / both
+
+
+def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
+    """x that makes the fastest acceleration or rate of the path about 1; low in any friction."""
+    _, q1, q2 = whole.evaluate(*whole.grid())
+    fastest = max(float(np.abs(q1).max()), math.sqrt(float(np.abs(q2).max())))
+    for joint, friction in mechanism.friction:
+        fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * friction.speed))
+    return 1.0 / fastest if fastest > 0.0 else 1.0
+
+
+def _joint(mechanism: Mechanism, name: str, joint: int) -> str:
+    k = mechanism.actuated[joint]
+    return f"{name}{k + 1} ({mechanism.link_names[k]})"
