@@ -19,8 +19,8 @@ from robodyn import (
     loop_accelerations,
     other_forces,
 )
-from robodyn.control.driven_torques import driving_torques, rest_torques
 from robodyn.control import driven_torques
+from robodyn.control.driven_torques import driving_torques, rest_torques
 from robodyn.mechanism import Mechanism
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
@@ -576,3 +577,21 @@ def test_debug_shows_the_traceback(shell: Run) -> None:
     assert given.code != 0
     assert "Traceback" in given.err
     assert "InputError" in given.err
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate robots/four-bar.yaml --q 60deg --time 1 --points 5 --quiet",
+        "trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 --points 5",
+        "sweep robots/2r.yaml --vary q1=0:1:3 --time 0.5 --result final,flip --quiet",
+    ],
+)
+def test_tables_load_where_they_are_wanted(shell: Run, line: str) -> None:
+    """One header line, the same number of fields in each row, numbers with decimal points."""
+    given = shell(f"robodyn {line}")
+    table = np.genfromtxt(io.StringIO(given.out), delimiter=",", names=True, dtype=None)
+    header = given.out.splitlines()[0].split(",")
+    assert list(table.dtype.names) == header
+    assert all(table[name].dtype.kind == "f" for name in header if name not in ("flip", "outcome"))
+    assert "\r" not in given.out
