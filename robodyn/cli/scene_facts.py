@@ -80,14 +80,14 @@ def force_facts(mechanism: Mechanism) -> list[list[str]]:
             text += _place(mechanism, item.point) + (", turning with it" if item.turns else "")
         facts.append([f"load {k}", text])
     for k, coupling in enumerate(found.couplings, start=1):
-        facts.append([f"coupling {k}", _equation(coupling)])
+        facts.append([f"coupling {k}", _equation(coupling, 6)])
     return facts
 
 
-def _equation(coupling: Coupling) -> str:
+def _equation(coupling: Coupling, digits: int = 17) -> str:
     """q3 = -2 q1 + 0.1"""
-    parts = [f"{ratio:+.17g} q{k + 1}" for k, ratio in coupling.terms]
+    parts = [f"{ratio:+.{digits}g} q{k + 1}" for k, ratio in coupling.terms]
     if coupling.angle or not parts:
-        parts.append(f"{coupling.angle:+.17g}")
+        parts.append(f"{coupling.angle:+.{digits}g}")
     later = "".join(f" {part[0]} {part[1:]}" for part in parts[1:])
     return f"q{coupling.joint + 1} = {parts[0].removeprefix('+')}{later}"
