@@ -25,12 +25,19 @@ def _sign(x: float) -> float:
     return math.copysign(1.0, x) if x else 0.0
 
 
+def _exp(x: float) -> float:
+    try:
+        return math.exp(x)
+    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
+        return math.inf
+
+
 def _floor(x: float) -> float:
     return float(math.floor(x))
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
-FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
 # math.pow: a root of a negative number is outside its domain, not complex
 _SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 _SCOPE["_pow"] = math.pow

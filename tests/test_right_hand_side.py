@@ -464,12 +464,17 @@ class TestNearSingular:
         assert side.projection(np.zeros(6)) == pytest.approx(np.zeros(6), abs=1e-12)
 
 
-@pytest.mark.parametrize("torque", ["3*max(0, sin(q1))", "2*sign(sin(q1))", "2*tanh(50*sin(q1))"])
-@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+@pytest.mark.parametrize(
+    ("torque", "method"),
+    [
+        ("3*max(0, sin(q1))", "DOP853"),
+        ("2*sign(sin(q1))", "DOP853"),
+        ("2*tanh(50*sin(q1))", "DOP853"),
+        ("2*tanh(50*sin(q1))", "taylor"),
+    ],
+)
 def test_a_torque_that_bends_at_the_change_point(torque, method):
     """A parallelogram is one link: (I1 + I3 + m2 l^2) qdd = tau - W cos q, whatever tau does."""
-    if method == "taylor" and "tanh" not in torque:
-        pytest.skip("max and sign have no series")
     mech = load(ROOT / "robots/parallelogram.yaml")
     crank, coupler, rocker = mech.description.links
     inertia = sum(x.I + x.m * abs(x.r) ** 2 for x in (crank, rocker)) + coupler.m * crank.l**2
