@@ -111,20 +111,11 @@ def _unknown_in_loop(
     row = next(row for row in mechanism.rows if row.closure == closure)
     moved = {k for k, _ in row.P}
     sides = mechanism.description.closures[closure]
-    outward = [k for k in _path(mechanism, sides.first.link) if k in moved]
-    inward = [k for k in reversed(_path(mechanism, sides.second.link)) if k in moved]
+    outward = [k for k in mechanism.path(sides.first.link) if k in moved]
+    inward = [k for k in reversed(mechanism.path(sides.second.link)) if k in moved]
     unknown: list[int] = []
     for k in [*outward, *inward]:
         root = turns_with[k]
         if root is not None and root not in unknown:
             unknown.append(root)
     return unknown
-
-
-def _path(mechanism: Mechanism, link: int | None) -> list[int]:
-    """The links from the ground to `link`."""
-    path: list[int] = []
-    while link is not None:
-        path.append(link)
-        link = mechanism.parent[link]
-    return path[::-1]

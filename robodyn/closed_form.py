@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn import forces
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, PlanarPoint
+from robodyn.planar_model import coefficient_matrix
 
 Array = NDArray[np.float64]
 
@@ -206,10 +207,7 @@ def point_motion(
 
     Rates and accelerations not given are zero.
     """
-    coefficients = np.zeros((len(points), mechanism.n), complex)
-    for row, point in enumerate(points):
-        for k, value in point.terms:
-            coefficients[row, k] = value
+    coefficients = coefficient_matrix(points, mechanism.n)
     E = phases(mechanism, q)
     zero = np.zeros(mechanism.n)
     rates = absolute_rates(mechanism, zero if qd is None else qd)

@@ -71,7 +71,7 @@ def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Arra
     inner = E * (absolute_rates(mechanism, qdd, "qdd") + 1j * rates**2)
     load = (E.conj() * (inner @ arrays.A.T)).real + absolute_gravity(mechanism, E)
     result: Array = load @ arrays.J + arrays.damping * qd
-    return result - scene_torques(mechanism, q, qd, E) if mechanism.has_forces else result
+    return result - scene_torques(mechanism, q, qd, E) if mechanism.has_state_forces else result
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -123,7 +123,7 @@ def forward(
     W = absolute_inertia(mechanism, E)
     M = W.real  # all of this in absolute angles
     joint = tau - arrays.damping * qd
-    if mechanism.has_forces:
+    if mechanism.has_state_forces:
         joint = joint + scene_torques(mechanism, q, qd, E)
     force = joint @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
     force = force + _times(W.imag, rates**2) - absolute_gravity(mechanism, E)

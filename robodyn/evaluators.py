@@ -97,7 +97,7 @@ def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> lis
             w[k] = mp.mpf(float(qd[k])) + (0 if above is None else w[above])
         E = [mp.expj(angle) for angle in alpha]
         own = [mp.mpf(0)] * (2 * n)  # of springs, and of the scene's other forces
-        if mechanism.has_forces:
+        if mechanism.has_state_forces:
             function = straightline.compile_forces(
                 mechanism, {name: getattr(mp, name) for name in FUNCTIONS}
             )

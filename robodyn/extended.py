@@ -95,7 +95,7 @@ def _by_series(
 ) -> Long:
     n = mechanism.n
     constants = None if actuation.constants is None else np.array(actuation.constants)
-    pushed = constants is None or mechanism.has_forces
+    pushed = constants is None or mechanism.has_state_forces
     series = ArraySeries(mechanism, order, None if pushed else constants, LONG)
     torques = TorqueSeries(actuation, mechanism) if pushed else None
     closing = _Closing(mechanism)
@@ -242,7 +242,7 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
 
 def _scene_torques(mechanism: Mechanism) -> Callable[[Long], Long] | None:
     """The joint torques (n) of springs and the like, in extended precision."""
-    if not mechanism.has_forces:
+    if not mechanism.has_state_forces:
         return None
     function = compile_forces(mechanism, {name: getattr(np, name) for name in FUNCTIONS})
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import SingularError
-from robodyn.mechanism import Mechanism, PlanarPoint
+from robodyn.planar_model import Mechanism, coefficient_matrix
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -173,20 +173,12 @@ def _constants(mechanism: Mechanism) -> _Constants:
     turning = [force for force in mechanism.forces if force.turns]
     return _Constants(
         constant=np.array([spring.between.constant for spring in springs], complex),
-        c=_coefficients([spring.between for spring in springs], mechanism.n),
+        c=coefficient_matrix([spring.between for spring in springs], mechanism.n),
         stiffness=np.array([spring.stiffness for spring in springs], float),
         length=np.array([spring.length for spring in springs], float),
         damping=np.array([spring.damping for spring in springs], float),
         directed=np.array([bool(x.stiffness * x.length or x.damping) for x in springs], bool),
         force=np.array([force.force for force in turning], complex),
         turning_with=np.array([force.link for force in turning], int),
-        arm=_coefficients([force.point for force in turning], mechanism.n),
+        arm=coefficient_matrix([force.point for force in turning], mechanism.n),
     )
-
-
-def _coefficients(points: list[PlanarPoint], n: int) -> Complex:
-    c = np.zeros((len(points), n), complex)
-    for row, point in enumerate(points):
-        for k, value in point.terms:
-            c[row, k] = value
-    return c

@@ -67,7 +67,7 @@ def inverse_of(state: State) -> Formula:
     load = to_joints(mechanism, load)
     for k, damping in enumerate(mechanism.damping):
         load[k] = load[k] + damping * state.relative["qd"][k]
-    if mechanism.has_forces:
+    if mechanism.has_state_forces:
         acting = zip(potential_torques(state), other_torques(state), strict=True)
         load = [x - (a + b) for x, (a, b) in zip(load, acting, strict=True)]
     if not mechanism.rows:
@@ -193,7 +193,7 @@ def _forward(
         for tau, qd, damping in zip(given, state.relative["qd"], mechanism.damping, strict=True)
     ]
     own_power: list[Value] = [0.0] * power
-    if mechanism.has_forces:
+    if mechanism.has_state_forces:
         other = other_torques(state)
         if power:
             own_power = [_dot(other, state.relative["qd"])]

@@ -165,7 +165,7 @@ def _force_identities(
     mechanism: Mechanism, q: Array, qd: Array, directions: Array
 ) -> list[Identity]:
     """The power of what has no potential, along any velocities, of a scene that names such."""
-    if not mechanism.has_forces:
+    if not mechanism.has_state_forces:
         return []
     Q = closed_form.other_forces(mechanism, q, qd)
     power = np.einsum("...i,...i->...", Q, directions)
@@ -217,7 +217,11 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
     damping = joint_damping(description)
-    Q = closed_form.other_forces(mechanism, q, qd) if mechanism.has_forces else np.zeros(q.shape)
+    Q = (
+        closed_form.other_forces(mechanism, q, qd)
+        if mechanism.has_state_forces
+        else np.zeros(q.shape)
+    )
     M = closed_form.mass_matrix(mechanism, q)
     terms = [
         np.einsum("...ij,...j->...i", M, qdd),

@@ -7,7 +7,7 @@ floats starts without it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -116,14 +116,22 @@ class Mechanism:
         actuated = set(self.actuated)
         return tuple(i for i in range(self.n) if i not in actuated)
 
+    def path(self, link: int | None) -> list[int]:
+        """The links from the ground to `link`, that included; none for the ground."""
+        path: list[int] = []
+        while link is not None:
+            path.append(link)
+            link = self.parent[link]
+        return path[::-1]
+
     @property
-    def has_forces(self) -> bool:
+    def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
         turning = any(force.turns for force in self.forces)
         return bool(self.springs or self.joint_springs or self.friction or turning)
 
     @property
-    def dissipates(self) -> bool:
+    def changes_energy(self) -> bool:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
         turning = any(force.turns for force in self.forces)
         dampers = any(self.damping) or any(spring.damping for spring in self.springs)
@@ -188,6 +196,17 @@ def _arrays(mechanism: Mechanism) -> Arrays:
     for name in Arrays.__slots__:
         getattr(arrays, name).flags.writeable = False
     return arrays
+
+
+def coefficient_matrix(points: Sequence[PlanarPoint], n: int) -> NDArray[np.complex128]:
+    """What E is multiplied with in each point, (points, n), m."""
+    import numpy as np
+
+    coefficients = np.zeros((len(points), n), complex)
+    for row, point in enumerate(points):
+        for k, value in point.terms:
+            coefficients[row, k] = value
+    return coefficients
 
 
 def joint_index(mechanism: Mechanism) -> Mapping[str, int]:

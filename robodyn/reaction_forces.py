@@ -31,6 +31,7 @@ from robodyn.dynamics import coupling_torques, pin_forces
 from robodyn.errors import InputError
 from robodyn.forces import forces_on_links, load_wrench
 from robodyn.mechanism import Mechanism
+from robodyn.planar_model import coefficient_matrix
 
 Array = NDArray[np.float64]
 
@@ -147,10 +148,7 @@ def _bodies(mechanism: Mechanism) -> _Bodies:
     links, n = mechanism.description.links, mechanism.n
     own = [(k, link.m, mechanism.centres[k]) for k, link in enumerate(links) if link.m]
     own += [(k, link.payload, mechanism.tips[k]) for k, link in enumerate(links) if link.payload]
-    rho = np.zeros((len(own), n), complex)
-    for b, (_, _, point) in enumerate(own):
-        for k, coefficient in point.terms:
-            rho[b, k] = coefficient
+    rho = coefficient_matrix([point for _, _, point in own], n)
     carried = mechanism.arrays.J  # row k has ones at the links that carry link k
     closures = mechanism.description.closures
     sides = np.zeros((len(closures), n))

@@ -158,7 +158,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
-    forced = mechanism.has_forces
+    forced = mechanism.has_state_forces
 
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]

@@ -192,7 +192,7 @@ def run(
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
-    work = actuation.active or mechanism.dissipates
+    work = actuation.active or mechanism.changes_energy
     report = Report(
         method=settings.method,
         rtol=settings.rtol,

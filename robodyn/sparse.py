@@ -60,7 +60,7 @@ class SparseMechanism:
         self.row, self.link = (np.array([e[i] for e in entries], dtype=int) for i in (0, 1))
         self.P, self.angles = (np.array([e[i] for e in entries]) for i in (2, 3))
         self.offset = np.array([x.offset for x in mechanism.rows])
-        paths = [(k, ancestor) for k in range(n) for ancestor in _path(mechanism, k)]
+        paths = [(k, ancestor) for k in range(n) for ancestor in mechanism.path(k)]
         self.J = csr_matrix((np.ones(len(paths)), tuple(np.array(paths).T)), shape=(n, n))
         children = [(k, above) for k, above in enumerate(mechanism.parent) if above is not None]
         self.child, self.above = (np.array([c[i] for c in children], dtype=int) for i in (0, 1))
@@ -84,7 +84,7 @@ class SparseMechanism:
         squares = rates**2
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
-        if self.mechanism.has_forces:
+        if self.mechanism.has_state_forces:
             joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E, rates)
         force: Array = joint - (self.weight * E).imag + self.moments
         force = force - np.bincount(self.above, joint[self.child], minlength=n)
@@ -140,7 +140,7 @@ def rates(
     """dy/dt; states too near a singular configuration are left to `fallback`."""
     n = system.n
     torques = actuation.function(n)
-    forced = system.mechanism.has_forces
+    forced = system.mechanism.has_state_forces
 
     def derivative(t: float, y: Array) -> Array:
         try:
@@ -185,12 +185,3 @@ def closing(system: SparseMechanism, fallback: Closing) -> Closing:
         return closed, ratio
 
     return nearest
-
-
-def _path(mechanism: Mechanism, link: int) -> list[int]:
-    path: list[int] = []
-    here: int | None = link
-    while here is not None:
-        path.append(here)
-        here = mechanism.parent[here]
-    return path

@@ -44,7 +44,7 @@ def compile_rates(
     `least_pivot` is handed to `otherwise`.
     """
     torques = actuation.constants
-    own_power = work and mechanism.has_forces
+    own_power = work and mechanism.has_state_forces
     formula = formulas.forward_formula(mechanism, torques, baumgarte, own_power)
     n = mechanism.n
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]

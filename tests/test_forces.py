@@ -459,7 +459,7 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
     for name in ("potential_torques", "other_torques", "spring_energy", "forces_on_links"):
         monkeypatch.setattr(f"robodyn.forces.{name}", refuse)
     mech = load(ROOT / "robots/2r.yaml")
-    assert not mech.has_forces
+    assert not mech.has_state_forces
     gravity_vector(mech, [0.1, 0.2])
     simulate(mech, [0.1, 0.2], [0, 0], 0.1)
     simulate(mech, [0.1, 0.2], [0, 0], 0.1, method="taylor")

@@ -44,7 +44,7 @@ def terms(
     if any(mechanism.damping):
         content["D"] = np.diag(mechanism.damping)
         units["D"] = "N m s/rad"
-    if mechanism.has_forces:
+    if mechanism.has_state_forces:
         content["Q"] = closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
         content["Psi"] = closed_form.closure_jacobian(mechanism, q_)

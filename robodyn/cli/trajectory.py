@@ -17,7 +17,6 @@ from robodyn.cli.trajectory_options import (
     Points,
     angular_acceleration_from,
     duration_from,
-    for_each_joint,
     frequency_from,
     given_angles,
     named_options,
@@ -28,6 +27,7 @@ from robodyn.cli.trajectory_options import (
 )
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, load
+from robodyn.per_joint import for_each_actuated
 from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate
 from robodyn.trajectories.joint_paths import JointPath, Sweep, constant_speed, path_through
 from robodyn.trajectories.profiles import ACCELERATION
@@ -293,7 +293,7 @@ def _sweep(
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
     driven = list(mechanism.actuated)
     sizes = parse_entries(amplitude, parse_angle, where="--amplitude", example="0.1 or 5deg")
-    sizes = for_each_joint(mechanism, sizes, "--amplitude")
+    sizes = for_each_actuated(mechanism, sizes, "--amplitude")
     band = parse_entries(frequencies, frequency_from, where="--frequencies", example="0.2,5 (Hz)")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
@@ -321,10 +321,10 @@ def _constant(
         assert counts is not None
         if duration is None:
             raise InputError("--turns", limit="needs --speed or --time")
-        way = 2 * np.pi * np.array(for_each_joint(mechanism, counts, "--turns"))
+        way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
         return constant_speed(start, way), duration
     rates = parse_entries(speed, parse_rate, where="--speed", example="6.28, 60rpm or 360deg/s")
-    rate = np.array(for_each_joint(mechanism, rates, "--speed"))
+    rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:
         if duration is not None:

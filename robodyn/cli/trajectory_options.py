@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -109,18 +109,6 @@ def rates_from(
     text: str | None, option: str, parse: Callable[[str], float], example: str
 ) -> list[float] | None:
     return None if text is None else parse_entries(text, parse, where=option, example=example)
-
-
-def for_each_joint(mechanism: Mechanism, values: Sequence[float], option: str) -> list[float]:
-    """One value for each actuated joint."""
-    count = len(mechanism.actuated)
-    if len(values) == 1:
-        return list(values) * count
-    if len(values) != count:
-        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-        limit = f"needs 1 value, or {count}, one an actuated joint ({names})"
-        raise InputError(option, value=f"{len(values)} values", limit=limit)
-    return list(values)
 
 
 def refuse(what: str, **options: object) -> None:

@@ -21,14 +21,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from robodyn.actuation import Actuation
 from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
+from robodyn.per_joint import for_each_actuated
 from robodyn.straightline import define
 
 LAWS = ("pd", "pd+g", "computed-torque")
@@ -111,17 +110,12 @@ def _values(
     mechanism: Mechanism, name: str, given: float | Sequence[float], least: float
 ) -> list[float]:
     """One value an actuated joint, each at least `least`."""
-    joints = len(mechanism.actuated)
-    values = [float(x) for x in np.atleast_1d(np.asarray(given, float))]
-    if len(values) not in (1, joints):
-        names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-        limit = f"needs 1 value, or {joints}, one an actuated joint ({names})"
-        raise InputError(name, value=f"{len(values)} values", limit=limit)
+    values = for_each_actuated(mechanism, given, name)
     for value in values:
         if not least <= value < math.inf:
             limit = "must be > 0 and finite" if least else "must be >= 0 and finite"
             raise InputError(name, value=f"{value:g}", limit=limit)
-    return values if len(values) == joints else values * joints
+    return values
 
 
 def _compile_law(

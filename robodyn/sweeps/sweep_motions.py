@@ -59,7 +59,7 @@ def motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str])
         suspect=suspect_quality(base) if base.rows else 0.0,
         extremes="extremes" in plan.results,
         link=link,
-        work=any(g.mechanism.dissipates or g.tau.any() for g in groups),
+        work=any(g.mechanism.changes_energy or g.tau.any() for g in groups),
     )
     ends = Ends.room(P, n)
     offset = np.zeros(P)
@@ -154,7 +154,7 @@ def _integrated(
             reals = np.concatenate([np.tile(real, (len(g.points), 1)) for g, real in members])
             reals[:, at.torque : at.torque + at.n] = tau
         given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
-        if not members[0][0].mechanism.has_forces:
+        if not members[0][0].mechanism.has_state_forces:
             yield chosen, compiled(*given)
             continue
         which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])

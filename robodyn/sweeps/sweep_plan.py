@@ -103,7 +103,7 @@ def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
         raise InputError("engine", value=wanted, limit=limit)
     if wanted != "auto":
         return wanted
-    plain = not mechanism.has_forces and not mechanism.description.couplings
+    plain = not mechanism.has_state_forces and not mechanism.description.couplings
     return "compiled" if there and plain and points >= WORTH_LOADING else "python"
 
 

@@ -90,7 +90,11 @@ def _executor(plan: Plan, count: int) -> Executor:
         values = plan.variation.axes[k].values
         scenes *= len(values) if values else plan.variation.size
     compiled = plan.engine == "compiled" and plan.kind == "motion"
-    if compiled and scenes < MANY_SCENES and not base_mechanism(plan.scene, plan.source).has_forces:
+    if (
+        compiled
+        and scenes < MANY_SCENES
+        and not base_mechanism(plan.scene, plan.source).has_state_forces
+    ):
         return ThreadPoolExecutor(count)
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 

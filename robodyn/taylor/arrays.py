@@ -22,7 +22,7 @@ class ArraySeries:
     def __init__(
         self, mechanism: Mechanism, order: int, torques: Array | None, dtype: type = np.float64
     ) -> None:
-        if torques is not None and mechanism.has_forces:
+        if torques is not None and mechanism.has_state_forces:
             raise ValueError("springs and the like are torques that change: they come by `push`")
         self.mechanism, self.order, self.dtype = mechanism, order, dtype
         self.complex = np.result_type(dtype, np.complex64)

@@ -40,7 +40,7 @@ def compile_expansion(
     one order, returns those of the torques, as `TorqueSeries` does.  With `work` a component for
     the work done by torques less dampers is appended to the state.
     """
-    if torques is not None and mechanism.has_forces:
+    if torques is not None and mechanism.has_state_forces:
         raise ValueError("springs and the like are torques that change: they come by `push`")
     writer = _Writer(mechanism, order, torques, work)
     source = writer.function()
@@ -69,7 +69,7 @@ class _Writer:
                 self.coupling[k].append((j, value.real, -value.imag))
         self.own = [terms[0][1] for terms in self.coupling]
         self.weight = [(-w.real, w.imag) for w in mechanism.weights]
-        self.separate = mechanism.has_forces  # whether `push` returns what does work besides
+        self.separate = mechanism.has_state_forces  # whether `push` returns what does work besides
         # the power of constant torques needs no series: their work is tau times the way
         damped = any(self.damping)
         self.moving = torques is None or damped  # whether the series of the rates are wanted

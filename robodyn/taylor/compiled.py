@@ -47,7 +47,7 @@ class CompiledEngine:
     @classmethod
     def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
         """Whether this engine can: constant torques, M and Psi regular but at single states."""
-        if actuation.constants is None or mechanism.has_forces:
+        if actuation.constants is None or mechanism.has_state_forces:
             return False
         if mechanism.description.couplings:
             return False

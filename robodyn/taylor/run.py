@@ -160,7 +160,7 @@ def taylor_run(
         crosses = stuck or status is Status.SINGULAR
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
-            simple = actuation.constants is not None and not mechanism.has_forces
+            simple = actuation.constants is not None and not mechanism.has_state_forces
             if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
 

@@ -39,7 +39,7 @@ class SteppingEngine:
         torques: tuple[float, ...] | TorqueSeries,
         work: bool,
     ) -> None:
-        if mechanism.has_forces and not isinstance(torques, TorqueSeries):
+        if mechanism.has_state_forces and not isinstance(torques, TorqueSeries):
             torques = TorqueSeries(Actuation(tuple(torques)), mechanism)
         self.mechanism, self.closing, self.torques = mechanism, closing, torques
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0

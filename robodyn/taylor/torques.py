@@ -46,7 +46,7 @@ class TorqueSeries:
     def __init__(self, actuation: Actuation, mechanism: Mechanism) -> None:
         self.kinks = actuation.kinks
         self.linear = actuation.linear
-        self.separate = mechanism.has_forces
+        self.separate = mechanism.has_state_forces
         self.flat = bool(mechanism.friction)  # far above its speed all its derivatives vanish
         self.bends = self.separate or not self.linear
         self._function = actuation.function(mechanism.n)

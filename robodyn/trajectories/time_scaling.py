@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics import inverse_dynamics
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
+from robodyn.per_joint import for_each_actuated
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath
 from robodyn.trajectories.path_extremes import Columns, least_along
@@ -80,21 +81,15 @@ def limits_of(
     tau: ArrayLike | None = None,
 ) -> Limits:
     """Limits from one value for all actuated joints, or one for each; InputError if not > 0."""
-    count = len(mechanism.actuated)
     found = {}
     for name, given in (("qd", qd), ("qdd", qdd), ("tau", tau)):
         if given is None:
             continue
-        values = np.atleast_1d(np.asarray(given, float))
-        if values.shape not in ((1,), (count,)):
-            names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
-            limit = f"needs 1 value, or {count}, one an actuated joint ({names})"
-            shown = "1 value" if values.size == 1 else f"{values.size} values"
-            raise InputError(f"max_{name}", value=shown, limit=limit)
+        values = np.array(for_each_actuated(mechanism, given, f"max_{name}"))
         if not (np.isfinite(values).all() and (values > 0.0).all()):
             wrong = values[~(np.isfinite(values) & (values > 0.0))][0]
             raise InputError(f"max_{name}", value=f"{wrong:g}", limit="must be > 0 and finite")
-        found[name] = np.broadcast_to(values, count).copy()
+        found[name] = values
     return Limits(**found)
 
 
