@@ -5,8 +5,8 @@ accelerations, and a state that strays from the closures by delta errs by delta/
 runs straight across is smooth all the same.  So a state that near is replaced, and its
 accelerations are found, by interpolation along the branch: K states before and K behind, at
 q + k step qd/max|qd|, are closed where Psi is regular, and a polynomial of degree 2K - 1 leads
-across.  The wide step serves where two orders of it agree; where they do not (a torque that bends,
-an inertia that changes much on the way) the narrow one does.
+across.  The wide step serves where two orders of it agree; where they do not (an inertia, or a
+spring's pull, that changes much on the way) the narrow one does.
 
 Where the loop does not run straight across (lengths that nearly make a change point, but do not)
 the interpolated position is open by more than rounding, and the state is solved as it is.

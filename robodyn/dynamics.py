@@ -145,11 +145,13 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
-    if mechanism.springs:  # a spring without a direction is no change point
-        required_load(mechanism, q, qd, qdd)
     try:
         return dense_dynamics.inverse(mechanism, q, qd, qdd)
     except SingularError:
+        if not mechanism.rows:
+            raise
+        if mechanism.springs:  # one without a direction is no change point: it raises here again
+            required_load(mechanism, q, qd, qdd)
         if q.ndim > 1:
             states = [x.reshape(-1, mechanism.n) for x in (q, qd, qdd)]
             each = [_inverse(mechanism, *state) for state in zip(*states, strict=True)]

@@ -1,10 +1,10 @@
 """Motions in extended precision: what errors are measured against.
 
 Two computations that share the mechanism's constants and torques, and nothing else, run in numpy's
-longdouble (64 bits of mantissa where the platform has them; torques that change, those of springs
-among them, have series in doubles): the Taylor series, and extrapolation of the
-midpoint rule on (33).  What they differ by is the uncertainty of the reference: no error below it
-can be claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
+longdouble (64 bits of mantissa where the platform has them): the Taylor series, and extrapolation
+of the midpoint rule on (33).  Torques that change, those of springs among them, have series in
+doubles.  What the two differ by is the uncertainty of the reference: no error below it can be
+claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
 """
 
 from __future__ import annotations
