@@ -1,8 +1,11 @@
-"""Arithmetic recorded as a graph, and written out again as straight-line Python or numpy code.
+"""Arithmetic recorded as a graph.
 
 A formula evaluated on `Expression`s instead of floats leaves a graph behind: constants folded,
-zero terms gone, equal subexpressions shared.  `float_source` writes it as Python statements on
-floats, `array_source` as in-place numpy calls on blocks of states with as few buffers as can be.
+zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
+straight-line Python or numpy code, `engines/segment.py` as machine code.
+
+A number that code takes as an argument is a parameter: a node, and what is computed of parameters
+alone is as good as a constant: it gathers in front of products, and is evaluated once a call.
 """
 
 from __future__ import annotations
@@ -15,9 +18,9 @@ Value = Union["Expression", float]
 
 # Cost of an operation in additions, for choosing between two ways to write a formula.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
-FUNCTIONS = ("sin", "cos", "sqrt", "tanh")
-COST |= dict.fromkeys(FUNCTIONS, 4.0)
-_PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
+FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log")
+COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0) | {"abs": 0.5, "choose": 1.0}
+INPUTS = ("var", "par")
 
 
 class Graph:
@@ -25,11 +28,19 @@ class Graph:
 
     def __init__(self) -> None:
         self.nodes: list[Expression] = []
+        self.parameters: dict[str, float] = {}  # what `parameter` was told
         self._known: dict[tuple[object, ...], Expression] = {}
 
     def variable(self, name: str) -> Expression:
         """The input called `name`."""
         return self.node("var", (name,))
+
+    def parameter(self, name: str, number: float) -> Value:
+        """A number that may be another in the next call; 0, 1 and -1 belong to the shape."""
+        if number in (0.0, 1.0, -1.0):
+            return float(number)
+        self.parameters[name] = float(number)
+        return self.node("par", (name,))
 
     def node(self, op: str, args: tuple[Value | str, ...]) -> Expression:
         """The one node of this operation on these arguments."""
@@ -44,10 +55,11 @@ class Graph:
 class Expression:
     """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
-    __slots__ = ("args", "graph", "index", "op")
+    __slots__ = ("args", "constant", "graph", "index", "op")
 
     def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
         self.graph, self.op, self.args, self.index = graph, op, args, index
+        self.constant = op != "var" and all(_constant(a) for a in args)  # while parameters are
 
     def __add__(self, other: Value) -> Value:
         return add(self, other)
@@ -86,8 +98,8 @@ def negate(a: Value) -> Value:
         return _value(x[0])
     if a.op == "-":
         return a.graph.node("-", (x[1], x[0]))
-    if a.op == "*" and isinstance(x[0], float):
-        return a.graph.node("*", (-x[0], x[1]))
+    if a.op == "*" and _constant(x[0]):
+        return a.graph.node("*", (negate(_value(x[0])), x[1]))
     return a.graph.node("neg", (a,))
 
 
@@ -122,22 +134,29 @@ def multiply(a: Value, b: Value) -> Value:
             return b
         if a == -1.0:
             return negate(b)
-        if b.op == "*" and isinstance(b.args[0], float):
-            return multiply(a * b.args[0], _value(b.args[1]))
-        if b.op == "neg":
-            return multiply(-a, _value(b.args[0]))
-        return b.graph.node("*", (float(a), b))
+        return _scaled(float(a), b)
     if not isinstance(b, Expression):
         return multiply(b, a)
+    if a.constant != b.constant:
+        return _scaled(a, b) if a.constant else _scaled(b, a)
     if a.op == "neg":
         return negate(multiply(_value(a.args[0]), b))
     if b.op == "neg":
         return negate(multiply(a, _value(b.args[0])))
     for x, y in ((a, b), (b, a)):  # constant factors gather in front
-        if x.op == "*" and isinstance(x.args[0], float):
-            return multiply(x.args[0], multiply(_value(x.args[1]), y))
+        if x.op == "*" and _constant(x.args[0]):
+            return multiply(_value(x.args[0]), multiply(_value(x.args[1]), y))
     first, second = sorted((a, b), key=lambda x: x.index)
     return a.graph.node("*", (first, second))
+
+
+def _scaled(a: Value, b: Expression) -> Value:
+    """a b of a constant a."""
+    if b.op == "*" and _constant(b.args[0]):
+        return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
+    if b.op == "neg":
+        return multiply(negate(a), _value(b.args[0]))
+    return b.graph.node("*", (a, b))
 
 
 def divide(a: Value, b: Value) -> Value:
@@ -148,6 +167,8 @@ def divide(a: Value, b: Value) -> Value:
         return 0.0
     if isinstance(a, Expression) and a.op == "neg":
         return negate(divide(_value(a.args[0]), b))
+    if b.constant and a != 1.0:
+        return multiply(a, divide(1.0, b))
     return b.graph.node("/", (a, b))
 
 
@@ -177,95 +198,53 @@ def tanh(a: Value) -> Value:
     return a.graph.node("tanh", (a,)) if isinstance(a, Expression) else math.tanh(a)
 
 
+def exp(a: Value) -> Value:
+    """e to the power a."""
+    return a.graph.node("exp", (a,)) if isinstance(a, Expression) else math.exp(a)
+
+
+def log(a: Value) -> Value:
+    """The natural logarithm of a."""
+    return a.graph.node("log", (a,)) if isinstance(a, Expression) else math.log(a)
+
+
+def power(a: Value, exponent: float) -> Value:
+    """a to a constant power."""
+    return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def absolute(a: Value) -> Value:
+    """The absolute value of a."""
+    return a.graph.node("abs", (a,)) if isinstance(a, Expression) else abs(a)
+
+
+def choose(x: Value, y: Value, a: Value, b: Value) -> Value:
+    """a where x < y, b elsewhere and where one of x, y is nan.  Both sides are evaluated."""
+    for known in (x, y, a, b):
+        if isinstance(known, Expression):
+            return a if a is b else known.graph.node("choose", (x, y, a, b))
+    assert not isinstance(x, Expression)
+    assert not isinstance(y, Expression)
+    return a if x < y else b
+
+
+def least(a: Value, b: Value) -> Value:
+    """The smaller one, as `min(a, b)`."""
+    return choose(b, a, b, a)
+
+
+def greatest(a: Value, b: Value) -> Value:
+    """The larger one, as `max(a, b)`."""
+    return choose(a, b, b, a)
+
+
 def cost(outputs: Sequence[Value]) -> float:
     """Cost of evaluating the outputs, in additions."""
-    return sum(COST.get(node.op, 0.0) for node in _needed(outputs))
+    return sum(COST.get(node.op, 0.0) for node in needed(outputs) if not node.constant)
 
 
-def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
-    """Python statements on floats, and the expression of each output.
-
-    A node used once stands where it is used; one used more often gets a local name.
-    """
-    uses = _uses(outputs)
-    text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
-    lines: list[str] = []
-
-    def written(a: Value | str, least: int) -> str:
-        if isinstance(a, Expression):
-            shown, precedence = text[a.index]
-        else:
-            shown, precedence = (
-                (a, 9) if isinstance(a, str) else (repr(float(a)), 9 if a >= 0 else 3)
-            )
-        return shown if precedence >= least else f"({shown})"
-
-    for node in _needed(outputs):
-        op, args = node.op, node.args
-        if op == "var":
-            text[node.index] = (str(args[0]), 9)
-            continue
-        if op in FUNCTIONS:
-            shown, precedence = f"{op}({written(args[0], 0)})", 9
-        elif op == "neg":
-            shown, precedence = f"-{written(args[0], 3)}", 3
-        else:
-            precedence = _PRECEDENCE[op]
-            left = written(args[0], precedence)
-            right = written(args[1], precedence + 1)
-            shown = f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
-        if uses[node.index] > 1:
-            lines.append(f"t{node.index} = {shown}")
-            shown, precedence = f"t{node.index}", 9
-        text[node.index] = (shown, precedence)
-    return lines, [written(output, 0) for output in outputs]
-
-
-def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[str], int]:
-    """In-place numpy calls on blocks, and the number of work buffers `w0, w1, ...` they use.
-
-    Output number i is left in the array called `names[i]`, which may be strided.
-    """
-    calls = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-    needed = _needed(outputs)
-    last: dict[int, int] = {}  # node -> the last node that reads it
-    for node in needed:
-        for a in node.args:
-            if isinstance(a, Expression):
-                last[a.index] = node.index
-    named = list(zip(outputs, names, strict=True))
-    target = {out.index: name for out, name in named if isinstance(out, Expression)}
-    free: list[str] = []
-    buffers = 0
-    place: dict[int, str] = {}
-    lines: list[str] = []
-    for node in needed:
-        if node.op == "var":
-            place[node.index] = str(node.args[0])
-            continue
-        args = [place[a.index] if isinstance(a, Expression) else repr(a) for a in node.args]
-        for a in {x.index: x for x in node.args if isinstance(x, Expression)}.values():
-            dead = last[a.index] == node.index and a.op != "var"
-            if dead and place[a.index].startswith("w"):
-                free.append(place[a.index])
-        if node.index not in last:  # read by nothing: an output, computed in place
-            place[node.index] = target[node.index]
-        elif free:
-            place[node.index] = free.pop()
-        else:
-            place[node.index] = f"w{buffers}"
-            buffers += 1
-        lines.append(f"{calls.get(node.op, node.op)}({', '.join(args)}, {place[node.index]})")
-        if node.index in target and place[node.index] != target[node.index]:
-            lines.append(f"{target[node.index]}[...] = {place[node.index]}")
-    for out, name in named:
-        if not isinstance(out, Expression):
-            lines.append(f"{name}[...] = {out!r}")
-        elif out.op == "var":
-            lines.append(f"{name}[...] = {place[out.index]}")
-        elif target[out.index] != name:  # the same node is two outputs
-            lines.append(f"{name}[...] = {target[out.index]}")
-    return lines, buffers
+def _constant(a: Value | str) -> bool:
+    return a.constant if isinstance(a, Expression) else True
 
 
 def _value(a: Value | str) -> Value:
@@ -274,22 +253,13 @@ def _value(a: Value | str) -> Value:
 
 
 def _negative(a: Expression) -> bool:
-    return a.op == "neg" or (a.op == "*" and isinstance(a.args[0], float) and a.args[0] < 0.0)
+    if a.op != "*":
+        return a.op == "neg"
+    first = _value(a.args[0])
+    return first.op == "neg" if isinstance(first, Expression) else first < 0.0
 
 
-def _uses(outputs: Sequence[Value]) -> dict[int, int]:
-    uses: dict[int, int] = {}
-    for node in _needed(outputs):
-        for a in node.args:
-            if isinstance(a, Expression):
-                uses[a.index] = uses.get(a.index, 0) + 1
-    for out in outputs:
-        if isinstance(out, Expression):
-            uses[out.index] = uses.get(out.index, 0) + 1
-    return uses
-
-
-def _needed(outputs: Sequence[Value]) -> list[Expression]:
+def needed(outputs: Sequence[Value]) -> list[Expression]:
     """The nodes that the outputs need, each after its arguments."""
     found: dict[int, Expression] = {}
     stack = [out for out in outputs if isinstance(out, Expression)]

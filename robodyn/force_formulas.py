@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from robodyn import expression
+from robodyn.engines import source_text
 from robodyn.expression import Value
 from robodyn.formula_state import Planar, State, planar, plus, times, to_joints
 from robodyn.mechanism import Mechanism, PlanarPoint
@@ -31,7 +32,7 @@ def force_code(mechanism: Mechanism) -> ForceCode:
     """The torques of a scene's own forces as code."""
     state = State(mechanism, ("qd",), by_direction=True)
     torques = potential_torques(state) + other_torques(state)
-    lines, outputs = expression.float_source(torques)
+    lines, outputs = source_text.float_source(torques)
     n = mechanism.n
     return ForceCode(tuple(lines), tuple(outputs[:n]), tuple(outputs[n:]))
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from robodyn import expression, formulas
 from robodyn.actuation import Actuation
+from robodyn.engines import source_text
 from robodyn.force_formulas import force_code
 from robodyn.formulas import Formula
 from robodyn.mechanism import Mechanism
@@ -24,7 +25,7 @@ RateFunction = Callable[[float, Any], Any]
 
 def compile_floats(formula: Formula, name: str) -> FloatFunction:
     """A function of plain floats, in the order of the formula's inputs, to a tuple of floats."""
-    lines, outputs = expression.float_source(formula.outputs + formula.pivots)
+    lines, outputs = source_text.float_source(formula.outputs + formula.pivots)
     body = "\n    ".join([*lines, f"return ({', '.join(outputs)},)"])
     return define(f"def {name}({', '.join(formula.inputs)}):\n    {body}\n", name)
 
@@ -48,7 +49,7 @@ def compile_rates(
     formula = formulas.forward_formula(mechanism, torques, baumgarte, own_power)
     n = mechanism.n
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
-    body, outputs = expression.float_source(needed)
+    body, outputs = source_text.float_source(needed)
     rates = [f"qd{k}" for k in range(n)]
     names = [f"q{k}" for k in range(n)] + rates
     power = ""
@@ -89,7 +90,7 @@ def compile_closing(
     What is open by `rounding` (m) at most stays where it is; from `next_to_it` one step closes it.
     None where a pivot does not exceed `least_pivot`.
     """
-    lines, outputs = expression.float_source(formula.outputs + formula.pivots)
+    lines, outputs = source_text.float_source(formula.outputs + formula.pivots)
     n = len(formula.inputs) // 2
     gaps = len(formula.pivots)
     q, qd = formula.inputs[:n], outputs[n : 2 * n]
@@ -129,7 +130,7 @@ def compile_forces(mechanism: Mechanism, functions: Mapping[str, object]) -> Flo
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:
     """A function of input blocks, then output blocks, then work buffers; and how many buffers."""
     outputs = [f"y{i}" for i in range(len(formula.outputs) + len(formula.pivots))]
-    lines, buffers = expression.array_source(formula.outputs + formula.pivots, outputs)
+    lines, buffers = source_text.array_source(formula.outputs + formula.pivots, outputs)
     work = [f"w{i}" for i in range(buffers)]
     arguments = ", ".join([*formula.inputs, *outputs, *work])
     body = "\n    ".join(lines)
@@ -140,13 +141,12 @@ def define(
     source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
 ) -> Callable[..., Any]:
     """The function called `name` of a source that may name those of `scope`."""
-    known = (*expression.FUNCTIONS, "nan", "inf")
+    known = (*expression.FUNCTIONS, "pow", "nan", "inf")
     names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
     if arrays:
         import numpy as np
 
-        calls = ("add", "subtract", "multiply", "divide", "negative", *expression.FUNCTIONS)
-        names |= {call: getattr(np, call) for call in calls}
+        names |= {call: getattr(np, call) for call in source_text.ARRAY_CALLS}
     exec(compile(source, f"<robodyn straight-line {name}>", "exec"), names)
     function = names[name]
     assert callable(function)

@@ -8,7 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robodyn import expression
-from robodyn.expression import Expression, Graph, array_source, cost, float_source
+from robodyn.engines.source_text import array_source, float_source
+from robodyn.expression import Expression, Graph, cost
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150)

@@ -21,6 +21,7 @@ from random_mechanisms import (
 from robodyn import blocks, expression, formulas, straightline
 from robodyn import closed_form as cf
 from robodyn import dynamics as dyn
+from robodyn.engines import source_text
 
 examples = settings(deadline=None, max_examples=40)
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])
@@ -51,7 +52,7 @@ def on_arrays(formula, *states):
 
 def source(formula):
     """The statements and results of a formula's float code as one text."""
-    lines, outputs = expression.float_source(formula.outputs)
+    lines, outputs = source_text.float_source(formula.outputs)
     return "\n".join([*lines, *outputs])
 
 

@@ -1,0 +1,1 @@
+"""What evaluates recorded formulas: Python text, arrays, machine code."""

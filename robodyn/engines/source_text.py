@@ -1,0 +1,116 @@
+"""A recorded graph written out as straight-line Python: statements on floats, calls on blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
+
+_PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
+_CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
+_CALLS |= {"pow": "power", "abs": "absolute"}
+ARRAY_CALLS = (*_CALLS.values(), *FUNCTIONS, "where", "less", "copyto")  # what numpy code calls
+
+
+def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
+    """Python statements on floats, and the expression of each output.
+
+    A node used once stands where it is used; one used more often gets a local name.
+    """
+    uses = _uses(outputs)
+    text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
+    lines: list[str] = []
+
+    def written(a: Value | str, least: int) -> str:
+        if isinstance(a, Expression):
+            shown, precedence = text[a.index]
+        else:
+            shown, precedence = (
+                (a, 9) if isinstance(a, str) else (repr(float(a)), 9 if a >= 0 else 3)
+            )
+        return shown if precedence >= least else f"({shown})"
+
+    for node in needed(outputs):
+        op, args = node.op, node.args
+        if op in INPUTS:
+            text[node.index] = (str(args[0]), 9)
+            continue
+        if op == "choose":
+            x, y, a, b = (written(arg, 1) for arg in args)
+            shown, precedence = f"{a} if {x} < {y} else {b}", 0
+        elif op not in _PRECEDENCE:
+            shown, precedence = f"{op}({', '.join(written(arg, 0) for arg in args)})", 9
+        elif op == "neg":
+            shown, precedence = f"-{written(args[0], 3)}", 3
+        else:
+            precedence = _PRECEDENCE[op]
+            left = written(args[0], precedence)
+            right = written(args[1], precedence + 1)
+            shown = f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
+        if uses[node.index] > 1:
+            lines.append(f"t{node.index} = {shown}")
+            shown, precedence = f"t{node.index}", 9
+        text[node.index] = (shown, precedence)
+    return lines, [written(output, 0) for output in outputs]
+
+
+def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[str], int]:
+    """In-place numpy calls on blocks, and the number of work buffers `w0, w1, ...` they use.
+
+    Output number i is left in the array called `names[i]`, which may be strided.
+    """
+    order = needed(outputs)
+    last: dict[int, int] = {}  # node -> the last node that reads it
+    for node in order:
+        for a in node.args:
+            if isinstance(a, Expression):
+                last[a.index] = node.index
+    named = list(zip(outputs, names, strict=True))
+    target = {out.index: name for out, name in named if isinstance(out, Expression)}
+    free: list[str] = []
+    buffers = 0
+    place: dict[int, str] = {}
+    lines: list[str] = []
+    for node in order:
+        if node.op in INPUTS:
+            place[node.index] = str(node.args[0])
+            continue
+        args = [place[a.index] if isinstance(a, Expression) else repr(a) for a in node.args]
+        for a in {x.index: x for x in node.args if isinstance(x, Expression)}.values():
+            dead = last[a.index] == node.index and a.op not in INPUTS
+            if dead and place[a.index].startswith("w"):
+                free.append(place[a.index])
+        if node.index not in last:  # read by nothing: an output, computed in place
+            place[node.index] = target[node.index]
+        elif free:
+            place[node.index] = free.pop()
+        else:
+            place[node.index] = f"w{buffers}"
+            buffers += 1
+        to = place[node.index]
+        if node.op == "choose":
+            lines.append(f"copyto({to}, where(less({args[0]}, {args[1]}), {args[2]}, {args[3]}))")
+        else:
+            lines.append(f"{_CALLS.get(node.op, node.op)}({', '.join(args)}, {to})")
+        if node.index in target and place[node.index] != target[node.index]:
+            lines.append(f"{target[node.index]}[...] = {place[node.index]}")
+    for out, name in named:
+        if not isinstance(out, Expression):
+            lines.append(f"{name}[...] = {out!r}")
+        elif out.op in INPUTS:
+            lines.append(f"{name}[...] = {place[out.index]}")
+        elif target[out.index] != name:  # the same node is two outputs
+            lines.append(f"{name}[...] = {target[out.index]}")
+    return lines, buffers
+
+
+def _uses(outputs: Sequence[Value]) -> dict[int, int]:
+    uses: dict[int, int] = {}
+    for node in needed(outputs):
+        for a in node.args:
+            if isinstance(a, Expression):
+                uses[a.index] = uses.get(a.index, 0) + 1
+    for out in outputs:
+        if isinstance(out, Expression):
+            uses[out.index] = uses.get(out.index, 0) + 1
+    return uses
