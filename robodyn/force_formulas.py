@@ -31,9 +31,12 @@ class ForceCode(NamedTuple):
 def force_code(mechanism: Mechanism) -> ForceCode:
     """The torques of a scene's own forces as code."""
     state = State(mechanism, ("qd",), by_direction=True)
-    torques = potential_torques(state) + other_torques(state)
-    lines, outputs = source_text.float_source(torques)
     n = mechanism.n
+    try:
+        torques = potential_torques(state) + other_torques(state)
+    except ZeroDivisionError:  # a spring has no direction at any state: the code is to say so
+        return ForceCode((), ("0.0/0.0",) * n, ("0.0/0.0",) * n)
+    lines, outputs = source_text.float_source(torques)
     return ForceCode(tuple(lines), tuple(outputs[:n]), tuple(outputs[n:]))
 
 

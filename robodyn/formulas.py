@@ -42,8 +42,18 @@ class Formula(NamedTuple):
     pivots: tuple[Value, ...]
 
 
-def _cheaper(write: Callable[[bool], Formula]) -> Formula:
-    return min((write(False), write(True)), key=lambda f: expression.cost(f.outputs + f.pivots))
+def cheapest(
+    write: Callable[[bool], Formula], by_direction: Sequence[bool] = (False, True)
+) -> Formula | None:
+    """The way to write a formula that costs least.
+
+    None where it divides by what is zero at every state: the numpy evaluators say what that means.
+    """
+    try:
+        ways = [write(way) for way in by_direction]
+    except ZeroDivisionError:
+        return None
+    return min(ways, key=lambda f: expression.cost(f.outputs + f.pivots))
 
 
 # -- inverse dynamics ----------------------------------------------------------------------------
@@ -52,12 +62,12 @@ def _cheaper(write: Callable[[bool], Formula]) -> Formula:
 def inverse_formula(mechanism: Mechanism) -> Formula | None:
     """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
 
-    None where the solve for lambda is no 1x1 or 2x2 system: the numpy evaluator serves those.
+    None where the solve for lambda is no 1x1 or 2x2 system, as where `cheapest` gives none.
     """
     rows, passive = len(mechanism.rows), mechanism.passive
     if len(passive) != rows or rows > 2:
         return None
-    return _cheaper(lambda by_direction: inverse_of(State(mechanism, ("qd", "qdd"), by_direction)))
+    return cheapest(lambda way: inverse_of(State(mechanism, ("qd", "qdd"), way)))
 
 
 def inverse_of(state: State) -> Formula:
@@ -156,7 +166,7 @@ def forward_formula(
     torques: Sequence[float] | None = None,
     baumgarte: float = 0.0,
     power: bool = False,
-) -> Formula:
+) -> Formula | None:
     """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
 
     With `power` that of the scene's forces without potential follows, Q . qd.
@@ -170,7 +180,7 @@ def forward_formula(
     def write(by_direction: bool) -> Formula:
         return _forward(mechanism, torques, baumgarte, power, by_direction)
 
-    return _cheaper(write)
+    return cheapest(write)
 
 
 def _forward(
@@ -234,12 +244,18 @@ def _forward(
     return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
 
 
-def projection_formula(mechanism: Mechanism) -> Formula:
+def projection_formula(mechanism: Mechanism) -> Formula | None:
     """q and qd (2n) brought nearer to closing by one Newton step of least norm; gap (r).
 
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
+
+    None as by `cheapest`.
     """
-    state = State(mechanism, ("qd",), by_direction=True)
+    return cheapest(lambda way: _projection(State(mechanism, ("qd",), way)), (True,))
+
+
+def _projection(state: State) -> Formula:
+    mechanism = state.mechanism
     n, rows = mechanism.n, len(mechanism.rows)
     Psi = joint_jacobian(state)
     normal = [{c: _dot(Psi[r], Psi[c]) for c in range(r, rows)} for r in range(rows)]

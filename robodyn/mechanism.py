@@ -46,7 +46,8 @@ def load(path: str | Path) -> Mechanism:
 def build(description: Description) -> Mechanism:
     """The numeric model of a description.
 
-    Raises InputError where the products of masses and lengths leave the range of floats.
+    Raises InputError where the products of masses and lengths leave the range of floats, and for a
+    closure of points that cannot move apart.
     """
     try:
         return _build(description)
@@ -185,6 +186,9 @@ def _rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[Closu
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
         gap = _difference(_point(pivots, closure.first), _point(pivots, closure.second))
+        if not gap.terms:  # a row of zeros, against which nothing can be measured
+            limit = "joins points that cannot move apart: it says nothing, or never holds"
+            raise InputError(f"closures[{c}]", where=description.source, limit=limit)
         directions = (1 + 0j, 1j) if closure.along is None else (1j * closure.along,)
         for direction in directions:
             w = direction.conjugate()

@@ -165,5 +165,7 @@ def _generated_closing(
 ) -> Callable[[list[float]], tuple[list[float], float] | None]:
     size = loop_size(mechanism)
     formula = projection_formula(mechanism)
+    if formula is None:
+        return lambda y: None
     limits = SINGULAR, CLOSED * size, CONVERGED * size
     return straightline.compile_closing(formula, PASSES, *limits)

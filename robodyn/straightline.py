@@ -42,11 +42,13 @@ def compile_rates(
     """dy/dt for y = (q, qd), and the work done by torques less dampers where `work` is wanted.
 
     Constant torques are folded in.  A state in which a closure's relative pivot does not exceed
-    `least_pivot` is handed to `otherwise`.
+    `least_pivot` is handed to `otherwise`; every state is, where there is no formula.
     """
     torques = actuation.constants
     own_power = work and mechanism.has_state_forces
     formula = formulas.forward_formula(mechanism, torques, baumgarte, own_power)
+    if formula is None:
+        return otherwise
     n = mechanism.n
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
     body, outputs = source_text.float_source(needed)

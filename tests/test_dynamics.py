@@ -716,6 +716,72 @@ class TestActuation:
             dyn.inverse_dynamics(mech, q, [0.0] * 3, [0.0] * 3)
 
 
+LINKS = "gravity: 9.81\nlinks:\n" + "".join(
+    f"  - {{name: {name}, m: 1, l: 1, r: 0.5, I: 0.1}}\n" for name in "abc"
+)
+HUBS = LINKS.replace("l: 1, r: 0.5", "l: 0, r: 0")
+# what the formulas divide by is zero at every state: a text of the scene, and a closed q
+ZERO_EVERYWHERE = {
+    "a slider that holds the actuated link": (
+        LINKS + "closures: [{point: a, on: {through: [0, 1], along: [1, 1]}}]\nactuated: [a, c]\n",
+        [np.pi, 0.5, 0.3],
+    ),
+    "two sliders that hold the actuated link": (
+        LINKS + "closures: [{point: a, on: {through: [0, 1], along: [1, 1]}},"
+        " {point: a, on: {through: [-1, 0], along: [1, 1]}}]\nactuated: [a]\n",
+        [np.pi, 0.5, 0.3],
+    ),
+    "a pin that holds the actuated link": (
+        LINKS + "closures: [[a, [-1, 0]]]\nactuated: [a]\n",
+        [np.pi, 0.5, 0.3],
+    ),
+    "couplings that say the same": (
+        LINKS + "couplings: [q1 = 2 q2, q2 = 0.5 q1]\nactuated: [a, c]\n",
+        [1.0, 0.5, 0.3],
+    ),
+    "couplings of hubs that say the same": (
+        HUBS + "couplings: [q1 = 2 q2, q2 = 0.5 q1]\nactuated: [a, c]\n",
+        [1.0, 0.5, 0.3],
+    ),
+    "a spring that is never stretched": (
+        HUBS + "springs: [{between: [a, [0, 0]], stiffness: 1, length: 0.1}]\n",
+        [1.0, 0.5, 0.3],
+    ),
+    "a damper between equal points": (
+        HUBS + "springs: [{between: [a, [0, 0]], stiffness: 0, length: 0, damping: 1}]\n",
+        [1.0, 0.5, 0.3],
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+@pytest.mark.parametrize(("text", "q"), ZERO_EVERYWHERE.values(), ids=ZERO_EVERYWHERE)
+class TestZeroEverywhere:
+    """Where no formula can be written the numpy evaluators answer, for one state and for many."""
+
+    @pytest.mark.parametrize("function", [dyn.inverse_dynamics, dyn.forward_dynamics])
+    def test_a_batch_gives_what_one_state_gives(self, function, text, q):
+        mech = mechanism(text)
+        many = np.tile(q, (dyn.BATCH, 1))
+        try:
+            alone = function(mech, q, [0.0] * 3, [0.0] * 3)
+        except SingularError as error:
+            with pytest.raises(SingularError, match=f"^{re.escape(str(error))}$"):
+                function(mech, many, 0.0 * many, 0.0 * many)
+        else:
+            found = function(mech, many, 0.0 * many, 0.0 * many)
+            assert found == pytest.approx(np.tile(alone, (dyn.BATCH, 1)), abs=1e-12)
+
+    def test_a_run_starts(self, text, q):
+        mech = mechanism(text)
+        if mech.springs:
+            with pytest.raises(SingularError, match="coincide"):
+                robodyn.simulate(mech, q, [0.0] * 3, t_end=0.01, method="DOP853")
+        else:
+            motion = robodyn.simulate(mech, q, [0.0] * 3, t_end=0.01, method="DOP853")
+            assert motion.report.outcome == "finished"
+
+
 class TestBatch:
     """From BATCH states on generated array code runs; it must give what single states give."""
 

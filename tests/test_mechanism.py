@@ -179,6 +179,13 @@ class TestPoints:
         )
         assert {k for row in carried.rows for k, _ in row.P} == {1, 2}
 
+    @pytest.mark.parametrize("through", ["[0, 0]", "[3, 1]"])
+    def test_a_closure_of_points_that_cannot_move_apart_is_refused(self, through):
+        line = f"{{through: {through}, along: [1, 0]}}"
+        slider = f"{{point: {{link: link0, at: [0, 0]}}, on: {line}}}"
+        with pytest.raises(InputError, match=r"closures\[0\]: joins points that cannot move apart"):
+            mechanism(chain(2, f"closures: [{slider}]\nactuated: [link1]\n"))
+
 
 class TestActuated:
     def test_default_is_every_joint_of_an_open_chain(self):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
@@ -69,11 +70,10 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     formula = inverse_formula(mechanism)
-    assert formula is not None  # there is no loop to solve
     values = [source.values or [0.0] * mechanism.n for source in sources]
-    try:
-        return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
-    except ZeroDivisionError:  # the ends of a spring coincide: say so
-        from robodyn.dynamics import inverse_dynamics
+    if formula is not None:
+        with suppress(ZeroDivisionError):
+            return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
+    from robodyn.dynamics import inverse_dynamics  # the ends of a spring coincide: it says so
 
-        return tuple(inverse_dynamics(mechanism, *values).tolist())
+    return tuple(inverse_dynamics(mechanism, *values).tolist())

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robodyn import dynamics, expression, formulas, loop_rates, straightline
+from robodyn import dynamics, formulas, loop_rates, straightline
 from robodyn.dense_dynamics import check_actuators, required_load
 from robodyn.errors import InputError
 from robodyn.expression import Value
@@ -85,10 +85,9 @@ def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
     determined = not rows or (rows <= 2 and len(mechanism.passive) == rows)
     if mechanism.n > formulas.MAX_GENERATED or not determined:
         return otherwise
-    formula = min(
-        (_formula(mechanism, rests, by_direction) for by_direction in (False, True)),
-        key=lambda f: expression.cost(f.outputs + f.pivots),
-    )
+    formula = formulas.cheapest(lambda by_direction: _formula(mechanism, rests, by_direction))
+    if formula is None:
+        return otherwise
     code = straightline.compile_floats(formula, "torques")
     if not rows:
         return code
