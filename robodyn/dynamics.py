@@ -25,7 +25,6 @@ from robodyn import (
     change_points,
     closed_form,
     dense_dynamics,
-    formulas,
     projection,
     straightline,
 )
@@ -39,6 +38,7 @@ from robodyn.dense_dynamics import (
     elimination_is_safe,
     required_load,
 )
+from robodyn.engines import formulas
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanism import Mechanism
 from robodyn.straightline import ArrayFunction

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import dynamics, formulas, identities, straightline
+from robodyn import dynamics, identities, straightline
+from robodyn.engines import formulas
 from robodyn.errors import RobodynError
 from robodyn.expression import FUNCTIONS
 from robodyn.mechanism import Mechanism

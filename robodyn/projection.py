@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robodyn import closed_form, straightline
 from robodyn.assembly import close_positions, loop_size
 from robodyn.change_points import SUSPECT, Closing, lead_across
-from robodyn.formulas import projection_formula
+from robodyn.engines.formulas import projection_formula
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """The closed form of one mechanism as straight-line code, generated and compiled once.
 
 An integrator evaluates one state ten thousand times, where numpy's call overhead is twenty times
-the arithmetic.  So the recorded formulas (`formulas.py`) are written out as Python on floats, or
-as in-place numpy calls on blocks of many states (`blocks.py` runs those).
+the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on floats, or as
+in-place numpy calls on blocks of many states (`blocks.py` runs those).
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from robodyn import expression, formulas
+from robodyn import expression
 from robodyn.actuation import Actuation
-from robodyn.engines import source_text
+from robodyn.engines import formulas, source_text
+from robodyn.engines.formulas import Formula
 from robodyn.force_formulas import force_code
-from robodyn.formulas import Formula
 from robodyn.mechanism import Mechanism
 
 FloatFunction = Callable[..., tuple[float, ...]]
@@ -45,8 +45,7 @@ def compile_rates(
     `least_pivot` is handed to `otherwise`; every state is, where there is no formula.
     """
     torques = actuation.constants
-    own_power = work and mechanism.has_state_forces
-    formula = formulas.forward_formula(mechanism, torques, baumgarte, own_power)
+    formula = formulas.forward_formula(mechanism, torques, baumgarte, work)
     if formula is None:
         return otherwise
     n = mechanism.n
@@ -56,13 +55,7 @@ def compile_rates(
     names = [f"q{k}" for k in range(n)] + rates
     power = ""
     if work:
-        values = [f"tau{k}" for k in range(n)] if torques is None else [repr(x) for x in torques]
-        terms = [
-            f"{tau}*qd{k}" for k, tau in enumerate(values) if torques is None or torques[k] != 0.0
-        ]
-        terms += [f"-{d!r}*qd{k}*qd{k}" for k, d in enumerate(mechanism.damping) if d != 0.0]
-        terms += outputs[n + len(formula.pivots) :]
-        power = f", {' + '.join(terms) or '0.0'}"
+        power = f", {outputs[-1]}"
         names.append("_")
     pivots = outputs[n : n + len(formula.pivots)]
     checks = [f"not {pivot} > {least_pivot!r}" for pivot in pivots]

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 import robodyn
 from robodyn.actuation import Actuation
 from robodyn.description import from_text
-from robodyn.formulas import inverse_formula
+from robodyn.engines.formulas import inverse_formula
 from robodyn.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanism import build
 from robodyn.right_hand_side import right_hand_side

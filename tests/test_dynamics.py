@@ -28,8 +28,9 @@ from random_mechanisms import (
     trees,
 )
 from robodyn import closed_form as cf
-from robodyn import dense_dynamics, formulas
+from robodyn import dense_dynamics
 from robodyn import dynamics as dyn
+from robodyn.engines import formulas
 from robodyn.errors import InputError, RobodynError, SingularError
 
 SEEDS = range(8)

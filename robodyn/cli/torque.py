@@ -8,7 +8,7 @@ from contextlib import suppress
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
 from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
-from robodyn.formulas import MAX_GENERATED
+from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.mechanism import Mechanism, load
 
 
@@ -65,7 +65,7 @@ def torque(
 
 def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[float, ...]:
     """One state of an open chain in plain floats: starts in half the time without numpy."""
-    from robodyn.formulas import inverse_formula
+    from robodyn.engines.formulas import inverse_formula
     from robodyn.straightline import compile_floats
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]

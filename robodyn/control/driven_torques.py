@@ -14,12 +14,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robodyn import dynamics, formulas, loop_rates, straightline
+from robodyn import dynamics, loop_rates, straightline
 from robodyn.dense_dynamics import check_actuators, required_load
+from robodyn.engines import formulas
+from robodyn.engines.formulas import Formula, Recorded
 from robodyn.errors import InputError
 from robodyn.expression import Value
-from robodyn.formula_state import State
-from robodyn.formulas import Formula
 from robodyn.mechanism import Mechanism
 from robodyn.projection import regular_rank
 
@@ -108,7 +108,7 @@ def _compiled(mechanism: Mechanism, rests: bool, otherwise: Floats) -> Floats:
 def _formula(mechanism: Mechanism, rests: bool, by_direction: bool) -> Formula:
     """Torques of the actuated joints from q, or from q, qd and the actuated joints' qdd."""
     n, driven = mechanism.n, mechanism.actuated
-    state = State(mechanism, ("qd", "qdd"), by_direction)
+    state = Recorded(mechanism, ("qd", "qdd"), by_direction)
     inputs = state.inputs[:n]
     if rests:
         state.relative["qd"] = state.relative["qdd"] = [0.0] * n
@@ -120,14 +120,16 @@ def _formula(mechanism: Mechanism, rests: bool, by_direction: bool) -> Formula:
     return Formula(inputs, tuple(whole.outputs[k] for k in driven), whole.pivots)
 
 
-def _complete(state: State) -> None:
+def _complete(state: Recorded) -> None:
     """Let the passive joints' qdd follow from the others'."""
     mechanism = state.mechanism
     qdd = state.relative["qdd"]
-    Psi = formulas.joint_jacobian(state)
+    series = state.series([0.0] * mechanism.n)
+    opening = series.residuals(0)[mechanism.n :]  # Psidot qd
+    Psi = formulas.joint_jacobian(state, series)
     right: list[Value] = []
-    for bend, row in zip(formulas.closure_bends(state), Psi, strict=True):
-        total = bend
+    for x, row in zip(opening, Psi, strict=True):
+        total = -x
         for k in mechanism.actuated:
             total = total - row[k] * qdd[k]
         right.append(total)

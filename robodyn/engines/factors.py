@@ -1,0 +1,94 @@
+"""L D L^T of the matrix [M Psi^T; Psi 0] of a program's unknowns, over any kind of numbers.
+
+There is no pivoting: a closure stands after links that have a positive definite M of their own,
+on which closures that are independent have full rank, so no pivot vanishes but at singular states.
+The pivots tell how near those are; what is rank-deficient or ill-scaled goes to the null-space
+solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Value = Any
+
+SMALL = (
+    24  # unknowns up to which closures stand behind all links: an ordering is not worth its search
+)
+
+
+class Factors:
+    """Factors of a symmetric matrix, given by rows with both triangles; the first are of links."""
+
+    def __init__(self, matrix: Sequence[dict[int, Value]], links: int) -> None:
+        size = len(matrix)
+        self.place = elimination_order(matrix, links)  # of each unknown
+        at = sorted(range(size), key=self.place.__getitem__)
+        upper: list[dict[int, Value]] = [{} for _ in range(size)]
+        for i, row in enumerate(matrix):
+            for j, value in row.items():
+                if self.place[j] >= self.place[i]:
+                    upper[self.place[i]][self.place[j]] = value
+        self.inverse: list[Value] = []
+        self.columns: list[list[tuple[int, Value]]] = []
+        self.pivots: list[Value] = [0.0] * size
+        for i in range(size):
+            row = upper[i]
+            pivot = row.pop(i, 0.0)
+            self.pivots[at[i]] = pivot
+            self.inverse.append(1.0 / pivot)
+            columns = sorted(row)
+            self.columns.append([(j, row[j] * self.inverse[i]) for j in columns])
+            for place, j in enumerate(columns):
+                factor = self.columns[i][place][1]
+                for k in columns[place:]:
+                    product = factor * row[k]
+                    before = upper[j].get(k)
+                    upper[j][k] = -product if before is None else before - product
+
+    def solve(self, right: Sequence[Value]) -> list[Value]:
+        """The unknowns for a right side, in the order of the matrix."""
+        x: list[Value] = [0.0] * len(right)
+        for unknown, value in enumerate(right):
+            x[self.place[unknown]] = value
+        for i, columns in enumerate(self.columns):
+            if type(x[i]) is float and x[i] == 0.0:
+                continue
+            for j, factor in columns:
+                x[j] = x[j] - factor * x[i]
+        for i in reversed(range(len(x))):
+            total = x[i] * self.inverse[i]
+            for j, factor in self.columns[i]:
+                total = total - factor * x[j]
+            x[i] = total
+        return [x[place] for place in self.place]
+
+
+def elimination_order(matrix: Sequence[dict[int, Value]], links: int) -> list[int]:
+    """The place of each unknown: links, then closures; where there are many, each closure soon.
+
+    A closure comes right after the last of its links, and links that act on one another are near.
+    """
+    size = len(matrix)
+    if size <= SMALL:
+        return list(range(size))
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    pairs = {(i, j) for i in range(links) for j in matrix[i] if j < links and i != j}
+    members = [[j for j in matrix[r] if j < links] for r in range(links, size)]
+    pairs |= {(i, j) for group in members for i in group for j in group if i != j}
+    narrow = list(range(links))
+    if pairs and len(pairs) <= links * links // 2:
+        rows, columns = zip(*sorted(pairs), strict=True)
+        graph = csr_matrix(([1.0] * len(rows), (rows, columns)), shape=(links, links))
+        order = reverse_cuthill_mckee(graph, symmetric_mode=True)
+        for place, link in enumerate(order.tolist()):
+            narrow[link] = place
+    keys = [(narrow[k], -1) for k in range(links)]
+    keys += [(max((narrow[j] for j in group), default=links), r) for r, group in enumerate(members)]
+    places = [0] * size
+    for i, which in enumerate(sorted(range(size), key=keys.__getitem__)):
+        places[which] = i
+    return places

@@ -1,0 +1,286 @@
+"""A mechanism's dynamics as formulas: the program run on recorded arithmetic, at one state.
+
+Products of directions can be written with the cosines of angle differences, as textbooks do, or
+with the links' directions (c_k, s_k) alone.  Both are recorded; the cheaper one is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from robodyn import expression
+from robodyn.engines.factors import Factors
+from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
+from robodyn.expression import Graph, Value
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.program import Given
+from robodyn.planar_model import Mechanism
+
+MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
+
+
+def _power(a: Value, exponent: float) -> Value:
+    """a to a constant exponent, by a square root where that serves."""
+    if abs(exponent) != 0.5:
+        return expression.power(a, exponent)
+    return expression.sqrt(a) if exponent > 0.0 else 1.0 / expression.sqrt(a)
+
+
+RECORDED = Arithmetic(
+    cos=expression.cos,
+    sin=expression.sin,
+    power=_power,
+    functions={"tanh": expression.tanh},
+)
+
+
+class Formula(NamedTuple):
+    """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
+
+    A pivot is relative to its size in a good configuration.  Where one is near zero the
+    configuration is near singular and the result must be computed another way.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[Value, ...]
+    pivots: tuple[Value, ...]
+
+
+class Recorded:
+    """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name."""
+
+    def __init__(self, mechanism: Mechanism, rates: Sequence[str], by_direction: bool) -> None:
+        self.mechanism, self.by_direction = mechanism, by_direction
+        self.graph = Graph()
+        n = mechanism.n
+        names = ("q", *rates)
+        self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
+        self.relative: dict[str, list[Value]] = {
+            name: [self.graph.variable(f"{name}{k}") for k in range(n)] for name in names
+        }
+
+    def absolute(self, name: str) -> list[Value]:
+        """J times the relative values called `name`."""
+        values: list[Value] = list(self.relative[name])
+        for k in self.mechanism.order:
+            above = self.mechanism.parent[k]
+            if above is not None:
+                values[k] = values[above] + values[k]
+        return values
+
+    def to_joints(self, values: Sequence[Value]) -> list[Value]:
+        """J^T times values in alpha."""
+        sums = list(values)
+        for k in reversed(self.mechanism.order):
+            above = self.mechanism.parent[k]
+            if above is not None:
+                sums[above] = sums[above] + sums[k]
+        return sums
+
+    def series(
+        self, torques: Sequence[float] | None, power: bool = False, orders: int = 1
+    ) -> Series:
+        """The series from this state; `torques` (n) are constant, or None: those called tau."""
+        mechanism = self.mechanism
+        equations = EquationsOfMotion(mechanism)
+        program = equations.program
+        given: dict[str, Sequence[Value] | Callable[[int], Value]] = {}
+        driven = []
+        for j in range(mechanism.n):
+            tau = self.relative["tau"][j] if torques is None else torques[j]
+            given[f"tau{j}"] = (tau,)
+            zero = isinstance(tau, float) and tau == 0.0
+            driven.append(None if zero else program.add(Given(f"tau{j}")))
+        equations.write(driven, power)
+        alpha = self.absolute("q")
+        for j in range(mechanism.n):
+            given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
+        self.E = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
+        state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
+        return Series(
+            program,
+            RECORDED,
+            program.numbers,
+            orders,
+            state,
+            slots=[*program.named["gap"], *program.named.get("power", [])],
+            grounded=self.by_direction,
+        )
+
+    def _turn(self, j: int, k: int) -> Planar:
+        """conj(E_j) E_k by the angles between them."""
+        parent, q = self.mechanism.parent, self.relative["q"]
+        for first, last, sign in ((j, k, 1.0), (k, j, -1.0)):
+            angle: Value = 0.0
+            link: int | None = last
+            while link is not None and link != first:
+                angle = angle + q[link]
+                link = parent[link]
+            if link == first:
+                return expression.cos(angle), sign * expression.sin(angle)
+        E = self.E
+        return conjugate_times(E[j], E[k])  # on different branches
+
+
+def cheapest(
+    write: Callable[[bool], Formula], by_direction: Sequence[bool] = (False, True)
+) -> Formula | None:
+    """The way to write a formula that costs least.
+
+    None where it divides by what is zero at every state: the numpy evaluators say what that means.
+    """
+    try:
+        ways = [write(way) for way in by_direction]
+    except ZeroDivisionError:
+        return None
+    return min(ways, key=lambda f: expression.cost(f.outputs + f.pivots))
+
+
+# -- inverse dynamics ----------------------------------------------------------------------------
+
+
+def inverse_formula(mechanism: Mechanism) -> Formula | None:
+    """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
+
+    None where the solve for lambda is no 1x1 or 2x2 system, as where `cheapest` gives none.
+    """
+    rows, passive = len(mechanism.rows), mechanism.passive
+    if len(passive) != rows or rows > 2:
+        return None
+    return cheapest(lambda way: inverse_of(Recorded(mechanism, ("qd", "qdd"), way)))
+
+
+def inverse_of(state: Recorded) -> Formula:
+    """The same of a state whose rates and accelerations may be formulas themselves."""
+    mechanism, n = state.mechanism, state.mechanism.n
+    series = state.series([0.0] * n)
+    series.residuals(0)
+    load, Psi = balance(state, series)
+    if not mechanism.rows:
+        return Formula(state.inputs, tuple(load), ())
+    # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
+    columns = [[row[p] for row in Psi] for p in mechanism.passive]
+    right = [load[p] for p in mechanism.passive]
+    if len(Psi) == 1:
+        det = columns[0][0]
+        multipliers = [right[0] / det]
+        pivot = det / mechanism.rows[0].size
+        pivots: tuple[Value, ...] = (pivot * pivot,)
+    else:
+        (a, b), (c, d) = columns
+        det = a * d - b * c
+        multipliers = [(right[0] * d - right[1] * b) / det, (a * right[1] - c * right[0]) / det]
+        pivots = ((det * det) / ((a * a + b * b) * (c * c + d * d)),)
+    tau: list[Value] = [0.0] * n
+    for k in mechanism.actuated:
+        tau[k] = load[k]
+        for row, multiplier in zip(Psi, multipliers, strict=True):
+            tau[k] = tau[k] - row[k] * multiplier
+    return Formula(state.inputs, (*tau, *multipliers), pivots)
+
+
+def balance(state: Recorded, series: Series) -> tuple[list[Value], list[list[Value]]]:
+    """M qdd + C qd + D qd + G - Q (n), and Psi row by row; after `series.residuals(0)`."""
+    n = state.mechanism.n
+    Psi = joint_jacobian(state, series)
+    given = {"qdd": state.absolute("qdd")} if "qdd" in state.relative else {"qdd": [0.0] * n}
+    series.complete([*given["qdd"], *[0.0] * len(state.mechanism.rows)])
+    load = [series.real[slot][0] for slot in series.program.residuals[:n]]
+    return state.to_joints(load), Psi
+
+
+def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:
+    """Psi, row by row; after `series.residuals(0)`."""
+    n = state.mechanism.n
+    rows = series.matrix()[n:]
+    return [state.to_joints([row.get(k, 0.0) for k in range(n)]) for row in rows]
+
+
+# -- forward dynamics ----------------------------------------------------------------------------
+
+
+def forward_formula(
+    mechanism: Mechanism,
+    torques: Sequence[float] | None = None,
+    baumgarte: float = 0.0,
+    power: bool = False,
+) -> Formula | None:
+    """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
+
+    With `power` that of torques and of what else has no potential follows.  Constant `torques` (n)
+    are folded in.  A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap
+    = 0 instead of gapdd = 0.
+    """
+
+    def write(by_direction: bool) -> Formula:
+        rates = ("qd", "tau") if torques is None else ("qd",)
+        return _forward(Recorded(mechanism, rates, by_direction), torques, baumgarte, power)
+
+    return cheapest(write)
+
+
+def _forward(
+    state: Recorded, torques: Sequence[float] | None, baumgarte: float, power: bool
+) -> Formula:
+    mechanism, n = state.mechanism, state.mechanism.n
+    series = state.series(torques, power)
+    right = [-x for x in series.residuals(0)]
+    if baumgarte:
+        for r, gap in enumerate(series.program.named["gap"]):
+            x = series.real[gap]
+            right[n + r] = right[n + r] - 2.0 * baumgarte * x[1] - baumgarte**2 * x[0]
+    factors = Factors(series.matrix(), n)
+    solution = factors.solve(right)
+    series.complete(solution)
+    qdd = [
+        solution[k] if above is None else solution[k] - solution[above]
+        for k, above in enumerate(mechanism.parent)
+    ]
+    diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
+    pivots = tuple(
+        pivot / -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
+        for pivot, row in zip(factors.pivots[n:], mechanism.rows, strict=True)
+    )
+    own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
+    if power and not own_power:
+        own_power = [0.0]
+    return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+
+
+def projection_formula(mechanism: Mechanism) -> Formula | None:
+    """q and qd (2n) brought nearer to closing by one Newton step of least norm; gap (r).
+
+    q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
+
+    None as by `cheapest`.
+    """
+    return cheapest(lambda way: _projection(Recorded(mechanism, ("qd",), way)), (True,))
+
+
+def _projection(state: Recorded) -> Formula:
+    mechanism = state.mechanism
+    n, rows = mechanism.n, len(mechanism.rows)
+    series = state.series([0.0] * n)
+    series.residuals(0)
+    Psi = joint_jacobian(state, series)
+    gaps = [series.real[slot][0] for slot in series.program.named["gap"]]
+    speeds = [_dot(row, state.relative["qd"]) for row in Psi]
+    normal = [{c: _dot(Psi[r], Psi[c]) for c in range(rows)} for r in range(rows)]
+    factors = Factors(normal, rows)
+    outputs: list[Value] = []
+    for name, right in (("q", gaps), ("qd", speeds)):
+        multipliers = factors.solve(right)
+        for k in range(n):
+            column = [row[k] for row in Psi]
+            outputs.append(state.relative[name][k] - _dot(column, multipliers))
+    sizes = [row.size**2 for row in mechanism.rows]
+    relative = tuple(pivot / size for pivot, size in zip(factors.pivots, sizes, strict=True))
+    return Formula(state.inputs, (*outputs, *gaps), relative)
+
+
+def _dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
+    total: Value = 0.0
+    for x, y in zip(a, b, strict=True):
+        total = total + x * y
+    return total

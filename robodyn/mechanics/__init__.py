@@ -1,0 +1,1 @@
+"""The mechanics of a scene: its numbers, and the one program of rows that every engine runs."""

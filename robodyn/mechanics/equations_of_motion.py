@@ -1,0 +1,258 @@
+"""The equations of motion of a scene as rows: the one place where its mechanics stands.
+
+With E_k the links' directions, a_k their angular accelerations, P_k = E_k'', the constants of
+`mechanism.py`, and mu_r = -lambda_r for each closure row:
+
+    F_k = sum_{j != k} A_kj P_j - conj(weight_k) + sum_r conj(R_rk) mu_r - sum conj(c_k) f
+    0 = A_kk a_k + Im(conj(E_k) F_k) + sum_r angles_rk mu_r - moment_k - (T_k - sum of children's T)
+    0 = gap_r'',      gap_r = Re(sum_k R_rk E_k) + sum_k angles_rk alpha_k + offset_r
+
+where f are the forces of springs between points d = const + sum_k c_k E_k from end to end,
+
+    f = (k L s^-1/2 - k - D (d.d')/s) d,        s = d.d,
+
+and constant forces F that turn with their link, f = F E, at points with the coefficients c_k.  A
+joint's torque is T = tau - D qd - friction tanh(qd/speed) - k (q - angle).
+
+A new kind of force or joint is a few more rows here; every engine then has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from robodyn.mechanics.program import (
+    Coefficient,
+    Derivative,
+    Function,
+    Given,
+    Inner,
+    Integral,
+    Moment,
+    PlanarCoefficient,
+    PlanarSum,
+    Power,
+    Product,
+    Program,
+    Quotient,
+    Rate,
+    RealPart,
+    Scaled,
+    Slot,
+    Turn,
+    Unknown,
+)
+from robodyn.planar_model import Mechanism, PlanarPoint, PointSpring
+
+PlanarTerm = tuple[PlanarCoefficient, Slot]
+MINUS: PlanarCoefficient = (-1.0, 0.0)
+
+
+@dataclass
+class _Links:
+    """What acts on each link while the rows are gathered: n lists each."""
+
+    F: list[list[PlanarTerm]]
+    moments: list[list[tuple[Coefficient, Slot]]]
+    constants: list[complex]
+    power: list[tuple[Coefficient, Slot]] = field(default_factory=list)
+
+
+@dataclass
+class EquationsOfMotion:
+    """Writes the program of a scene.
+
+    `program.named` tells the slots of a (n), mu (r), w and v (n: rates of links and joints), power.
+    """
+
+    mechanism: Mechanism
+    program: Program = field(default_factory=Program)
+
+    def __post_init__(self) -> None:
+        mechanism, program = self.mechanism, self.program
+        n = mechanism.n
+        self.E = [program.add(Turn(k)) for k in range(n)]
+        self.P = [program.add(Derivative(program.add(Derivative(E)))) for E in self.E]
+        self.children: list[list[int]] = [[] for _ in range(n)]
+        for k, above in enumerate(mechanism.parent):
+            if above is not None:
+                self.children[above].append(k)
+
+    # -- kinematics --------------------------------------------------------------------------------
+
+    def w(self, k: int) -> Slot:
+        """The angular velocity of link k."""
+        return self.program.add(Rate(self.E[k]))
+
+    def v(self, j: int) -> Slot:
+        """The rate qd of joint j."""
+        above = self.mechanism.parent[j]
+        if above is None:
+            return self.w(j)
+        return self.program.sum((1.0, self.w(j)), (-1.0, self.w(above)))
+
+    def q(self, j: int) -> Slot:
+        """The angle of joint j."""
+        return self.program.add(Integral(self.v(j), f"q{j}"))
+
+    def t(self) -> Slot:
+        """The time."""
+        return self.program.add(Given("t"))
+
+    def point(self, point: PlanarPoint) -> Slot:
+        """A point of the mechanism."""
+        number = self.program.planar_number
+        terms = tuple((number(c), self.E[k]) for k, c in point.terms)
+        return self.program.add(PlanarSum(number(point.constant), terms))
+
+    # -- dynamics ----------------------------------------------------------------------------------
+
+    def write(self, torques: Sequence[Slot | None], work: bool = False) -> Program:
+        """The residuals, with the joint torques tau (n; None where there is none).
+
+        With `work` the power of torques and of what has no potential is among `named`.
+        """
+        mechanism, program, n = self.mechanism, self.program, self.mechanism.n
+        links = _Links(
+            F=[[] for _ in range(n)],
+            moments=[[] for _ in range(n)],
+            constants=[-weight.conjugate() for weight in mechanism.weights],
+        )
+        inertia: list[Coefficient] = [0.0] * n
+        for j, k, value in mechanism.A:
+            if j == k:
+                inertia[j] = program.number(value.real)
+            else:
+                re, im = program.planar_number(value)
+                links.F[j].append(((re, im), self.P[k]))
+                links.F[k].append(((re, self._minus(im)), self.P[j]))
+        self._scene_forces(links, work)
+        self._joints(links, torques, work)
+        multipliers = self._closures(links)
+        for k in range(n):
+            F = program.add(PlanarSum(program.planar_number(links.constants[k]), tuple(links.F[k])))
+            turning = program.add(Moment(self.E[k], self.P[k], inertia[k], F))
+            moment = program.number(-mechanism.moments[k])
+            residual = program.sum((1.0, turning), *links.moments[k], constant=moment)
+            program.residuals.append(residual)
+        program.residuals += self._rows
+        program.named |= {"E": self.E, "mu": multipliers}
+        if work:
+            program.named["power"] = [program.sum(*links.power)] if links.power else []
+        return program
+
+    def _minus(self, coefficient: Coefficient) -> Coefficient:
+        if isinstance(coefficient, float):
+            return -coefficient
+        return self.program.number(-self.program.numbers[coefficient.place])
+
+    def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
+        """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
+        for k, c in point.terms:
+            number = self.program.planar_number(-c.conjugate() * unit)
+            links.F[k].append((number, force))
+
+    def _scene_forces(self, links: _Links, work: bool) -> None:
+        program = self.program
+        for spring in self.mechanism.springs:
+            self._spring(links, spring, work)
+        for force in self.mechanism.forces:
+            if not force.turns:
+                continue  # among the weights
+            E = self.E[force.link]
+            self._act(links, force.point, E, force.force)
+            if work:
+                unit = program.planar_number(force.force)
+                turned = program.add(PlanarSum((0.0, 0.0), ((unit, E),)))
+                moving = program.add(Derivative(self.point(force.point)))
+                links.power.append((1.0, program.add(Inner(turned, moving))))
+
+    def _spring(self, links: _Links, spring: PointSpring, work: bool) -> None:
+        program, number = self.program, self.program.number
+        d = self.point(spring.between)
+        s = program.add(Inner(d, d)) if spring.length or spring.damping else None
+        pull: list[tuple[Coefficient, Slot]] = []
+        if s is not None and spring.length and spring.stiffness:
+            pull.append((number(spring.stiffness * spring.length), program.add(Power(s, -0.5))))
+        if s is not None and spring.damping:
+            half = program.sum((0.5, program.add(Derivative(s))))  # d.d'
+            ratio = program.add(Quotient(half, s))
+            pull.append((number(-spring.damping), ratio))
+            if work:
+                squared = program.add(Product(half, ratio))
+                links.power.append((number(-spring.damping), squared))
+        if pull:
+            place = spring.between
+            reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
+            total = program.add(Scaled(program.sum(*pull, constant=number(-spring.stiffness)), d))
+            self._act(links, spring.between, total)
+        elif spring.stiffness:
+            self._act(links, spring.between, d, -spring.stiffness)
+
+    def _joints(self, links: _Links, torques: Sequence[Slot | None], work: bool) -> None:
+        """Torques at the joints: what a link gets its parent gives."""
+        program, number, mechanism = self.program, self.program.number, self.mechanism
+        friction = dict(mechanism.friction)
+        springs: dict[int, list[tuple[float, float]]] = {}
+        for spring in mechanism.joint_springs:
+            springs.setdefault(spring.joint, []).append((spring.stiffness, spring.angle))
+        for j, tau in enumerate(torques):
+            acting: list[tuple[Coefficient, Slot]] = []  # all of this changes the energy
+            if tau is not None:
+                acting.append((1.0, tau))
+            if mechanism.damping[j]:
+                acting.append((number(-mechanism.damping[j]), self.v(j)))
+            if j in friction:
+                slow = program.sum((number(1.0 / friction[j].speed), self.v(j)))
+                smooth = program.add(Function("tanh", slow))
+                acting.append((number(-friction[j].torque), smooth))
+            if work:
+                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in acting]
+            constant = 0.0
+            for stiffness, angle in springs.get(j, []):
+                acting.append((number(-stiffness), self.q(j)))
+                constant += stiffness * angle
+            above = mechanism.parent[j]
+            for link, sign in ((j, -1.0), (above, 1.0)):
+                if link is None:
+                    continue
+                links.moments[link] += [(self._signed(c, sign), x) for c, x in acting]
+                if constant:
+                    links.moments[link].append((number(sign * constant), self._one()))
+
+    def _signed(self, coefficient: Coefficient, sign: float) -> Coefficient:
+        if isinstance(coefficient, float):
+            return sign * coefficient
+        return coefficient if sign > 0.0 else self._minus(coefficient)
+
+    def _one(self) -> Slot:
+        return self.program.sum(constant=1.0)
+
+    def _closures(self, links: _Links) -> list[Slot]:
+        """The rows of the closures, and what their multipliers do."""
+        program = self.program
+        multipliers: list[Slot] = []
+        gaps: list[Slot] = []
+        self._rows: list[Slot] = []
+        for r, row in enumerate(self.mechanism.rows):
+            mu = program.add(Unknown(f"mu{r}"))
+            multipliers.append(mu)
+            total: list[tuple[Coefficient, Slot]] = []
+            terms: list[PlanarTerm] = []
+            for k, p in row.P:
+                re, im = program.planar_number(p)
+                terms.append(((re, im), self.E[k]))
+                links.F[k].append(((re, self._minus(im)), mu))
+            if terms:
+                place = program.add(PlanarSum((0.0, 0.0), tuple(terms)))
+                total.append((1.0, program.add(RealPart(place))))
+            for k, turn in row.angles:
+                angle = program.number(turn)
+                total.append((angle, program.add(Integral(self.w(k), f"alpha{k}"))))
+                links.moments[k].append((angle, mu))
+            gap = program.sum(*total, constant=program.number(row.offset))
+            gaps.append(gap)
+            self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))
+        program.named["gap"] = gaps
+        return multipliers

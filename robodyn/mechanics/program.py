@@ -1,0 +1,288 @@
+"""A program of rows: equations of motion as a list of slots, each defined by those before it.
+
+A slot holds a number that changes in time, real or planar (a complex number, as x and y); a row
+says how it follows from other slots.  The rows know nothing of how they are evaluated: at one
+state, or as power series in time, on floats, recorded formulas, numpy arrays or numbers of many
+digits, is the business of an engine (`engines/series.py`).
+
+Unknowns (accelerations of links, forces of closures) enter linearly, and the residuals are zero
+when the unknowns are right.
+
+Coefficients are either part of a program's shape (plain floats such as 1 and -1) or numbers of
+the scene, which stand in `numbers` and are named in the rows by their place there: programs of one
+shape differ in their numbers alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+Slot = int
+
+
+class Number(NamedTuple):
+    """A number of the scene, by its place in `Program.numbers`."""
+
+    place: int
+
+
+Coefficient = float | Number
+PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 0.0: none
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Real: what comes from outside, named: the time, a torque, an angle where a motion starts."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """Real: an unknown that enters linearly, such as a multiplier of a closure."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is an unknown."""
+
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Real: w = Im(conj(E) E') of the direction `turn`."""
+
+    turn: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Integral:
+    """Real: the integral of x over time, from the given value `start`."""
+
+    x: Slot
+    start: str
+
+
+@dataclass(frozen=True, slots=True)
+class Derivative:
+    """Real or planar: dx/dt."""
+
+    x: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Sum:
+    """Real: constant + sum c x."""
+
+    constant: Coefficient
+    terms: tuple[tuple[Coefficient, Slot], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarSum:
+    """Planar: constant + sum c z, the coefficients complex, the slots planar or real."""
+
+    constant: PlanarCoefficient
+    terms: tuple[tuple[PlanarCoefficient, Slot], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RealPart:
+    """Real: Re z."""
+
+    z: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """Real: x y."""
+
+    x: Slot
+    y: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Scaled:
+    """Planar: x z, x real and z planar."""
+
+    x: Slot
+    z: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    """Real: Re(conj(z) w)."""
+
+    z: Slot
+    w: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Real: inertia a + Im(conj(E) F), what turns the link of direction `turn`; F leaves P out.
+
+    `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
+    """
+
+    turn: Slot
+    bend: Slot
+    inertia: Coefficient
+    F: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Quotient:
+    """Real: x / y."""
+
+    x: Slot
+    y: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """Real: x to a constant exponent."""
+
+    x: Slot
+    exponent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """Real: exp, tanh, sin, cos, sinh or cosh of x."""
+
+    name: str
+    x: Slot
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """Real: the function of x whose slope is 1/density: log, atan, asin or acos."""
+
+    name: str
+    x: Slot
+    density: Slot
+
+
+Row = (
+    Given | Unknown | Turn | Rate | Integral | Derivative | Sum | PlanarSum | RealPart | Product
+    | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
+)  # fmt: skip
+
+PLANAR = (Turn, PlanarSum, Scaled)
+SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
+
+
+class Schedule(NamedTuple):
+    """Slots in order; how many orders each is ahead of the unknowns; what the unknowns change.
+
+    `live` maps a slot whose coefficient depends on the unknowns of its order to the slots through
+    which it does.
+    """
+
+    slots: tuple[Slot, ...]
+    ahead: dict[Slot, int]
+    live: dict[Slot, tuple[Slot, ...]]
+
+
+@dataclass
+class Program:
+    """Rows in the order of their slots, residuals, and what is read out, by name."""
+
+    rows: list[Row] = field(default_factory=list)
+    numbers: list[float] = field(default_factory=list)
+    residuals: list[Slot] = field(default_factory=list)
+    unknowns: list[Slot] = field(default_factory=list)  # Turns and Unknowns
+    named: dict[str, list[Slot]] = field(default_factory=dict)
+    planar: list[bool] = field(default_factory=list)
+    arms: dict[Slot, float] = field(default_factory=dict)  # of slots that bend: torque per unit
+    _known: dict[Row, Slot] = field(default_factory=dict)
+
+    # -- building ----------------------------------------------------------------------------------
+
+    def number(self, value: float) -> Coefficient:
+        """A coefficient of the scene; zero is part of the program's shape."""
+        if value == 0.0:
+            return 0.0
+        self.numbers.append(float(value))
+        return Number(len(self.numbers) - 1)
+
+    def planar_number(self, value: complex) -> PlanarCoefficient:
+        """The same of a complex coefficient."""
+        return self.number(value.real), self.number(value.imag)
+
+    def add(self, row: Row) -> Slot:
+        """The slot of a row; equal rows share one."""
+        if (known := self._known.get(row)) is not None:
+            return known
+        slot = self._known[row] = len(self.rows)
+        self.rows.append(row)
+        z = row.x if isinstance(row, Derivative) else None
+        self.planar.append(isinstance(row, PLANAR) or (z is not None and self.planar[z]))
+        if isinstance(row, (Turn, Unknown)):
+            self.unknowns.append(slot)
+        return slot
+
+    def sum(self, *terms: tuple[Coefficient, Slot], constant: Coefficient = 0.0) -> Slot:
+        """The slot of a `Sum`, or of its one term where that is all."""
+        kept = tuple((c, x) for c, x in terms if c != 0.0)
+        if constant == 0.0 and len(kept) == 1 and kept[0][0] == 1.0:
+            return kept[0][1]
+        return self.add(Sum(constant, kept))
+
+    # -- reading -----------------------------------------------------------------------------------
+
+    @property
+    def shape(self) -> tuple[object, ...]:
+        """What programs that differ in their numbers alone share."""
+        return tuple(self.rows), tuple(self.residuals), tuple(map(tuple, self.named.items()))
+
+    def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
+        """In what order, and how many orders ahead of the unknowns, slots must be known."""
+        ahead = dict.fromkeys([*self.residuals, *wanted], 0)
+        for slot in self.unknowns:
+            ahead[slot] = 2 if isinstance(self.rows[slot], Turn) else 0
+        for slot in reversed(range(len(self.rows))):
+            if slot not in ahead:
+                continue
+            row = self.rows[slot]
+            level = ahead[slot] + SHIFT.get(type(row), 0)
+            for x in arguments(row):
+                ahead[x] = max(ahead.get(x, 0), level)
+        live: dict[Slot, tuple[Slot, ...]] = {}
+        for slot in sorted(ahead):
+            row = self.rows[slot]
+            level = ahead[slot] + SHIFT.get(type(row), 0)
+            changing = tuple(x for x in arguments(row) if x in live and ahead[x] == level)
+            if changing or isinstance(row, (Turn, Unknown)):
+                live[slot] = changing
+        return Schedule(tuple(sorted(ahead)), ahead, live)
+
+
+def arguments(row: Row) -> Iterator[Slot]:
+    """The slots that a row reads."""
+    match row:
+        case Sum(terms=terms):
+            yield from (x for _, x in terms)
+        case PlanarSum(terms=planar):
+            yield from (z for _, z in planar)
+        case Rate(turn=x) | RealPart(z=x) | Integral(x=x) | Derivative(x=x) | Power(x=x):
+            yield x
+        case Function(x=x):
+            yield x
+        case Product(x=x, y=y) | Quotient(x=x, y=y) | Scaled(x=x, z=y) | Inner(z=x, w=y):
+            yield from (x, y)
+        case Primitive(x=x, density=y):
+            yield from (x, y)
+        case Moment(turn=x, bend=y, F=z):
+            yield from (x, y, z)
+
+
+def finite(numbers: list[float]) -> bool:
+    """Whether all of them are."""
+    return all(map(math.isfinite, numbers))
