@@ -1,6 +1,6 @@
 # make demo   build the environment and run the main job on the example scenes
 # make test   lint, type-check and run the whole test suite
-# make hard   the hard cases of simulation, one table
+# make hard   the hard cases of simulation, one table; then the random tests on fresh numbers
 # make bench  speed, each figure a ratio to a yardstick measured in the same run
 # make pictures  the pictures of the example scenes in the README, again
 # make peers  agreement and speed beside engines that others wrote, in an environment of their own
@@ -30,6 +30,7 @@ test: $(READY)
 
 hard: $(READY)
 	$(BIN)/python tests/hard_cases/run.py
+	FRESH=1 $(BIN)/python -m pytest -n auto $$(grep -lE "FRESH|hypothesis" tests/test_*.py)
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py

@@ -13,10 +13,14 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
-from robodyn.run_control import Control
+from robodyn.run_control import Control, Steps
+
+if TYPE_CHECKING:
+    from robodyn.torque_times import Pieces
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
@@ -55,7 +59,8 @@ class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
 
     `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
-    onto them.  It calls `control`, where there is one, at the start and at each of them.
+    onto them.  It calls `told`, where there is one, at the start and at each of them.  `leaves` are
+    ends of times, counted from the start: no step may be longer than one that it enters.
     """
 
     constants: tuple[float, ...] | None
@@ -65,6 +70,13 @@ class Actuation:
     linear: bool = False  # in time between kinks, whatever the state is
     span: tuple[str, float, float] | None = None  # what is defined from when to when, s
     control: Control | None = None
+    pieces: Pieces | None = None  # of an expression over a run; see `torque_times.py`
+    leaves: tuple[float, ...] = ()
+
+    @property
+    def told(self) -> Steps | None:
+        """What follows the steps of a run."""
+        return self.control or self.pieces
 
     @property
     def active(self) -> bool:

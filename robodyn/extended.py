@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError
 from robodyn.expression import FUNCTIONS
+from robodyn.kinks import next_stop
 from robodyn.mechanism import Mechanism
 from robodyn.projection import CUT
 from robodyn.straightline import compile_forces
 from robodyn.taylor import step_size
 from robodyn.taylor.arrays import ArraySeries, solve_columns
+from robodyn.taylor.run import reach
 from robodyn.taylor.torques import TorqueSeries
+from robodyn.torque_times import over_a_run
 
 Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble
@@ -53,7 +56,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     Where the torques have no series, both are extrapolations.  Raises RobodynError where the
     motion cannot be followed.
     """
-    others = mechanism, state, times, actuation
+    others = mechanism, state, times, over_a_run(actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:
             first, second = _by_two(*others)
@@ -99,7 +102,7 @@ def _by_series(
     series = ArraySeries(mechanism, order, None if pushed else constants, LONG)
     torques = TorqueSeries(actuation, mechanism) if pushed else None
     closing = _Closing(mechanism)
-    y = closing(state.astype(LONG))
+    y = _begun(actuation, closing(state.astype(LONG)), times)
     rows, t = [], LONG(0.0)
     tolerance *= float(np.finfo(LONG).eps)
     for end in times.astype(LONG):
@@ -110,9 +113,8 @@ def _by_series(
             if not longest > SMALLEST_STEP:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             h = min(end - t, LONG(longest))
-            for kink in actuation.kinks:
-                if t < kink < t + h:
-                    h = kink - t
+            stop = _stop(actuation, t, end)
+            h = min(h, stop - t)
             while h > SMALLEST_STEP:
                 new = _along(series, z, y, h)
                 if torques is None or not torques.bends:
@@ -127,9 +129,21 @@ def _by_series(
             else:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             y = closing(new)
-            t = end if t + h >= end else t + h
+            t = stop if t + h >= stop else t + h
+            reach(actuation, float(t), y)
         rows.append(y)
     return np.array(rows)
+
+
+def _begun(actuation: Actuation, y: Long, times: Array) -> Long:
+    if actuation.told is not None:
+        actuation.told.begin(y.tolist(), float(times[-1]))
+    return y
+
+
+def _stop(actuation: Actuation, t: Any, end: Any) -> Any:
+    stop = next_stop(actuation.kinks, actuation.leaves, float(t), float(end))
+    return min(end, LONG(stop)) if stop > t else end
 
 
 def _along(series: ArraySeries, z: Long, y: Long, h: Any) -> Long:
@@ -157,23 +171,22 @@ def _by_extrapolation(
 ) -> Long:
     rates = _rates(mechanism, actuation)
     closing = _Closing(mechanism)
-    y = closing(state.astype(LONG))
+    y = _begun(actuation, closing(state.astype(LONG)), times)
     t, h = LONG(0.0), LONG(LARGEST_STEP / 8)
     tolerance *= float(np.finfo(LONG).eps)
     rows = []
     for end in times.astype(LONG):
         while t < end:
-            step = min(h, end - t)
-            for kink in actuation.kinks:
-                if t < kink < t + step:
-                    step = kink - t
+            stop = _stop(actuation, t, end)
+            step = min(h, stop - t)
             new, error = _extrapolated(rates, t, y, step, substeps)
             scale = tolerance * (1.0 + float(np.abs(y).max()))
             factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(substeps) - 1))
             least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
             if error <= scale or (least and np.isfinite(error)):
                 y = closing(new)
-                t = end if t + step >= end else t + step
+                t = stop if t + step >= stop else t + step
+                reach(actuation, float(t), y)
                 # a step that was cut says nothing against longer ones
                 longer = max(float(step) * min(2.0, factor), float(h) if step < h else 0.0)
                 h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form
+from robodyn.actuation import Actuation
 from robodyn.assembly import loop_size
 from robodyn.mechanism import Mechanism
-from robodyn.run_control import Control, JointTracking
+from robodyn.run_control import JointTracking
 from robodyn.taylor import Chunk
+from robodyn.unseen_work import UnseenWork
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
@@ -110,7 +112,7 @@ class Recorder:
     times: Array | None
     max_evaluations: int
     watch: Callable[[float], bool] | None
-    control: Control | None = None
+    actuation: Actuation
     next_row: int = 0
     rows: list[tuple[Array, Array]] = field(default_factory=list)
     waiting: int = 0
@@ -119,9 +121,13 @@ class Recorder:
     last_singular: float | None = None
     rank: int = 0
     begun: bool = False  # whether the energy at the start is known
+    unseen: UnseenWork | None = None
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
 
     def begin(self, y: Array) -> None:
+        smooth = self.actuation.constants is not None or self.actuation.linear
+        if not smooth and self.actuation.control is None:
+            self.unseen = UnseenWork(self.actuation.function(self.mechanism.n), self.report.t_end)
         zero = np.zeros(1)
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
             self._row(zero, y[None, :])
@@ -196,8 +202,8 @@ class Recorder:
     def finish(self) -> None:
         self.flush_steps()
         self._flush_rows()
-        if self.control is not None:
-            self.report.tracking = self.control.tracking()
+        if self.actuation.control is not None:
+            self.report.tracking = self.actuation.control.tracking()
 
     def _row(self, t: Array, y: Array) -> None:
         self.rows.append((t, y))
@@ -224,11 +230,13 @@ class Recorder:
         t, y = t[finite], y[finite]
         if not len(t):
             return
-        if self.control is not None:
-            self.control.observe(t, y)
+        if self.actuation.control is not None:
+            self.actuation.control.observe(t, y)
         q, qd = y[:, :n], y[:, n : 2 * n]
         KE, PE = closed_form.energies(mechanism, q, qd)
         work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
+        if self.unseen is not None:
+            work = work + self.unseen(t, q, qd)
         if not self.begun:
             report.energy_start, self.begun = float(KE[0] + PE[0]), True
         error = float(np.abs(KE + PE - work - report.energy_start).max())

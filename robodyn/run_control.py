@@ -22,8 +22,8 @@ class JointTracking:
     largest_torque: float  # |tau|, N m
 
 
-class Control(Protocol):
-    """What a torque is told that depends on the steps of the run, and what it tells of the run."""
+class Steps(Protocol):
+    """What a torque is told that depends on the steps of the run."""
 
     restarts: bool  # whether the torque may jump at its kinks: an integrator starts afresh there
 
@@ -32,6 +32,10 @@ class Control(Protocol):
 
     def reach(self, t: float, y: Sequence[float]) -> None:
         """The run has come to a kink, in the accepted state y; later steps begin there."""
+
+
+class Control(Steps, Protocol):
+    """What a controller is told of the run besides, and what it tells."""
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""

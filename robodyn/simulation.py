@@ -25,6 +25,7 @@ from robodyn.mechanism import Mechanism
 from robodyn.projection import best_closing, projection
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.right_hand_side import RightHandSide, right_hand_side
+from robodyn.torque_times import over_a_run
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,7 @@ class Settings:
     max_evaluations: int = MAX_EVALUATIONS
     order: int | None = None  # of the Taylor series; None: by the tolerance
     engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
+    max_step: float = np.inf  # s
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
@@ -83,6 +85,8 @@ class Settings:
             raise InputError("atol", value=self.atol, limit="must be > 0 and finite")
         if not 0.0 < self.baumgarte < np.inf:
             raise InputError("baumgarte_rate", value=self.baumgarte, limit="must be > 0 and finite")
+        if not self.max_step > 0.0:
+            raise InputError("max_step", value=self.max_step, limit="must be > 0")
         if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
             limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
             raise InputError("order", value=self.order, limit=limit)
@@ -113,6 +117,7 @@ def simulate(
     max_evals: int = MAX_EVALUATIONS,
     order: int | None = None,
     engine: str = "auto",
+    max_step: float = np.inf,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -148,6 +153,7 @@ def simulate(
             max_evaluations=max_evals,
             order=order,
             engine=engine,
+            max_step=max_step,
         ),
         lambda t, y: rows.append((t, y)),
         times,
@@ -192,6 +198,7 @@ def run(
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
+    given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end))
     work = actuation.active or mechanism.changes_energy
     report = Report(
         method=settings.method,
@@ -215,8 +222,8 @@ def run(
         )
     if projects:
         y0 = projection(mechanism, best_closing(mechanism))(y0)
-    if actuation.control is not None:
-        actuation.control.begin(y0.tolist(), float(t_end))
+    if actuation.told is not None:
+        actuation.told.begin(y0.tolist(), float(t_end))
     if taylor:  # tell now where no motion is defined
         if not dense_dynamics.elimination_is_safe(mechanism):
             n = mechanism.n
@@ -226,9 +233,7 @@ def run(
         if not np.isfinite(np.asarray(side().rates(0.0, y0), float)).all():
             limit = "the torque or the acceleration is not finite there"
             raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-    recorder = Recorder(
-        mechanism, report, sink, times, settings.max_evaluations, watch, actuation.control
-    )
+    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, given)
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
@@ -268,6 +273,7 @@ def _integrate_series(
         order=settings.order,
         engine=settings.engine,
         project=projects,
+        max_step=float(settings.max_step),
         side=side,
     )
 
@@ -296,7 +302,9 @@ def _integrate(
         "near": side().near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
-        "control": actuation.control,
+        "leaves": actuation.leaves,
+        "told": actuation.told,
+        "max_step": settings.max_step,
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # LSODA's; the outcome says it

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
-from robodyn.kinks import NEAR, kink_at, next_kink
+from robodyn.kinks import NEAR, kink_at, next_stop
 from robodyn.right_hand_side import NearSingular
-from robodyn.run_control import Control
+from robodyn.run_control import Steps
 
 Array = NDArray[np.float64]
 Projection = Callable[[Array], Array]
@@ -68,7 +68,8 @@ def projected(method: str) -> type[OdeSolver]:
             projection: Projection | None = None,
             observer: Observer | None = None,
             kinks: Sequence[float] = (),
-            control: Control | None = None,
+            leaves: Sequence[float] = (),
+            told: Steps | None = None,
             near: NearSingular | None = None,
             **options: Any,
         ) -> None:
@@ -81,7 +82,8 @@ def projected(method: str) -> type[OdeSolver]:
             self.projection = projection
             self.observer = observer
             self.kinks = sorted(kinks)
-            self.control = control
+            self.leaves = leaves
+            self.told = told
             self._jumped = False  # whether the torque may have, at self.t
             self._options = options
             self.steps = 0
@@ -107,7 +109,7 @@ def projected(method: str) -> type[OdeSolver]:
             if self._jumped:
                 self._restart()
             end = self.t_bound
-            self._bound(next_kink(self.kinks, self.t, end, NEAR))
+            self._bound(next_stop(self.kinks, self.leaves, self.t, end, NEAR))
             try:
                 success, message = self._take_step()
             except ValueError as error:  # an implicit method met a rate that is not finite
@@ -124,18 +126,18 @@ def projected(method: str) -> type[OdeSolver]:
                     self._accept(y)
             if edge < np.inf:
                 self._watch_stability()
-            if self.control is not None:
-                self._reach(self.control)
+            if self.told is not None:
+                self._reach(self.told)
             return success, message
 
-        def _reach(self, control: Control) -> None:
+        def _reach(self, told: Steps) -> None:
             """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
             kink = kink_at(self.kinks, self.t)
             if kink is not None:
                 if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
                     self.t = kink  # missed by rounding
-                control.reach(kink, self.y.tolist())
-                self._jumped = control.restarts
+                told.reach(kink, self.y.tolist())
+                self._jumped = told.restarts
 
         def _restart(self) -> None:
             """Start the method afresh: beyond this time the rates are others."""

@@ -709,25 +709,25 @@ def value_mutations(draw: st.DrawFn) -> str:
     return "".join(parts)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, deadline=None)
 @given(mutations())
 def test_a_damaged_scene_loads_or_is_refused(text: str) -> None:
     loads_or_is_refused(text)
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, deadline=None)
 @given(value_mutations())
 def test_a_scene_with_wrong_words_loads_or_is_refused(text: str) -> None:
     loads_or_is_refused(text)
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None)
 @given(st.one_of(st.text(), st.text(alphabet="ab:-,[]{}&*!?#'\"\n |>%@`\t0")))
 def test_any_text_is_refused_or_loads(text: str) -> None:
     loads_or_is_refused(text)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=60))
 def test_any_bytes_are_refused(data: bytes) -> None:
     with tempfile.NamedTemporaryFile(suffix=".yaml") as file:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError
-from robodyn.kinks import kink_at, next_kink
+from robodyn.kinks import kink_at, next_stop
 from robodyn.mechanism import Mechanism
 from robodyn.projection import float_closing, loop_terms, suspect_quality
 from robodyn.recording import Outcome, Recorder
@@ -96,6 +96,7 @@ def taylor_run(
     order: int | None,
     engine: str,
     project: bool,
+    max_step: float,
     side: Callable[[], RightHandSide],
 ) -> Outcome:
     """Integrate from (0, y) to t_end; `side` makes what DOP853 needs, where it is needed.
@@ -130,7 +131,9 @@ def taylor_run(
     t, begun = 0.0, time.perf_counter()
     crosses = closing is not None and closing(y.tolist())[1] < suspect
     while True:
-        bound = next_kink(actuation.kinks, t, t_end)
+        bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
+        if abs(bound - t) > max_step:
+            bound = t + math.copysign(max_step, t_end)
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         if crosses:
             before = t
@@ -143,7 +146,7 @@ def taylor_run(
         else:
             steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
             left = recorder.max_evaluations - recorder.report.evaluations
-            steps = max(1, min(steps, left + 1))
+            steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
             chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
@@ -167,8 +170,8 @@ def taylor_run(
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:
     """Tell a torque that depends on the run's steps where one of them ended, if on a kink."""
-    if actuation.control is not None and (kink := kink_at(actuation.kinks, t)) is not None:
-        actuation.control.reach(kink, y.tolist())
+    if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
+        actuation.told.reach(kink, y.tolist())
 
 
 def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
@@ -229,7 +232,8 @@ def _cross(
         "near": side.near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
-        "control": actuation.control,
+        "leaves": actuation.leaves,
+        "told": actuation.told,
     }
     solver = projected("DOP853")(side.rates, t, y, bound, **options)
     while solver.status == "running":

@@ -17,11 +17,12 @@ from scipy.integrate import DenseOutput, OdeSolver
 
 from robodyn import actuation as torque_sources
 from robodyn.actuation import Actuation
-from robodyn.kinks import next_kink
+from robodyn.kinks import next_stop
 from robodyn.mechanism import Mechanism
 from robodyn.taylor import Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine
+from robodyn.torque_times import over_a_run
 
 Array = NDArray[np.float64]
 
@@ -56,13 +57,15 @@ class TaylorSolver(OdeSolver):
             tau = torque_sources.expressions(mechanism, tau, "tau")
         elif not isinstance(tau, Actuation):
             tau = torque_sources.constant(mechanism, tau)
+        if t0 == 0.0:
+            tau = over_a_run(tau, self.y.tolist(), float(t_bound))
         self.engine = stepping_engine(mechanism, tau, rtol, atol, order=order)
         self.actuation = tau
-        if tau.control is not None:
-            tau.control.begin(self.y.tolist(), float(t_bound))
+        if tau.told is not None:
+            tau.told.begin(self.y.tolist(), float(t_bound))
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        bound = next_kink(self.actuation.kinks, self.t, float(self.t_bound))
+        bound = next_stop(self.actuation.kinks, self.actuation.leaves, self.t, float(self.t_bound))
         chunk = self.engine.advance(self.t, self.y, bound, np.zeros(0), 1)
         self.nfev += 1
         if not len(chunk.t):

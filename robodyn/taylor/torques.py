@@ -1,7 +1,8 @@
 """The Taylor series of a torque along a motion, order by order.
 
-An expression of t, q and qd becomes a tree of `nodes.py`.  What has no series (comparisons,
-abs, min, ... and functions of Python) is refused.
+An expression of t, q and qd becomes a tree of `nodes.py`.  What has no series (comparisons, abs,
+min, ... of the state, and functions of Python) is refused; those of time alone stand still between
+the times at which they switch.
 """
 
 from __future__ import annotations
@@ -50,21 +51,32 @@ class TorqueSeries:
         self.flat = bool(mechanism.friction)  # far above its speed all its derivatives vanish
         self.bends = self.separate or not self.linear
         self._function = actuation.function(mechanism.n)
-        self._reader = reader = _Reader(mechanism.n)
-        self._given = reader.actuation(actuation)
-        self._taus = self._working = self._given
+        self._n = mechanism.n
+        self._actuation, self._mechanism = actuation, mechanism
+        self._held: tuple[float, ...] | None = None
+        self._read()  # every branch must have a series
         if self.separate:
-            self._working, self._taus = reader.scene(mechanism, self._given)
             self._forces = straightline.compile_forces(
                 mechanism, {name: getattr(math, name) for name in FUNCTIONS}
             )
-        self._n = mechanism.n
+
+    def _read(self) -> None:
+        """The nodes, as the switches of an expression are held."""
+        self._reader = reader = _Reader(self._n, self._held)
+        self._given = reader.actuation(self._actuation)
+        self._taus = self._working = self._given
+        if self.separate:
+            self._working, self._taus = reader.scene(self._mechanism, self._given)
 
     def begin(self, t: float, y: Sequence[float], direction: float) -> Push:
         """A function from the coefficients of the joint rates of an order to those of the torques.
 
         It is called with order 0 first, and so on; y = (q, qd, ...) is the state at t.
         """
+        pieces = self._actuation.pieces
+        if pieces is not None and (held := pieces.at(t)) != self._held:
+            self._held = held
+            self._read()
         push = self._reader.begin(t, y, self._taus + self._working * self.separate)
         if self.linear:
             for node, value, slope in zip(self._given, *self._piece(t, y, direction), strict=True):
@@ -118,8 +130,9 @@ class TorqueSeries:
 class _Reader:
     """Builds the nodes of expressions."""
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, held: Sequence[float] | None) -> None:
         self.n = n
+        self.held = held  # of an expression's switches; None: whatever they are
         self.nodes: list[Node] = []  # each after its parts
         self.time: Given | None = None  # made where an expression names it, as these
         self.q: dict[int, Given] = {}
@@ -138,6 +151,8 @@ class _Reader:
             raise _refused("a controller that acts continuously")
         for line in actuation.lines:
             match ast.parse(line).body:
+                case [ast.Assign(targets=[ast.Name(id="_s")])]:
+                    pass
                 case [ast.Assign(targets=[ast.Name(id=name)], value=value)]:
                     taus[int(name.removeprefix("tau"))] = self.read(value)
                 case _:
@@ -218,11 +233,26 @@ class _Reader:
                 return self.keep(Quotient(self.read(left), self.read(right)))
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return self.power(left, right)
+            case ast.Subscript(slice=ast.Constant(value=int() as k)):
+                return self.constant(0.0 if self.held is None else self.held[k])
+            case ast.Call(func=ast.Name(id="_int"), args=[switch]):
+                return self.read(switch)
+            case ast.IfExp(test=ast.Call(args=[ast.Subscript(slice=index)])):
+                return self.chosen(index, [tree.orelse, tree.body])
+            case ast.Call(func=ast.Name(id="_pick"), args=[ast.Subscript(slice=index), *parts]):
+                return self.chosen(index, parts)
             case ast.Call(func=ast.Name(id="_pow"), args=[left, right]):
                 return self.power(left, right)
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self.function(name.removeprefix("_"), [self.read(x) for x in args])
         raise _refused(f"`{ast.unparse(tree)[:60]}`")
+
+    def chosen(self, index: ast.expr, parts: list[ast.expr]) -> Node:
+        """The part that a switch holds; of all, where it is not known, to see that they serve."""
+        if self.held is None:
+            return [self.read(part) for part in parts][-1]
+        held = self.held[ast.literal_eval(index)]
+        return self.constant(math.nan) if math.isnan(held) else self.read(parts[int(held)])
 
     def given(self, nodes: dict[int, Given], joint: int) -> Given:
         if joint not in nodes:

@@ -1,0 +1,251 @@
+"""Parts of expressions sampled over time: zeros, extremes, switching times, and leaves."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Names = Mapping[str, Any]
+
+SAMPLES = (1024, 16384)  # of a run: no fewer; no more but for a switch that is faster
+WORK = 200_000  # samples times parts, between them
+MOST = 1_000_000  # samples for a fast switch
+ROUNDS = 4  # each sees what the samples of the one before bring to light
+DENSE = 8  # samples for each change of a part, below which it is faster than its samples
+CUTS = 16  # of a bracket at a time
+FINEST = 1e-18  # of the run: no bracket is cut further
+DEGREE = 16
+SMOOTH = 1e-9  # part of the largest torque by which a polynomial may miss a sample
+LEAVES = 32768  # beyond so many, the torque is left to the control of the steps' errors
+NARROWEST = 1e-10  # of the run, for a leaf
+
+_OPERATORS: dict[type, Callable[..., Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Mod: np.mod,
+    ast.Pow: np.power,
+    ast.USub: np.negative,
+    ast.UAdd: np.positive,
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+}
+_OTHER: dict[str, Callable[..., Any]] = {
+    "_min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "_max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "_hypot": lambda *x: np.sqrt(sum(np.square(each) for each in x)),
+    "_log": lambda x, base=None: np.log(x) if base is None else np.log(x) / np.log(base),
+    "_atan2": np.arctan2,
+    "_asin": np.arcsin,
+    "_acos": np.arccos,
+    "_atan": np.arctan,
+    "_pow": np.power,
+    "_min_at": lambda *x: _first(np.argmin, x),
+    "_max_at": lambda *x: _first(np.argmax, x),
+    "_turns": lambda a, b: np.rint((a - np.mod(a, b)) / b),
+    "_true": lambda x: np.where(np.isnan(x), np.nan, x != 0.0),
+}
+
+
+def _first(which: Callable[..., Any], x: Sequence[Array]) -> Array:
+    """The index of the least or largest of some arrays; nan where one of them has none."""
+    values = np.stack(x)
+    return np.where(np.isnan(values).any(axis=0), np.nan, which(values, axis=0))
+
+
+def call(name: str, *parts: ast.expr) -> ast.Call:
+    return ast.Call(ast.Name(name), list(parts), [])
+
+
+def parts_of(node: ast.expr) -> list[ast.expr]:
+    match node:
+        case ast.UnaryOp(operand=operand):
+            return [operand]
+        case ast.BinOp(left=left, right=right):
+            return [left, right]
+        case ast.Compare(left=left, comparators=others):
+            return [left, *others]
+        case ast.IfExp(test=test, body=body, orelse=orelse):
+            return [test, body, orelse]
+        case ast.Call(args=arguments):
+            return arguments
+    return []
+
+
+def values_of(
+    node: ast.expr, names: Mapping[str, Any], memo: dict[int, Any] | None = None
+) -> Array:
+    """An expression's values (as the shape of t); nan where it has none."""
+    memo = {} if memo is None else memo
+    if id(node) not in memo:
+        x = [values_of(part, names, memo) for part in parts_of(node)]
+        match node:
+            case ast.Constant(value=value):
+                result: Any = np.full_like(names["t"], value)
+            case ast.Name(id=name):
+                result = names[name] + 0.0 * names["t"]
+            case ast.Compare(ops=[op]):
+                undefined = np.isnan(x[0]) | np.isnan(x[1])
+                result = np.where(undefined, np.nan, _OPERATORS[type(op)](*x))
+            case ast.IfExp():
+                result = np.where(np.isnan(x[0]), np.nan, np.where(x[0], x[1], x[2]))
+            case ast.UnaryOp(op=operation) | ast.BinOp(op=operation):
+                result = _OPERATORS[type(operation)](*x)
+            case ast.Call(func=ast.Name(id=name)):
+                result = (_OTHER.get(name) or getattr(np, name.removeprefix("_")))(*x)
+        memo[id(node)] = result
+    return memo[id(node)]  # type: ignore[no-any-return]
+
+
+def samples_of(
+    timely: Sequence[ast.expr], switches: Sequence[ast.expr], size: int, t_end: float
+) -> Array | None:
+    """Increasing times of the run; None where a switch is faster than they can be.
+
+    Among them are the zeros and extremes of the parts, and both sides of every switching time.
+    """
+    count = int(np.clip(WORK // size, *SAMPLES))
+    signs = [call("_sign", node) for node in timely]
+    while count <= MOST:
+        t = np.sort(np.linspace(0.0, t_end, count + 1))
+        for turn in range(ROUNDS):
+            memo: dict[int, Any] = {}
+            found = [t]
+            if turn < 2:  # an extreme may be one only beside what the first turn found
+                found += [_extremes(x, t, memo) for x in timely]
+            found += [_changes(x, t, memo)[0] for x in signs]
+            switching = [_changes(x, t, memo) for x in switches]
+            if not all(kept for _, kept in switching):
+                break
+            found += [times for times, _ in switching]
+            before, t = len(t), np.unique(np.concatenate(found))
+            if len(t) == before:
+                return t
+        else:
+            return t
+        count *= DENSE
+    return None
+
+
+def _changes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
+    """Times (pairs of neighbours) between which the whole numbers of a node change.
+
+    And whether there are few enough that no others can hide.
+    """
+    code = _code(values_of(node, {"t": t}, memo))
+    (k,) = np.nonzero(code[1:] != code[:-1])
+    if DENSE * len(k) > len(t):
+        return t[:0], False
+    a, b, begun = t[k], t[k + 1], code[k]
+    finest = FINEST * (t[-1] - t[0])
+    cuts = np.linspace(0.0, 1.0, CUTS + 1)
+    while (wide := (b - a > finest) & (np.nextafter(a, b) < b)).any():
+        at = a[wide, None] + (b - a)[wide, None] * cuts
+        at[:, 0], at[:, -1] = np.nextafter(a[wide], b[wide]), b[wide]
+        later = _code(values_of(node, {"t": at})) != begun[wide, None]
+        later[:, -1] = True
+        row, first = np.arange(len(at)), later.argmax(axis=1)
+        a[wide] = np.where(first > 0, at[row, first - 1], a[wide])
+        b[wide] = at[row, first]
+    return np.concatenate([a, b]), True
+
+
+def _code(values: Array) -> Array:
+    return np.where(np.isnan(values), 0.5, values)
+
+
+def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> Array:
+    """Times at which a node is larger, or smaller, than beside them."""
+    x = values_of(node, {"t": t}, memo)
+    rise = np.diff(x)
+    least = 1e-12 * np.abs(x[np.isfinite(x)]).max(initial=0.0)
+    peak = (rise[:-1] * rise[1:] < 0.0) & (np.abs(rise[:-1]) + np.abs(rise[1:]) > least)
+    (k,) = np.nonzero(peak)
+    if DENSE * len(k) > len(t):
+        return t[:0]
+    a, b, way = t[k], t[k + 2], np.sign(rise[k])
+    cuts = np.linspace(0.0, 1.0, CUTS + 1)
+    middle = t[k + 1]
+    for _ in range(9 if len(k) else 0):
+        at = a[:, None] + (b - a)[:, None] * cuts
+        best = (way[:, None] * values_of(node, {"t": at})).argmax(axis=1)
+        row = np.arange(len(at))
+        middle = at[row, best]
+        a, b = at[row, np.maximum(best - 1, 0)], at[row, np.minimum(best + 1, CUTS)]
+    return middle
+
+
+def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
+    """Of neighbours between which a switch changes one; of those within rounding the shortest."""
+    memo: dict[int, Any] = {}
+    codes = [_code(values_of(switch, {"t": t}, memo)) for switch in switches]
+    changes = sum((code[1:] != code[:-1] for code in codes), np.zeros(len(t) - 1, bool))
+    (k,) = np.nonzero(changes)
+    times = np.unique(np.concatenate([t[k], t[k + 1]])).tolist()
+    groups: list[list[float]] = []
+    for time in times:
+        if groups and time - groups[-1][-1] <= 4.0 * math.ulp(time):
+            groups[-1].append(time)
+        else:
+            groups.append([time])
+    return [min(group, key=lambda x: len(repr(x))) for group in groups]
+
+
+def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Array) -> Array:
+    """The ends of the leaves: `edges`, and what lies between them."""
+    angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))
+    orders = np.arange(DEGREE + 1)
+    between = np.arange(1, DEGREE + 1) * (np.pi / (DEGREE + 1))
+    fit = np.cos(np.outer(angles, orders)) * (2.0 - (orders == 0)) / (DEGREE + 1)
+    probe = np.cos(np.outer(orders, between))
+    places = np.cos(np.concatenate([angles, between]))
+    memo: dict[int, Any] = {}
+    sampled = [values_of(x, {**names, "t": samples}, memo) for x in functions]
+    small = [SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in sampled]
+    a, b, ends = edges[:-1], edges[1:], edges
+    span = edges[-1] - edges[0]
+    while len(a):
+        middle, half = 0.5 * (a + b), 0.5 * (b - a)
+        t = middle[:, None] + half[:, None] * places
+        leaf = np.minimum(np.searchsorted(a, samples, "right") - 1, len(a) - 1)
+        inside = (samples > a[leaf]) & (samples < b[leaf])
+        good = np.ones(len(a), bool)
+        memo = {}
+        for x, known, least in zip(functions, sampled, small, strict=True):
+            values = values_of(x, {**names, "t": t}, memo)
+            series = values[:, : DEGREE + 1] @ fit
+            miss = np.abs(series @ probe - values[:, DEGREE + 1 :]).max(axis=1)
+            plain = (miss <= least) | ~np.isfinite(values).any(axis=1)
+            good &= plain
+            (k,) = np.nonzero(inside & good[leaf])
+            at = leaf[k]
+            u = (samples[k] - middle[at]) / half[at]
+            off = np.abs(_chebyshev(series[at], u) - known[k])
+            undefined = ~np.isfinite(values[at]).any(axis=1)
+            good[at[~((off <= least) | (undefined & ~np.isfinite(known[k])))]] = False
+        split = ~good & (half > NARROWEST * span)
+        if len(ends) + split.sum() > LEAVES:
+            break
+        ends = np.append(ends, middle[split])
+        a, b = (
+            np.stack(pair, axis=1).ravel()
+            for pair in ((a[split], middle[split]), (middle[split], b[split]))
+        )
+    return ends
+
+
+def _chebyshev(series: Array, x: Array) -> Array:
+    """Values at x (k,) of series (k, DEGREE + 1), by Clenshaw's recurrence."""
+    before, last = np.zeros_like(x), np.zeros_like(x)
+    for c in series.T[:0:-1]:
+        before, last = last, 2.0 * x * last - before + c
+    return np.asarray(x * last - before + series[:, 0])
