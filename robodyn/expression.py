@@ -18,8 +18,8 @@ Value = Union["Expression", float]
 
 # Cost of an operation in additions, for choosing between two ways to write a formula.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
-FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log")
-COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0) | {"abs": 0.5, "choose": 1.0}
+FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log", "sinh", "cosh", "atan", "asin", "acos")
+COST |= dict.fromkeys((*FUNCTIONS, "pow", "atan2"), 4.0) | {"abs": 0.5, "choose": 1.0}
 INPUTS = ("var", "par")
 
 
@@ -211,6 +211,28 @@ def log(a: Value) -> Value:
 def power(a: Value, exponent: float) -> Value:
     """a to a constant power."""
     return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def call(name: str, a: Value) -> Value:
+    """Any other of the functions."""
+    return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
+
+
+def atan2(y: Value, x: Value) -> Value:
+    """The angle of the vector (x, y)."""
+    for known in (y, x):
+        if isinstance(known, Expression):
+            return known.graph.node("atan2", (y, x))
+    assert not isinstance(y, Expression)
+    assert not isinstance(x, Expression)
+    return math.atan2(y, x)
+
+
+def keep(a: Value) -> Value:
+    """a, from here on as it is: no factor of it moves into what is made of it."""
+    if not isinstance(a, Expression) or a.op in (*INPUTS, "keep"):
+        return a
+    return a.graph.node("keep", (a,))
 
 
 def absolute(a: Value) -> Value:

@@ -8,7 +8,7 @@ solver.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 Value = Any
@@ -19,9 +19,17 @@ SMALL = (
 
 
 class Factors:
-    """Factors of a symmetric matrix, given by rows with both triangles; the first are of links."""
+    """Factors of a symmetric matrix, given by rows with both triangles; the first are of links.
 
-    def __init__(self, matrix: Sequence[dict[int, Value]], links: int) -> None:
+    `keep` marks a factor that is used again and again.
+    """
+
+    def __init__(
+        self,
+        matrix: Sequence[dict[int, Value]],
+        links: int,
+        keep: Callable[[Value], Value] = lambda value: value,
+    ) -> None:
         size = len(matrix)
         self.place = elimination_order(matrix, links)  # of each unknown
         at = sorted(range(size), key=self.place.__getitem__)
@@ -37,9 +45,9 @@ class Factors:
             row = upper[i]
             pivot = row.pop(i, 0.0)
             self.pivots[at[i]] = pivot
-            self.inverse.append(1.0 / pivot)
+            self.inverse.append(keep(1.0 / pivot))
             columns = sorted(row)
-            self.columns.append([(j, row[j] * self.inverse[i]) for j in columns])
+            self.columns.append([(j, keep(row[j] * self.inverse[i])) for j in columns])
             for place, j in enumerate(columns):
                 factor = self.columns[i][place][1]
                 for k in columns[place:]:

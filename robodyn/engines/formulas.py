@@ -7,6 +7,7 @@ with the links' directions (c_k, s_k) alone.  Both are recorded; the cheaper one
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from robodyn import expression
@@ -14,7 +15,7 @@ from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
 from robodyn.expression import Graph, Value
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.program import Given
+from robodyn.mechanics.program import Given, Slot
 from robodyn.planar_model import Mechanism
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
@@ -31,7 +32,8 @@ RECORDED = Arithmetic(
     cos=expression.cos,
     sin=expression.sin,
     power=_power,
-    functions={"tanh": expression.tanh},
+    keep=expression.keep,
+    functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},
 )
 
 
@@ -53,6 +55,7 @@ class Recorded:
     def __init__(self, mechanism: Mechanism, rates: Sequence[str], by_direction: bool) -> None:
         self.mechanism, self.by_direction = mechanism, by_direction
         self.graph = Graph()
+        self.torques: list[Slot | None] = []
         n = mechanism.n
         names = ("q", *rates)
         self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
@@ -93,9 +96,11 @@ class Recorded:
             zero = isinstance(tau, float) and tau == 0.0
             driven.append(None if zero else program.add(Given(f"tau{j}")))
         equations.write(driven, power)
+        self.torques = equations.torques
         alpha = self.absolute("q")
         for j in range(mechanism.n):
             given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
+            given[f"qd{j}"] = (self.relative["qd"][j],)
         self.E = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
         state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
         return Series(
@@ -104,7 +109,7 @@ class Recorded:
             program.numbers,
             orders,
             state,
-            slots=[*program.named["gap"], *program.named.get("power", [])],
+            slots=[x for name in ("gap", "load", "power") for x in program.named.get(name, [])],
             grounded=self.by_direction,
         )
 
@@ -186,8 +191,11 @@ def balance(state: Recorded, series: Series) -> tuple[list[Value], list[list[Val
     Psi = joint_jacobian(state, series)
     given = {"qdd": state.absolute("qdd")} if "qdd" in state.relative else {"qdd": [0.0] * n}
     series.complete([*given["qdd"], *[0.0] * len(state.mechanism.rows)])
-    load = [series.real[slot][0] for slot in series.program.residuals[:n]]
-    return state.to_joints(load), Psi
+    load = state.to_joints([series.real[slot][0] for slot in series.program.named["load"]])
+    for j, slot in enumerate(state.torques):
+        if slot is not None:  # not summed and taken off again: no rounding of what is large
+            load[j] = load[j] - series.real[slot][0]
+    return load, Psi
 
 
 def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:
@@ -230,7 +238,7 @@ def _forward(
         for r, gap in enumerate(series.program.named["gap"]):
             x = series.real[gap]
             right[n + r] = right[n + r] - 2.0 * baumgarte * x[1] - baumgarte**2 * x[0]
-    factors = Factors(series.matrix(), n)
+    factors = series.factorise()
     solution = factors.solve(right)
     series.complete(solution)
     qdd = [

@@ -25,6 +25,7 @@ from typing import Any
 
 from robodyn.engines.factors import Factors
 from robodyn.mechanics.program import (
+    Anchored,
     Coefficient,
     Derivative,
     Function,
@@ -69,6 +70,7 @@ class Arithmetic:
     # sum of x_j y_{m-j} for j from first to last
     convolve: Callable[[Any, Any, int, int, int], Value] | None = None
     room: Callable[[int], Any] = lambda orders: [0.0] * orders
+    keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
 
 
 def times(a: Value, b: Value) -> Value:
@@ -195,6 +197,8 @@ class Series:
         for slot, row in self.rows:
             for m in range(self.ahead[slot]):
                 self._set(slot, m, self._known(slot, row, m))
+        self._balance: dict[Slot, int] = {}
+        self._residuals: list[Value] = []
         self.factors: Factors | None = None
         self.p = 0
 
@@ -206,10 +210,12 @@ class Series:
         for slot, row in self.rows:
             m = p + self.ahead[slot]
             self._set(slot, m, self._known(slot, row, m))
-        return [self.real[slot][p] for slot in self.program.residuals]
+        self._residuals = [self.real[slot][p] for slot in self.program.residuals]
+        return self._residuals
 
-    def complete(self, unknowns: Sequence[Value]) -> None:
-        """Add what the unknowns of this order make, once they are known."""
+    def complete(self, unknowns: Sequence[Value], balanced: bool = False) -> None:
+        """Add what the unknowns of this order make; `balanced`: they solve the residuals."""
+        self._balance = self._balances() if balanced else {}
         p, program = self.p, self.program
         self.unknown_values = dict(zip(program.unknowns, unknowns, strict=True))
         change: dict[Slot, Any] = {}
@@ -222,7 +228,7 @@ class Series:
             match row:
                 case Turn(link=k):
                     rho, theta = self._moment[slot]
-                    theta[m] = delta[0][2][1]
+                    theta[m] = self.arithmetic.keep(delta[0][2][1])
                     self._set(slot, m, ((k, None, (rho[m], theta[m])),))
                 case Derivative() if program.planar[slot]:
                     self._set(slot, m, self._known(slot, row, m))
@@ -231,7 +237,12 @@ class Series:
                 case Moment():
                     x, y = self._moment[slot]
                     added = self._moment_change(row, through)
-                    x[m], y[m] = plus(x[m], added[0]), plus(y[m], added[1])
+                    if slot in self._balance:  # its residual vanishes: no need to add up again
+                        delta = change[slot] = times(-1.0, self._residuals[self._balance[slot]])
+                    else:
+                        delta = added[1]
+                    x[m] = self.arithmetic.keep(plus(x[m], added[0]))
+                    y[m] = self.arithmetic.keep(plus(y[m], delta))
                     self.real[slot][m] = plus(self.real[slot][m], delta)
                 case _:
                     self.real[slot][m] = plus(self.real[slot][m], delta)
@@ -242,18 +253,39 @@ class Series:
         for p in range(self.orders):
             right = [times(-1.0, x) if type(x) is float else -x for x in self.residuals(p)]
             if p == 0:
-                self.factors = factors or Factors(self.matrix(), self.first_unknowns)
+                self.factors = factors or self.factorise()
             assert self.factors is not None
             solution = self.factors.solve(right)
-            self.complete(solution)
+            self.complete(solution, balanced=True)
             found.append(solution)
         return found
+
+    def turn(self, slot: Slot) -> tuple[Any, Any]:
+        """The coefficients rho and theta of a direction."""
+        return self._moment[slot]
+
+    def factorise(self) -> Factors:
+        """K factored; after `residuals(0)`."""
+        return Factors(self.matrix(), self.first_unknowns, self.arithmetic.keep)
 
     @property
     def first_unknowns(self) -> int:
         """How many of the unknowns are accelerations."""
         rows = self.program.rows
         return sum(isinstance(rows[x], Turn) for x in self.program.unknowns)
+
+    def _balances(self) -> dict[Slot, int]:
+        """The moments that the unknowns change by as much as they change a residual."""
+        found: dict[Slot, int] = {}
+        for place, slot in enumerate(self.program.residuals):
+            while isinstance(row := self.program.rows[slot], Sum):
+                changing = [(c, x) for c, x in row.terms if x in self.live[slot]]
+                if len(changing) != 1 or changing[0][0] != 1.0:
+                    break
+                slot = changing[0][1]
+            if isinstance(row, Moment):
+                found[slot] = place
+        return found
 
     def matrix(self) -> list[dict[int, Value]]:
         """The rows of K, the tangents of the residuals in the unknowns; after `residuals(0)`."""
@@ -293,6 +325,7 @@ class Series:
             if c is not None:
                 number = self.coefficient(c[0]), self.coefficient(c[1])
                 found = planar_times(number, self.factor(to, frame, None))
+                found = self.arithmetic.keep(found[0]), self.arithmetic.keep(found[1])
             elif to == frame:
                 found = (1.0, 0.0)
             elif to is None:
@@ -395,11 +428,10 @@ class Series:
                     given = self.state.given[start]
                     return given(0) if callable(given) else given[0]
                 return times(1.0 / m, real[x][m - 1])
+            case Anchored(x=x, start=start):
+                return self._known(slot, Integral(x, start), 0) if m == 0 else real[x][m]
             case Derivative(x=x) if x in planar:
-                scale = m + 1.0
-                return tuple(
-                    (f, c, (times(scale, a), times(scale, b))) for f, c, (a, b) in planar[x][m + 1]
-                )
+                return _scaled(m + 1.0, planar[x][m + 1])
             case Derivative(x=x):
                 return times(m + 1.0, real[x][m + 1])
             case Sum(constant=constant, terms=terms):
@@ -484,7 +516,7 @@ class Series:
             rho[1], theta[1] = value = (0.0, self.state.w[link])
         else:
             square = plus(self._half_square(rho, m), self._half_square(theta, m))
-            rho[m], theta[m] = value = (times(-1.0, square), 0.0)
+            rho[m], theta[m] = value = (self.arithmetic.keep(times(-1.0, square)), 0.0)
         return ((link, None, value),)
 
     def _half_square(self, x: Any, m: int) -> Value:
@@ -560,14 +592,13 @@ class Series:
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
             case Derivative(x=x) if x in self.planar:
-                scale = m + 1.0
-                return tuple(
-                    (f, c, (times(scale, a), times(scale, b))) for f, c, (a, b) in change[x]
-                )
+                return _scaled(m + 1.0, change[x])
             case Derivative(x=x):
                 return times(m + 1.0, of(x))
             case Integral(x=x):
                 return times(1.0 / m, of(x))
+            case Anchored(x=x):
+                return of(x)
             case Sum(terms=terms):
                 total: Value = 0.0
                 for c, x in terms:

@@ -8,8 +8,10 @@ from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-_CALLS |= {"pow": "power", "abs": "absolute"}
-ARRAY_CALLS = (*_CALLS.values(), *FUNCTIONS, "where", "less", "copyto")  # what numpy code calls
+_CALLS |= {"pow": "power", "abs": "absolute", "atan2": "arctan2"}
+_CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
+# what numpy code calls
+ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
 
 def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
@@ -38,6 +40,10 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
         if op == "choose":
             x, y, a, b = (written(arg, 1) for arg in args)
             shown, precedence = f"{a} if {x} < {y} else {b}", 0
+        elif op == "keep":
+            kept = args[0]
+            assert isinstance(kept, Expression)
+            shown, precedence = text[kept.index]
         elif op not in _PRECEDENCE:
             shown, precedence = f"{op}({', '.join(written(arg, 0) for arg in args)})", 9
         elif op == "neg":
@@ -88,7 +94,9 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
             place[node.index] = f"w{buffers}"
             buffers += 1
         to = place[node.index]
-        if node.op == "choose":
+        if node.op == "keep":
+            lines.append(f"copyto({to}, {args[0]})")
+        elif node.op == "choose":
             lines.append(f"copyto({to}, where(less({args[0]}, {args[1]}), {args[2]}, {args[3]}))")
         else:
             lines.append(f"{_CALLS.get(node.op, node.op)}({', '.join(args)}, {to})")

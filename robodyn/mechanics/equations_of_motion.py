@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from robodyn.mechanics.program import (
+    Anchored,
     Coefficient,
     Derivative,
     Function,
@@ -63,7 +64,9 @@ class _Links:
 class EquationsOfMotion:
     """Writes the program of a scene.
 
-    `program.named` tells the slots of a (n), mu (r), w and v (n: rates of links and joints), power.
+    `program.named` tells the slots of E (n), mu (r), gap (r), load (n: what turns each link,
+    without the torques at joints), bends (what a series may not tell) and power; `torques` (n) all
+    that acts at each joint, None where nothing does.
     """
 
     mechanism: Mechanism
@@ -74,6 +77,7 @@ class EquationsOfMotion:
         n = mechanism.n
         self.E = [program.add(Turn(k)) for k in range(n)]
         self.P = [program.add(Derivative(program.add(Derivative(E)))) for E in self.E]
+        self.torques: list[Slot | None] = [None] * n  # all that acts at each joint
         self.children: list[list[int]] = [[] for _ in range(n)]
         for k, above in enumerate(mechanism.parent):
             if above is not None:
@@ -90,7 +94,8 @@ class EquationsOfMotion:
         above = self.mechanism.parent[j]
         if above is None:
             return self.w(j)
-        return self.program.sum((1.0, self.w(j)), (-1.0, self.w(above)))
+        relative = self.program.sum((1.0, self.w(j)), (-1.0, self.w(above)))
+        return self.program.add(Anchored(relative, f"qd{j}"))
 
     def q(self, j: int) -> Slot:
         """The angle of joint j."""
@@ -108,10 +113,13 @@ class EquationsOfMotion:
 
     # -- dynamics ----------------------------------------------------------------------------------
 
-    def write(self, torques: Sequence[Slot | None], work: bool = False) -> Program:
+    def write(
+        self, torques: Sequence[Slot | None], work: bool = False, steady: bool = False
+    ) -> Program:
         """The residuals, with the joint torques tau (n; None where there is none).
 
-        With `work` the power of torques and of what has no potential is among `named`.
+        With `work` the power of torques and of what has no potential is among `named`; that of
+        `steady` torques is left out, as their work is tau times the way.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         links = _Links(
@@ -127,17 +135,22 @@ class EquationsOfMotion:
                 re, im = program.planar_number(value)
                 links.F[j].append(((re, im), self.P[k]))
                 links.F[k].append(((re, self._minus(im)), self.P[j]))
+        program.named["bends"] = []
         self._scene_forces(links, work)
-        self._joints(links, torques, work)
+        self._joints(links, torques, work, steady)
         multipliers = self._closures(links)
+        loads: list[Slot] = []
         for k in range(n):
             F = program.add(PlanarSum(program.planar_number(links.constants[k]), tuple(links.F[k])))
             turning = program.add(Moment(self.E[k], self.P[k], inertia[k], F))
             moment = program.number(-mechanism.moments[k])
-            residual = program.sum((1.0, turning), *links.moments[k], constant=moment)
-            program.residuals.append(residual)
+            load = program.sum((1.0, turning), *links.moments[k], constant=moment)
+            loads.append(load)
+            given = [(-1.0, self.torques[k]), *((1.0, self.torques[c]) for c in self.children[k])]
+            acting = [(sign, torque) for sign, torque in given if torque is not None]
+            program.residuals.append(program.sum((1.0, load), *acting))
         program.residuals += self._rows
-        program.named |= {"E": self.E, "mu": multipliers}
+        program.named |= {"E": self.E, "mu": multipliers, "load": loads}
         if work:
             program.named["power"] = [program.sum(*links.power)] if links.power else []
         return program
@@ -170,6 +183,10 @@ class EquationsOfMotion:
 
     def _spring(self, links: _Links, spring: PointSpring, work: bool) -> None:
         program, number = self.program, self.program.number
+        if not spring.between.terms:  # its ends never move: it does nothing, but for a direction
+            if not spring.between.constant and (spring.length or spring.damping):
+                raise ZeroDivisionError("the ends of a spring coincide at every state")
+            return
         d = self.point(spring.between)
         s = program.add(Inner(d, d)) if spring.length or spring.damping else None
         pull: list[tuple[Coefficient, Slot]] = []
@@ -185,12 +202,15 @@ class EquationsOfMotion:
         if pull:
             place = spring.between
             reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
-            total = program.add(Scaled(program.sum(*pull, constant=number(-spring.stiffness)), d))
-            self._act(links, spring.between, total)
+            factor = program.sum(*pull, constant=number(-spring.stiffness))
+            self._bends(factor, reach * reach)
+            self._act(links, spring.between, program.add(Scaled(factor, d)))
         elif spring.stiffness:
             self._act(links, spring.between, d, -spring.stiffness)
 
-    def _joints(self, links: _Links, torques: Sequence[Slot | None], work: bool) -> None:
+    def _joints(
+        self, links: _Links, torques: Sequence[Slot | None], work: bool, steady: bool
+    ) -> None:
         """Torques at the joints: what a link gets its parent gives."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
         friction = dict(mechanism.friction)
@@ -201,33 +221,29 @@ class EquationsOfMotion:
             acting: list[tuple[Coefficient, Slot]] = []  # all of this changes the energy
             if tau is not None:
                 acting.append((1.0, tau))
+                if not isinstance(program.rows[tau], Given):
+                    self._bends(tau, 1.0)
             if mechanism.damping[j]:
                 acting.append((number(-mechanism.damping[j]), self.v(j)))
             if j in friction:
                 slow = program.sum((number(1.0 / friction[j].speed), self.v(j)))
                 smooth = program.add(Function("tanh", slow))
                 acting.append((number(-friction[j].torque), smooth))
+                self._bends(smooth, friction[j].torque)
             if work:
-                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in acting]
+                working = acting[1:] if steady and tau is not None else acting
+                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
             constant = 0.0
             for stiffness, angle in springs.get(j, []):
                 acting.append((number(-stiffness), self.q(j)))
                 constant += stiffness * angle
-            above = mechanism.parent[j]
-            for link, sign in ((j, -1.0), (above, 1.0)):
-                if link is None:
-                    continue
-                links.moments[link] += [(self._signed(c, sign), x) for c, x in acting]
-                if constant:
-                    links.moments[link].append((number(sign * constant), self._one()))
+            if acting:
+                self.torques[j] = program.sum(*acting, constant=number(constant))
 
-    def _signed(self, coefficient: Coefficient, sign: float) -> Coefficient:
-        if isinstance(coefficient, float):
-            return sign * coefficient
-        return coefficient if sign > 0.0 else self._minus(coefficient)
-
-    def _one(self) -> Slot:
-        return self.program.sum(constant=1.0)
+    def _bends(self, slot: Slot, arm: float) -> None:
+        """A slot whose series may hold only in part of a step, and what makes a torque of it."""
+        self.program.named["bends"].append(slot)
+        self.program.arms[slot] = arm
 
     def _closures(self, links: _Links) -> list[Slot]:
         """The rows of the closures, and what their multipliers do."""

@@ -70,6 +70,14 @@ class Integral:
 
 
 @dataclass(frozen=True, slots=True)
+class Anchored:
+    """Real: x, whose first coefficient is the given value `start` without the rounding of x."""
+
+    x: Slot
+    start: str
+
+
+@dataclass(frozen=True, slots=True)
 class Derivative:
     """Real or planar: dx/dt."""
 
@@ -170,8 +178,8 @@ class Primitive:
 
 
 Row = (
-    Given | Unknown | Turn | Rate | Integral | Derivative | Sum | PlanarSum | RealPart | Product
-    | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
+    Given | Unknown | Turn | Rate | Integral | Anchored | Derivative | Sum | PlanarSum | RealPart
+    | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
 )  # fmt: skip
 
 PLANAR = (Turn, PlanarSum, Scaled)
@@ -271,9 +279,9 @@ def arguments(row: Row) -> Iterator[Slot]:
             yield from (x for _, x in terms)
         case PlanarSum(terms=planar):
             yield from (z for _, z in planar)
-        case Rate(turn=x) | RealPart(z=x) | Integral(x=x) | Derivative(x=x) | Power(x=x):
+        case Rate(turn=x) | RealPart(z=x) | Integral(x=x) | Derivative(x=x) | Anchored(x=x):
             yield x
-        case Function(x=x):
+        case Function(x=x) | Power(x=x):
             yield x
         case Product(x=x, y=y) | Quotient(x=x, y=y) | Scaled(x=x, z=y) | Inner(z=x, w=y):
             yield from (x, y)

@@ -26,7 +26,6 @@ from robodyn.projection import float_closing, loop_terms, suspect_quality
 from robodyn.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, Status, default_order
 from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine
-from robodyn.taylor.torques import TorqueSeries
 
 if TYPE_CHECKING:
     from robodyn.right_hand_side import RightHandSide
@@ -58,17 +57,12 @@ def stepping_engine(
     """
     if order is None:
         order = default_order(max(rtol, atol))
-    torques: tuple[float, ...] | TorqueSeries
-    if actuation.constants is not None:  # springs make a series of them
-        torques = actuation.constants
-    else:
-        torques = TorqueSeries(actuation, mechanism)
     closing = float_closing(mechanism) if mechanism.rows and project else None
     small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
         mechanism
     )
     kind = StraightEngine if small else ArrayEngine
-    return kind(mechanism, closing, order, rtol, atol, torques, work)
+    return kind(mechanism, closing, order, rtol, atol, actuation, work)
 
 
 def compiled_engine(

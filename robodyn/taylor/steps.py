@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.engines.step_text import StepText, step_text
+from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanism import Mechanism
 from robodyn.projection import FloatClosing, suspect_quality
 from robodyn.taylor import Chunk, Status, step_size
 from robodyn.taylor.arrays import ArraySeries, link_rates
-from robodyn.taylor.code import Expansion, compile_expansion
 from robodyn.taylor.torques import TorqueSeries
 
 Array = NDArray[np.float64]
@@ -29,6 +31,9 @@ class SteppingEngine:
 
     order: int
 
+    works: bool  # whether the series hold a power besides that of constant torques
+    bends: bool  # whether torques may end, or bend, within a step: what no accuracy excludes
+
     def __init__(
         self,
         mechanism: Mechanism,
@@ -36,20 +41,13 @@ class SteppingEngine:
         order: int,
         rtol: float,
         atol: float,
-        torques: tuple[float, ...] | TorqueSeries,
+        actuation: Actuation,
         work: bool,
     ) -> None:
-        if mechanism.has_state_forces and not isinstance(torques, TorqueSeries):
-            torques = TorqueSeries(Actuation(tuple(torques)), mechanism)
-        self.mechanism, self.closing, self.torques = mechanism, closing, torques
+        self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
-        self.constants: tuple[float, ...] | None = None
-        if not isinstance(torques, TorqueSeries):
-            self.constants = tuple(map(float, torques))
-        # what no accuracy of the series excludes: torques that end, or bend, within a step
-        self.bends = torques if isinstance(torques, TorqueSeries) and torques.bends else None
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.prepare()
@@ -60,6 +58,17 @@ class SteppingEngine:
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
+        raise NotImplementedError
+
+    def agrees(
+        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
+    ) -> bool:
+        """Whether the series, x after where it began, gives the torques at the state y at t.
+
+        It does not where a torque ends or bends on the way (sqrt(1 - t), sqrt(t**2)), or is flat
+        where it began (tanh(1e5*t), friction), or where a spring's ends pass one another.  What it
+        misses by may be `small`, N m, or that part of its terms.
+        """
         raise NotImplementedError
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
@@ -77,8 +86,8 @@ class SteppingEngine:
             if not len(series):
                 status = Status.NOT_FINITE
                 break
-            if self.bends is not None:
-                h, new = self._shorten(self.bends, t, state, h, new, series, direction)
+            if self.bends:
+                h, new = self._shorten(t, state, h, new, series, direction)
             if h < 4.0 * math.ulp(t) and h != most:
                 status = Status.STUCK
                 break
@@ -110,7 +119,6 @@ class SteppingEngine:
 
     def _shorten(
         self,
-        torques: TorqueSeries,
         t: float,
         state: list[float],
         h: float,
@@ -128,11 +136,11 @@ class SteppingEngine:
         miss *= (self.order + 1) * self.lightest
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            if torques.agrees(x, t + x, new, relative, miss / h):
-                if not torques.flat:
+            if self.agrees(series, x, t + x, new, relative, miss / h):
+                if not self.mechanism.friction:  # far above its speed all its derivatives vanish
                     break
                 middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
-                if torques.agrees(0.5 * x, t + 0.5 * x, middle, relative, miss / h):
+                if self.agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
                     break
             h *= 0.5
             new = self.states(state, series, np.array([h * direction]))[0].tolist()
@@ -163,10 +171,9 @@ class SteppingEngine:
         """The states (k, N), closed, at times x (k,) after `state`, where the series begins."""
         n = self.mechanism.n
         y = np.array(state)
-        coefficients = np.array(series).T  # (order + 2, 2n[+1])
-        orders = np.arange(len(coefficients))
+        z = np.array(series[:n]).T + 1j * np.array(series[n : 2 * n]).T  # (order + 2, n)
+        orders = np.arange(len(z))
         powers = x[:, None] ** orders
-        z = coefficients[:, :n] + 1j * coefficients[:, n : 2 * n]
         turn = powers @ z
         slope = (powers[:, :-1] * orders[1:]) @ z[1:]
         relative = relative_matrix(self.mechanism)
@@ -174,11 +181,14 @@ class SteppingEngine:
         rows = np.empty((len(x), len(y)))
         rows[:, :n] = y[:n] + way
         rows[:, n : 2 * n] = ((turn.conj() * slope).imag / np.abs(turn) ** 2) @ relative.T
-        if coefficients.shape[1] > 2 * n:  # the power
-            done = (powers * x[:, None] / (orders + 1.0)) @ coefficients[:, 2 * n]
-            rows[:, 2 * n] = y[2 * n] + done
-        elif len(y) > 2 * n:
-            rows[:, 2 * n] = y[2 * n] + way @ np.array(self.torques)
+        if self.work:
+            rows[:, 2 * n] = y[2 * n]
+            if self.works:
+                power = np.array(series[2 * n])
+                terms = orders[: len(power)]
+                rows[:, 2 * n] += (powers[:, terms] * x[:, None] / (terms + 1.0)) @ power
+            if self.actuation.constants is not None:
+                rows[:, 2 * n] += way @ np.array(self.actuation.constants)
         if self.closing is not None:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]
@@ -189,28 +199,73 @@ class StraightEngine(SteppingEngine):
     """Straight-line floats, generated for one mechanism and one order."""
 
     def prepare(self) -> None:
-        self._expand = _expansion(self.mechanism, self.order, self.constants, self.work)
+        self._held: tuple[float, ...] | None = None
+        self._texts: dict[tuple[float, ...] | None, StepText] = {}
+        text = self._text(0.0) if self.actuation.pieces is None else self._make()
+        self.bends, self.works = bool(text.arms), text.works
+
+    def _make(self) -> StepText:
+        if self._held not in self._texts:
+            self._texts[self._held] = _step_text(
+                self.mechanism, self.actuation, self.order, self.work, self._held
+            )
+        return self._texts[self._held]
+
+    def _text(self, t: float) -> StepText:
+        """The code, as the switches of an expression stand at t."""
+        if self.actuation.pieces is not None:
+            self._held = self.actuation.pieces.at(t)
+        return self._make()
+
+    def given(self, t: float, y: list[float], direction: float) -> tuple[Any, Any]:
+        """The torques at t, and their slopes, of a table; else nothing."""
+        if self.actuation.constants is not None or not self.actuation.linear:
+            return (), ()
+        return linear_piece(self.actuation, self._function, t, y, direction)
+
+    @cached_property
+    def _function(self) -> Callable[[float, Sequence[float]], list[float]]:
+        return self.actuation.function(self.mechanism.n)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
-        torques = self.torques
-        push = torques.begin(t, y, direction) if isinstance(torques, TorqueSeries) else None
+        given = self.given(t, y, direction)
         try:
-            return self._expand(y, most, direction, *self.tolerances, push)
+            return self._text(t).expand(t, y, *given, most, direction, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
+
+    def agrees(
+        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
+    ) -> bool:
+        text = self._make()
+        try:
+            values = text.watched(t, y, *self.given(t, y, 1.0))
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        watched = series[len(series) - len(text.arms) :]
+        return all(
+            _agree(each, x, value, relative, small / arm)
+            for each, value, arm in zip(watched, values, text.arms, strict=True)
+        )
 
 
 class ArrayEngine(SteppingEngine):
     """numpy over the links: for mechanisms whose straight-line code would be long."""
 
     def prepare(self) -> None:
-        constants = None if self.constants is None else np.array(self.constants)
+        constants = None
+        self._torques: TorqueSeries | None = None
+        if self.actuation.constants is not None and not self.mechanism.has_state_forces:
+            constants = np.array(self.actuation.constants)
+        else:
+            self._torques = TorqueSeries(self.actuation, self.mechanism)
+        self.bends = self._torques is not None and self._torques.bends
         self._series = ArraySeries(self.mechanism, self.order, constants)
+        self.works = self._series.moving
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         n, p = self.mechanism.n, self.order
-        torques = self.torques
-        push = torques.begin(t, y, direction) if isinstance(torques, TorqueSeries) else None
+        push = None if self._torques is None else self._torques.begin(t, y, direction)
         try:
             with np.errstate(all="ignore"):
                 z, working = self._series.expand(np.array(y[:n]), np.array(y[n : 2 * n]), push)
@@ -219,24 +274,57 @@ class ArrayEngine(SteppingEngine):
         if not np.isfinite(z).all():
             return 0.0, y, ()
         h = min(most, step_size(z, *self.tolerances))
-        series = [z.real, z.imag]
+        series = [*z.real, *z.imag]
         if self.work and working is not None:
             rates = np.stack([link_rates(z, k) for k in range(p + 1)], axis=-1)
             relative = relative_matrix(self.mechanism) @ rates
+            constants = self.actuation.constants
+            if constants is not None:  # their work is told by the way
+                working[:, 0] -= constants
             power = [(working[:, : k + 1] * relative[:, k::-1]).sum() for k in range(p + 1)]
-            series.append(np.array([[*power, 0.0]]))
-        rows = np.concatenate(series)
+            series.append(np.array(power))
         closing, self.closing = self.closing, None
-        new = self.states(y, rows, np.array([h * direction]))[0].tolist()
+        new = self.states(y, series, np.array([h * direction]))[0].tolist()
         self.closing = closing
-        return h, new, rows
+        return h, new, series
+
+    def agrees(
+        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
+    ) -> bool:
+        assert self._torques is not None
+        return self._torques.agrees(x, t, y, relative, small)
+
+
+def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
+    """Whether a series gives a value at x; it may miss by `small`, or that part of its terms."""
+    total = most = 0.0
+    power = 1.0
+    for coefficient in series:
+        term = coefficient * power
+        total += term
+        most = max(most, abs(term))
+        power *= x
+    return abs(total - value) <= max(small, relative * most)
 
 
 @lru_cache(maxsize=64)
-def _expansion(
-    mechanism: Mechanism, order: int, torques: tuple[float, ...] | None, work: bool
-) -> Expansion:
-    return compile_expansion(mechanism, order, torques, work)
+def _made(
+    mechanism: Mechanism, order: int, constants: tuple[float, ...] | None, linear: bool, work: bool
+) -> StepText:
+    return step_text(mechanism, Actuation(constants, linear=linear), order, work)
+
+
+def _step_text(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    work: bool,
+    held: tuple[float, ...] | None,
+) -> StepText:
+    """The code, kept where it depends on nothing but numbers."""
+    if actuation.constants is None and not actuation.linear:
+        return step_text(mechanism, actuation, order, work, held)
+    return _made(mechanism, order, actuation.constants, actuation.linear, work)
 
 
 @lru_cache(maxsize=64)

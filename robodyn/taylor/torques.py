@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 import math
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -18,6 +17,7 @@ from robodyn.actuation import Actuation
 from robodyn.errors import InputError
 from robodyn.expression import FUNCTIONS
 from robodyn.force_formulas import force_code
+from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanism import Mechanism
 from robodyn.taylor.nodes import (
     Cosine,
@@ -79,7 +79,8 @@ class TorqueSeries:
             self._read()
         push = self._reader.begin(t, y, self._taus + self._working * self.separate)
         if self.linear:
-            for node, value, slope in zip(self._given, *self._piece(t, y, direction), strict=True):
+            piece = linear_piece(self._actuation, self._function, t, y, direction)
+            for node, value, slope in zip(self._given, *piece, strict=True):
                 assert isinstance(node, Given)
                 node.coming = [value, slope]
         return push
@@ -112,19 +113,6 @@ class TorqueSeries:
             if not abs(total - torque) <= max(small, relative * most):
                 return False
         return True
-
-    def _piece(
-        self, t: float, y: Sequence[float], direction: float
-    ) -> tuple[list[float], list[float]]:
-        """Of a table: the torques at t and their slopes up to its next row."""
-        if direction > 0.0:
-            end = self.kinks[min(bisect_right(self.kinks, t), len(self.kinks) - 1)]
-        else:
-            end = self.kinks[max(bisect_left(self.kinks, t) - 1, 0)]
-        third = (end - t) / 3.0 or 1.0
-        first, second = (self._function(t + k * third, y) for k in (1, 2))
-        slopes = [(b - a) / third for a, b in zip(first, second, strict=True)]
-        return [a - s * third for a, s in zip(first, slopes, strict=True)], slopes
 
 
 class _Reader:

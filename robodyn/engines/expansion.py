@@ -1,0 +1,163 @@
+"""One step of a motion's Taylor series as a formula: the series, the step's length, its end.
+
+Every engine that takes steps writes this formula out: as Python, or as machine code of many lanes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from robodyn import expression
+from robodyn.actuation import Actuation
+from robodyn.engines.formulas import RECORDED, Recorded
+from robodyn.engines.series import Planar, Series, State
+from robodyn.expression import Graph, Value
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.torque_rows import torque_slots
+from robodyn.planar_model import Mechanism
+
+TINY = 1e-290  # in place of a coefficient that vanishes
+TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
+
+
+class Expansion(NamedTuple):
+    """Formulas of q, qd, t, tau and dtau (n each: what is given and its slope in time).
+
+    `rho`, `theta` (n, order + 2) are the links' turns from where they start, `power` (order + 1)
+    that of what changes the energy (empty where nothing does), `longest` the step that the
+    tolerances `rtol` and `atol` allow, `steady` (n) torques that are constant, whose work is not in
+    the power; `watched` (k) values that bend where the series do not tell,
+    with their series, and the length by which each is multiplied to be a torque.
+    """
+
+    graph: Graph
+    given: bool  # whether tau and dtau are
+    rho: list[list[Value]]
+    theta: list[list[Value]]
+    power: list[Value]
+    steady: tuple[float, ...] | None
+    longest: Value
+    watched: list[list[Value]]
+    arms: list[float]
+
+
+def expansion(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    work: bool,
+    held: Sequence[float] | None = None,
+) -> Expansion:
+    """The formulas of one step; see `Expansion`, and for `held` `torque_slots`.
+
+    Raises InputError where a torque has no series, ZeroDivisionError where no state has one.
+    """
+    n = mechanism.n
+    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True)
+    equations = EquationsOfMotion(mechanism)
+    program = equations.program
+    slots = torque_slots(equations, actuation, held)
+    equations.write(slots, work, steady=actuation.constants is not None)
+    t = state.graph.variable("t")
+    given: dict[str, Sequence[Value] | Callable[[int], Value]] = {"t": (t, 1.0)}
+    alpha, w = state.absolute("q"), state.absolute("qd")
+    for j in range(n):
+        given[f"q{j}"], given[f"alpha{j}"] = (state.relative["q"][j],), (alpha[j],)
+        given[f"qd{j}"] = (state.relative["qd"][j],)
+        if actuation.constants is not None:
+            given[f"tau{j}"] = (float(actuation.constants[j]),)
+        else:
+            given[f"tau{j}"] = (state.relative["tau"][j], state.relative["dtau"][j])
+    E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
+    power = program.named.get("power", [])
+    bends = program.named["bends"]
+    series = Series(
+        program,
+        RECORDED,
+        program.numbers,
+        order,
+        State(E, w, given),
+        slots=[*power, *(slot for slot in bends)],
+    )
+    series.expand()
+    if power:  # the residuals of the last order are not wanted, what works there is
+        series.residuals(order)
+    turns = [series.turn(slot) for slot in equations.E]
+    rho, theta = ([list(part[: order + 2]) for part in parts] for parts in zip(*turns, strict=True))
+    return Expansion(
+        state.graph,
+        actuation.constants is None and actuation.linear,
+        rho,
+        theta,
+        [series.real[slot][m] for slot in power for m in range(order + 1)],
+        actuation.constants,
+        _longest(state, rho, theta, w, order),
+        [[series.real[slot][m] for m in range(order)] for slot in bends],
+        [program.arms[slot] for slot in bends],
+    )
+
+
+def _longest(
+    state: Recorded,
+    rho: list[list[Value]],
+    theta: list[list[Value]],
+    w: Sequence[Value],
+    p: int,
+) -> Value:
+    """The step at which the last coefficients are as large as the tolerance.
+
+    Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
+    by atol + rtol, and no link turns so far that its turns cannot be counted.
+    """
+    rtol, atol = state.graph.variable("rtol"), state.graph.variable("atol")
+
+    def largest(k: int) -> Value:
+        return _largest([a[k] * a[k] + b[k] * b[k] for a, b in zip(rho, theta, strict=True)])
+
+    fast = _largest([expression.absolute(x) for x in w])
+    tol = atol + rtol * fast
+    square = tol * tol
+    h = expression.power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
+    before = expression.power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
+    h = expression.least(h, before)
+    h = expression.least(h, TURN / (fast + TINY))
+    angle = (p + 1.0) * (atol + rtol)
+    shorter = h * expression.power(angle / (h * tol), 1.0 / (p + 1))
+    h = expression.choose(angle, h * tol, shorter, h)
+    tails: Value = 0.0  # comparisons may pass over what is not finite
+    for each in theta:
+        tails = tails + each[p + 1]
+    return expression.choose(expression.absolute(tails), math.inf, h, math.nan)
+
+
+def _largest(values: Sequence[Value]) -> Value:
+    found = values[0]
+    for value in values[1:]:
+        found = expression.greatest(found, value)
+    return found
+
+
+def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
+    """A polynomial's value at x, and its slope."""
+    value: Value = coefficients[-1]
+    slope: Value = 0.0
+    for coefficient in reversed(coefficients[:-1]):
+        slope = slope * x + value
+        value = value * x + coefficient
+    return value, slope
+
+
+def turned(rho: Sequence[Value], theta: Sequence[Value], x: Value) -> tuple[Planar, Value]:
+    """The turn r + i t of a link at x after the start, and its rate Im(conj(z) z')/|z|^2."""
+    (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
+    return (r, t), (r * dt - t * dr) / (r * r + t * t)
+
+
+def integral(coefficients: Sequence[Value], x: Value) -> Value:
+    """The integral of a series from 0 to x."""
+    total: Value = coefficients[-1] * (1.0 / len(coefficients))
+    for k in reversed(range(len(coefficients) - 1)):
+        total = total * x + coefficients[k] * (1.0 / (k + 1))
+    return total * x

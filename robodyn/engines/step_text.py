@@ -1,0 +1,114 @@
+"""Steps of the Taylor series as straight-line Python, of one mechanism and its torques."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+from robodyn import expression, straightline
+from robodyn.actuation import Actuation
+from robodyn.engines import source_text
+from robodyn.engines.expansion import Expansion, expansion, integral, turned
+from robodyn.expression import Expression, Value
+from robodyn.planar_model import Mechanism
+
+# t, y, tau and slope (n each), most, direction, rtol, atol -> h, y at its end, series
+Expand = Callable[..., tuple[float, list[float], tuple[tuple[float, ...], ...]]]
+
+
+class StepText(NamedTuple):
+    """`expand` makes a step; `watched` gives the values at (t, y) of what may bend within it.
+
+    The series are rho (n), theta (n), the power where something `works` that is no steady torque,
+    then those of what may bend; `arms` make torques of these.  Of a step that cannot be made there
+    are none.
+    """
+
+    expand: Expand
+    watched: Callable[..., tuple[float, ...]]
+    arms: list[float]
+    works: bool
+
+
+def step_text(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    work: bool,
+    held: Sequence[float] | None = None,
+) -> StepText:
+    """The code; raises InputError where a torque has no series (for `held` see `torque_slots`)."""
+    found = expansion(mechanism, actuation, order, work, held)
+    x = found.graph.variable("x")
+    n = mechanism.n
+    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
+    ways = [expression.atan2(t, r) for (r, t), _ in turns]
+    q, qd = [], []
+    for j, above in enumerate(mechanism.parent):
+        way, rate = ways[j], turns[j][1]
+        if above is not None:
+            way, rate = way - ways[above], rate - turns[above][1]
+        q.append(found.graph.variable(f"q{j}") + way)
+        qd.append(rate)
+    done: list[Value] = []
+    if work:
+        total: Value = found.graph.variable("work")
+        if found.power:
+            total = total + integral(found.power, x)
+        for j, tau in enumerate(found.steady or ()):
+            above = mechanism.parent[j]
+            way = ways[j] if above is None else ways[j] - ways[above]
+            total = total + tau * way
+        done.append(total)
+    series = [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
+    return StepText(
+        _expand(found, [*q, *qd, *done], series, n, work),
+        _watched(found, n),
+        found.arms,
+        bool(found.power),
+    )
+
+
+def _expand(
+    found: Expansion, state: list[Value], series: list[list[Value]], n: int, work: bool
+) -> Expand:
+    flat = [value for each in series for value in each]
+    lines, shown = source_text.float_source([found.longest, *state, *flat])
+    last = found.longest.index if isinstance(found.longest, Expression) else -1
+    before = [line for line in lines if int(line[1 : line.index(" ")]) <= last]
+    end, written = shown[1 : 1 + len(state)], shown[1 + len(state) :]
+    bounds = [0, *accumulate(map(len, series))]
+    tuples = [f"({', '.join(written[a:b])},)" for a, b in pairwise(bounds)]
+    body = [
+        _unpacked(found, n, work),
+        *before,
+        f"h = {shown[0]}",
+        "if h != h: return 0.0, y, ()",
+        "if h > most: h = most",
+        "x = h*direction",
+        *lines[len(before) :],
+        f"return h, [{', '.join(end)}], ({', '.join(tuples)},)",
+    ]
+    return _defined("expand", "t, y, tau, dtau, most, direction, rtol, atol", body)
+
+
+def _watched(found: Expansion, n: int) -> Callable[..., tuple[float, ...]]:
+    lines, shown = source_text.float_source([each[0] for each in found.watched])
+    body = [_unpacked(found, n, False), *lines, f"return ({''.join(f'{x}, ' for x in shown)})"]
+    return _defined("watched", "t, y, tau, dtau", body)
+
+
+def _unpacked(found: Expansion, n: int, work: bool) -> str:
+    names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)] + ["work"] * work
+    text = f"{', '.join(names)}, *_ = y"
+    if not found.given:
+        return text
+    for name in ("tau", "dtau"):
+        text += f"; {', '.join(f'{name}{k}' for k in range(n))}, = {name}"
+    return text
+
+
+def _defined(name: str, arguments: str, body: Sequence[str]) -> Callable[..., Any]:
+    text = "\n    ".join(body)
+    return straightline.define(f"def {name}({arguments}):\n    {text}\n", name)
