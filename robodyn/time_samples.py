@@ -23,6 +23,7 @@ FINEST = 1e-18  # of the run: no bracket is cut further
 DEGREE = 16
 SMOOTH = 1e-9  # part of the largest torque by which a polynomial may miss a sample
 LEAVES = 32768  # beyond so many, the torque is left to the control of the steps' errors
+ASIDE = 0.47  # where a leaf is split: where a root begins, no step should
 NARROWEST = 1e-10  # of the run, for a leaf
 
 _OPERATORS: dict[type, Callable[..., Any]] = {
@@ -200,7 +201,9 @@ def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
     return [min(group, key=lambda x: len(repr(x))) for group in groups]
 
 
-def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Array) -> Array:
+def leaf_ends(
+    functions: list[ast.expr], names: Names, edges: Array, samples: Array, small: float
+) -> Array:
     """The ends of the leaves: `edges`, and what lies between them."""
     angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))
     orders = np.arange(DEGREE + 1)
@@ -210,7 +213,7 @@ def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Ar
     places = np.cos(np.concatenate([angles, between]))
     memo: dict[int, Any] = {}
     sampled = [values_of(x, {**names, "t": samples}, memo) for x in functions]
-    small = [SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in sampled]
+    least = [max(SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0), small) for x in sampled]
     a, b, ends = edges[:-1], edges[1:], edges
     span = edges[-1] - edges[0]
     while len(a):
@@ -220,26 +223,25 @@ def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Ar
         inside = (samples > a[leaf]) & (samples < b[leaf])
         good = np.ones(len(a), bool)
         memo = {}
-        for x, known, least in zip(functions, sampled, small, strict=True):
+        for x, known, off_by in zip(functions, sampled, least, strict=True):
             values = values_of(x, {**names, "t": t}, memo)
             series = values[:, : DEGREE + 1] @ fit
             miss = np.abs(series @ probe - values[:, DEGREE + 1 :]).max(axis=1)
-            plain = (miss <= least) | ~np.isfinite(values).any(axis=1)
+            plain = (miss <= off_by) | ~np.isfinite(values).any(axis=1)
             good &= plain
             (k,) = np.nonzero(inside & good[leaf])
             at = leaf[k]
             u = (samples[k] - middle[at]) / half[at]
             off = np.abs(_chebyshev(series[at], u) - known[k])
             undefined = ~np.isfinite(values[at]).any(axis=1)
-            good[at[~((off <= least) | (undefined & ~np.isfinite(known[k])))]] = False
+            good[at[~((off <= off_by) | (undefined & ~np.isfinite(known[k])))]] = False
         split = ~good & (half > NARROWEST * span)
         if len(ends) + split.sum() > LEAVES:
             break
-        ends = np.append(ends, middle[split])
-        a, b = (
-            np.stack(pair, axis=1).ravel()
-            for pair in ((a[split], middle[split]), (middle[split], b[split]))
-        )
+        a, b = a[split], b[split]
+        inner = a + ASIDE * (b - a)
+        ends = np.append(ends, inner)
+        a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
     return ends
 
 

@@ -266,7 +266,7 @@ def test_a_table_from_a_file_and_from_stdin(robodyn: Run, tmp_path: Path) -> Non
 
 
 def test_the_integrator_steps_onto_the_kinks_of_a_table(robodyn: Run, tmp_path: Path) -> None:
-    """A square wave costs no more than its steps; as an expression it costs more."""
+    """A square wave costs no more than its steps, as rows and as an expression."""
     rows = ["t,tau1"]
     for k in range(20):
         rows += [f"{k / 20},{5 * (-1) ** k}", f"{(k + 1) / 20 - 1e-9},{5 * (-1) ** k}"]
@@ -281,7 +281,7 @@ def test_the_integrator_steps_onto_the_kinks_of_a_table(robodyn: Run, tmp_path: 
         first, last = given.column("energy")
         assert facts["energy_drift"] < 1e-7
         assert facts["work"] == pytest.approx(last - first, abs=1e-6)
-    assert counts[0] < 0.7 * counts[1]
+    assert counts[1] < counts[0]  # without the ramps between the rows
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -22,6 +22,7 @@ from robodyn.cli.integrator_options import (
     EstimateError,
     Integrator,
     MaxEvals,
+    MaxStep,
     Method,
     Order,
     Rtol,
@@ -96,6 +97,7 @@ def simulate(
     method: Integrator = None,
     rtol: Rtol = None,
     atol: Atol = None,
+    max_step: MaxStep = math.inf,
     accuracy: Accuracy = None,
     estimate_error: EstimateError = False,
     order: Order = None,
@@ -147,6 +149,7 @@ def simulate(
         max_evaluations=max_evals,
         order=order,
         engine=engine.value,
+        max_step=max_step,
     )
     with named_options():
         settings.check()
