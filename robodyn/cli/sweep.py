@@ -12,7 +12,8 @@ from typing import Annotated, Optional
 
 import typer
 
-from robodyn.cli.options import Model, named
+from robodyn.cli.files import named, output_file
+from robodyn.cli.options import Model
 from robodyn.cli.output import note
 from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.csv_fields import quoted
@@ -101,13 +102,11 @@ def sweep(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")] = False,
     out: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
+        output_file(
             "--out",
             "-o",
-            metavar="FILE",
             help="Write here, by way of FILE.partial, from which a sweep cut off goes on.",
-            show_default=False,
-            callback=named,
+            kept=True,
         ),
     ] = None,
 ) -> None:
