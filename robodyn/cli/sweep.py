@@ -157,6 +157,9 @@ def sweep(
         size = plan.variation.size
         with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
             done = min(file.done * plan.chunk, size)
+            if file.doubted:
+                text = f"what follows the first {done} points in {file.partial}"
+                note(f"Warning: {text} does not match its digests: computed again")
             if done and not quiet:
                 note(f"{file.partial} has {done} of {size} points: going on from there")
             try:
