@@ -147,6 +147,11 @@ def test_flip_of_a_link(robodyn: Run) -> None:
         (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
         (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
         (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
+        (["--vary", "q1=0", "--patience", "9"], ["--patience", "--scheduler"]),
+        (
+            ["--vary", "q1=0", "--patience", "nan", "--scheduler", "tcp://x"],
+            ["--patience = nan", ">= 0"],
+        ),
         (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
         (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
         (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),

@@ -423,9 +423,7 @@ def test_a_full_disk_is_told_with_the_files_name(shell: Run, tmp_path: Path, lin
         pytest.importorskip("matplotlib", reason="the extra `plot` is not installed")
     old = tmp_path / f"run.{line.split('FILE.')[1].split()[0]}"
     old.write_text("precious\n")
-    given = shell(
-        f"ulimit -f 1; {line.replace('FILE', str(tmp_path / 'run'))}"
-    )
+    given = shell(f"ulimit -f 1; {line.replace('FILE', str(tmp_path / 'run'))}")
     assert given.code in (1, 2)
     assert re.search(rf"^Error: {re.escape(str(old))}.*: file too large", given.err, re.I | re.M)
     assert "Traceback" not in given.err
