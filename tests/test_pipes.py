@@ -433,11 +433,11 @@ def test_a_full_disk_is_told_with_the_files_name(shell: Run, tmp_path: Path, lin
     assert "simulate" in line or "sweep" in line or list(tmp_path.iterdir()) == [old]
 
 
-def test_a_full_device_and_a_full_stdout_are_named(shell: Run) -> None:
+def test_a_full_device_is_named_and_a_full_stdout_told(shell: Run) -> None:
     line = "robodyn torque robots/2r.yaml --q 1,2"
     shell(f"{line} -o /dev/full").fails(1, "/dev/full: No space left")
-    shell(f"{line} >/dev/full").fails(1, "stdout: No space left")
-    shell("robodyn schema >/dev/full").fails(1, "stdout: No space left")
+    shell(f"{line} >/dev/full").fails(1, "Error: No space left")
+    shell("robodyn schema >/dev/full").fails(1, "Error: No space left")
 
 
 # Signals

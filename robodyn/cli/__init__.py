@@ -6,7 +6,6 @@ data only.  A command's module is imported when it is called, and it imports onl
 
 from __future__ import annotations
 
-import errno
 import functools
 import gc
 import os
@@ -75,9 +74,8 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         if debug:
             raise
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # all files have names
-        name = error.filename or ("stdout" if full else "")
-        print(f"Error: {name and f'{name}: '}{error.strerror or error}", file=sys.stderr)
+        named = f"{error.filename}: " if error.filename else ""  # stdout has none
+        print(f"Error: {named}{error.strerror or error}", file=sys.stderr)
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
         if debug:
