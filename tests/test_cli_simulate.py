@@ -584,7 +584,7 @@ def check_whole_lines(text: str) -> int:
     return len(t)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.Signals) -> None:
     rows, report = tmp_path / "rows.csv", tmp_path / "report.json"
     run = (*ARM, "--time", 3000, "--every", 0.01, "--report", report)
@@ -599,7 +599,7 @@ def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.
     assert count == math.floor(facts["t_reached"] / 0.01 + 1e-9) + 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal.Signals) -> None:
     folder = tmp_path / "results"
     folder.mkdir()

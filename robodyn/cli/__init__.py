@@ -18,7 +18,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from robodyn import __version__
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import RobodynError
 
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "trajectory"),
@@ -29,7 +29,8 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that open files are tidied up
+    for number in ending_signals():  # so that open files are tidied up
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     code = run(sys.argv[1:])
     try:
@@ -41,6 +42,13 @@ def main() -> NoReturn:
     if sys.gettrace() or sys.getprofile():
         sys.exit(code)
     os._exit(code)  # nothing is left to do, and taking down scipy's modules takes 50 ms
+
+
+def ending_signals() -> list[int]:
+    """The signals that end this process, less those that it was started to ignore (nohup)."""
+    names = ("SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
+    known = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    return [number for number in known if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def run(arguments: list[str]) -> int:
@@ -66,7 +74,7 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         if debug:
             raise
-        named = f"{error.filename}: " if error.filename else ""
+        named = f"{error.filename}: " if error.filename else ""  # stdout has none
         print(f"Error: {named}{error.strerror or error}", file=sys.stderr)
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
@@ -108,7 +116,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(function)
     def guarded(*args: Any, **kwargs: Any) -> None:
         try:
-            _keep_model(kwargs.get("model"), kwargs.get("out"))
             function(*args, **kwargs)
             sys.stdout.flush()
         except BrokenPipeError:
@@ -117,14 +124,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(130) from None
 
     return guarded
-
-
-def _keep_model(model: object, out: object) -> None:
-    """Raise InputError where results would take the place of the scene that they come from."""
-    if model is None or out is None:
-        return
-    if os.path.realpath(str(model)) == os.path.realpath(str(out)) and os.path.isfile(str(model)):
-        raise InputError("--out", value=out, limit="is the scene itself: name another file")
 
 
 def _without_reader() -> int:

@@ -6,6 +6,7 @@ import logging
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import Any
@@ -82,16 +83,17 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
             watch(pose / film.count)
             yield film.image(pose).quantize(palette=palette, dither=0)
 
-    each = images()
+    each, drawn = images(), BytesIO()  # Pillow's own writing tells no reason where it fails
     with open_output(out) as stream:
         next(each).save(
-            stream,
+            drawn,
             format="GIF",
             save_all=True,
             append_images=each,
             duration=durations(film.count, rate),
             loop=0,
         )
+        stream.write(drawn.getbuffer())
 
 
 def _palette(film: Film) -> Any:

@@ -15,12 +15,12 @@ from robodyn import actuation
 from robodyn.actuation import Actuation
 from robodyn.benchmark import Benchmark, Watch, benchmark
 from robodyn.cli.figures import check_directory, check_plot, work_precision
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, named
+from robodyn.cli.files import output_file
+from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanism import load
-from robodyn.output_file import same_file
 
 COLUMNS = (
     "method",
@@ -56,12 +56,8 @@ def bench(
     format: OutputFormat = None,
     plot: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
-            "--plot",
-            metavar="FILE",
-            help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`).",
-            show_default=False,
-            callback=named,
+        output_file(
+            "--plot", help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
         ),
     ] = None,
     out: Out = None,
@@ -86,8 +82,6 @@ def bench(
     if not (np.isfinite(duration) and duration > 0.0):
         raise InputError("--time", value=duration, limit="must be > 0 and finite")
     if plot is not None:
-        if same_file(plot, out):
-            raise InputError("--plot", value=plot, limit="must not be where the rows go (--out)")
         check_plot(plot)
     if out is not None:
         check_directory(out)
