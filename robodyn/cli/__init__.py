@@ -6,6 +6,7 @@ data only.  A command's module is imported when it is called, and it imports onl
 
 from __future__ import annotations
 
+import atexit
 import functools
 import gc
 import os
@@ -43,6 +44,7 @@ def main() -> NoReturn:
         code = _without_reader()
     if sys.gettrace() or sys.getprofile():
         sys.exit(code)
+    atexit._run_exitfuncs()  # matplotlib's folder, the semaphores of processes
     os._exit(code)  # nothing is left to do, and taking down scipy's modules takes 50 ms
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from collections.abc import Sequence
@@ -209,6 +210,7 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
 
     Unless it has `formulas`, a dollar in a text stands for itself: names may hold any.
     """
+    logging.getLogger("matplotlib").setLevel(logging.CRITICAL)  # where it may keep its files
     from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
