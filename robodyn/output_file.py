@@ -8,9 +8,10 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, BinaryIO
+from io import BufferedIOBase
+from typing import TYPE_CHECKING, BinaryIO, cast
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, printable_lines
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -32,17 +33,21 @@ class NamedFile(io.FileIO):
 
 @contextmanager
 def open_output(
-    path: str | os.PathLike[str] | None, partial: Callable[[str], object] | None = None
+    path: str | os.PathLike[str] | None,
+    partial: Callable[[str], object] | None = None,
+    styled: bool = False,
 ) -> Iterator[BinaryIO]:
     """A binary stream to a file that takes its place, whole, when the block ends well.
 
     Where the block raises, an older file stays as it was; what was written is removed, or, with
     `partial`, kept under a name beside it that `partial` is told.  None and "-" are the standard
-    output; a device or a pipe is written as it stands.  Raises InputError where the file
-    cannot be created.
+    output; a device or a pipe is written as it stands.  A terminal is shown what it would obey
+    written out, unless the output is `styled`, made for a terminal.  Raises InputError where the
+    file cannot be created.
     """
     if path is None or os.fspath(path) == "-":
-        yield sys.stdout.buffer
+        raw = on_terminal(None) and not styled
+        yield cast(BinaryIO, _Terminal()) if raw else sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
     shown = os.fspath(path)
@@ -89,3 +94,19 @@ def close_quietly(stream: BinaryIO) -> None:
 def _remove(path: str) -> None:
     with suppress(FileNotFoundError):
         os.unlink(path)
+
+
+def on_terminal(path: str | None) -> bool:
+    """Whether an output goes to a terminal."""
+    return path in (None, "-") and sys.stdout.isatty()
+
+
+class _Terminal(BufferedIOBase):
+    """The standard output for data that may hold what a terminal would obey."""
+
+    def write(self, data: ReadableBuffer) -> int:
+        text = bytes(data).decode(errors="surrogateescape")
+        return sys.stdout.buffer.write(printable_lines(text).encode())
+
+    def flush(self) -> None:
+        sys.stdout.buffer.flush()

@@ -296,6 +296,24 @@ def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> No
     assert json.loads((tmp_path / "out.csv.partial.json").read_text())["kind"] == "motion"
 
 
+@pytest.mark.parametrize("later", [0.0, 0.1, 0.3, 0.6, 1.0, 1.5])
+def test_ctrl_c_is_quiet_while_processes_begin_and_work(later: float, tmp_path: Path) -> None:
+    """A terminal sends it to all processes: none has a traceback or a warning to show."""
+    command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:9000", "--time", "5"]
+    command += ["--engine", "python", "--workers", "2", "-o", str(tmp_path / "out.csv")]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    until = time.monotonic() + 60
+    while not (tmp_path / "out.csv.partial").exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    time.sleep(later)
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert [line for line in told.splitlines() if "the same command goes on" not in line] == []
+
+
 # Streams
 
 
@@ -317,6 +335,42 @@ def test_the_rows_of_a_cluster(robodyn: Run) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     failed = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "nonsense://x:1")
     failed.fails(1, "nonsense", "no Dask scheduler")
+
+
+def test_a_scheduler_that_dies(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    at = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli.dask_"]
+    options = ["--scheduler-file", str(at), "--no-dashboard"]
+    begun = []
+
+    def begin(what: str, *more: str) -> None:
+        command = [*dask[:2], dask[2] + what, *options, *more]
+        begun.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True))
+
+    def wait_for(process: subprocess.Popen[str], words: str) -> None:
+        assert process.stderr is not None
+        assert any(words in line for line in process.stderr)
+
+    try:
+        begin("scheduler", "--port", "0")
+        wait_for(begun[0], "Scheduler at")
+        begin("worker", "--nthreads", "1")
+        wait_for(begun[0], "Register worker")
+        address = json.loads(at.read_text())["address"]
+        command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:3000", "--time", "9"]
+        command += ["--engine", "python", "--scheduler", address]
+        sweep = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        wait_for(begun[0], "Receive client")
+        time.sleep(1.0)
+        begun[0].kill()
+        _, told = sweep.communicate(timeout=60)
+    finally:
+        for process in begun:
+            process.kill()
+            process.communicate()
+    assert sweep.returncode == 1
+    assert told == "Error: the scheduler was lost: it ended, or the way to it did\n"
 
 
 def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch) -> None:

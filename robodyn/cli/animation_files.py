@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -118,8 +117,6 @@ def _palette(film: Film) -> Any:
 def write_mp4(film: Film, rate: float, out: str, watch: Watch) -> None:
     """A film by the program ffmpeg."""
     from matplotlib.animation import FFMpegWriter
-
-    logging.getLogger("matplotlib.animation").setLevel(logging.CRITICAL)  # it is told below
 
     with tempfile.TemporaryDirectory() as directory, open_output(out) as stream:
         path = Path(directory) / "film.mp4"

@@ -22,6 +22,7 @@ from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanism import load
 
+MOST_REPEATS = 10_000
 COLUMNS = (
     "method",
     "tolerance",
@@ -75,8 +76,8 @@ def bench(
       robodyn bench robots/2r.yaml --evaluators
     """
     mechanism = load(model)
-    if repeats < 1:
-        raise InputError("--repeats", value=repeats, limit="must be >= 1")
+    if not 1 <= repeats <= MOST_REPEATS:
+        raise InputError("--repeats", value=repeats, limit=f"must be >= 1 and <= {MOST_REPEATS}")
     if evaluators and plot is not None:
         raise InputError("--evaluators and --plot", limit="exclude each other")
     if not (np.isfinite(duration) and duration > 0.0):

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import typer
 
 from robodyn import assembly, closed_form
 from robodyn.cli.options import Model, Out, OutputStructured
-from robodyn.cli.output import new_table, note, wants_tables, write_structure
+from robodyn.cli.output import Grid, note, wants_tables, write_structure
 from robodyn.cli.scene_facts import force_facts, links, springs_and_loads
 from robodyn.cli.states import remarks
 from robodyn.errors import InputError
 from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
 from robodyn.loop_class import loop_class
 from robodyn.mechanism import Mechanism, load
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 STATES = 200
 
@@ -107,7 +102,7 @@ def _span(values: np.ndarray) -> list[float | None]:
 
 def _tables(
     mechanism: Mechanism, content: dict[str, object], results: list[Identity]
-) -> list[Group]:
+) -> list[Grid]:
     columns = ["link", "m [kg]", "l [m]", "r [m]", "I [kg m²]", "hangs from"]
     described = mechanism.description.links
     extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in described)]
@@ -142,10 +137,10 @@ def _tables(
     if content["closing"] is not None:
         facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
 
-    read = new_table([*columns, "actuated"], rows, mechanism.name)
+    read = Grid([*columns, "actuated"], rows, mechanism.name)
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
     proof = [[item.name, *_verdict(item)] for item in results]
-    return [read, new_table(["", ""], facts), new_table(["identity", "residual", ""], proof, title)]
+    return [read, Grid(["", ""], facts), Grid(["identity", "residual", ""], proof, title)]
 
 
 def _verdict(item: Identity) -> list[str]:

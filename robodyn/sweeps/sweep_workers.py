@@ -7,7 +7,7 @@ with their number.
 
 from __future__ import annotations
 
-import gc
+import logging
 import multiprocessing
 import os
 import signal
@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -61,18 +61,20 @@ def results(
         return
     executor, before = _executor(plan, count), set(multiprocessing.active_children())
     try:
-        yield from _ordered(executor.submit, plan, begin, AHEAD * count)
+
+        def submit(*work: Any) -> _Future:
+            with _deaf_children():
+                return executor.submit(*work)
+
+        yield from _ordered(submit, plan, begin, AHEAD * count)
     except BrokenProcessPool:
         raise RobodynError("a worker process ended", limit="was it out of memory?") from None
     except BaseException:  # what is under way is of no use any more
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
-        executor.shutdown(wait=False, cancel_futures=True)
         raise
     finally:
         executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
-        del executor
-        gc.collect()  # a pool's semaphores are freed with it
 
 
 def processors() -> int:
@@ -107,8 +109,29 @@ def _executor(plan: Plan, count: int) -> Executor:
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 
 
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Ctrl-C is the parent's to see, after a process is begun, and never by that process."""
+    here = threading.current_thread() is threading.main_thread()
+    if not (here and hasattr(signal, "pthread_sigmask")):
+        yield
+        return
+    heard: list[int] = []
+    ends = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.signal(number, lambda k, _: heard.append(k)) for number in ends]
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in zip(ends, handlers, strict=True):
+            signal.signal(number, handler)
+        if heard:
+            signal.raise_signal(heard[0])
+
+
 def _begin_worker() -> None:
-    """Ctrl-C is the parent's to see; a worker ends with it, however it ends."""
+    """A worker ends with its parent, however that ends; where it can hear Ctrl-C it does not."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -130,6 +153,8 @@ def _cluster(
     except ImportError:
         limit = "needs the extra `cluster` (pip install 'robodyn[cluster]')"
         raise InputError("scheduler", value=address, limit=limit) from None
+    for name in ("distributed", "distributed.client", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what fails is told by an error
     connect: Any = distributed.Client
     try:
         client: Any = connect(address, timeout=10, set_as_default=False)
@@ -201,6 +226,9 @@ class _Remote:
                     return found
         except RobodynError:
             raise
+        except CancelledError:
+            limit = "it ended, or the way to it did"
+            raise RobodynError("the scheduler was lost", limit=limit) from None
         except ModuleNotFoundError as error:
             limit = f"a worker has no module {error.name}: install there what is installed here"
             raise RobodynError("scheduler", limit=limit) from None
