@@ -21,7 +21,7 @@ import typer
 
 from robodyn import __version__
 from robodyn.csv_fields import plain_digits
-from robodyn.errors import InputError, RobodynError, printable_lines
+from robodyn.errors import RobodynError, printable_lines
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 COMMANDS = (
