@@ -4,14 +4,15 @@ A formula evaluated on `Expression`s instead of floats leaves a graph behind: co
 zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
 straight-line Python or numpy code, `engines/segment.py` as machine code.
 
-A number that code takes as an argument is a parameter: a node, and what is computed of parameters
-alone is as good as a constant: it gathers in front of products, and is evaluated once a call.
+A number that code takes as an argument is a parameter.  What is computed of parameters alone is
+as good as a constant: it gathers in front of products, and code evaluates it once a call.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Sequence
 from typing import Union
 
 Value = Union["Expression", float]
@@ -21,6 +22,10 @@ COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log")
 COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0) | {"abs": 0.5, "choose": 1.0}
 INPUTS = ("var", "par")
+_NUMBER: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS}
+_NUMBER |= {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
+_NUMBER |= {"neg": operator.neg, "abs": abs, "pow": math.pow}
+_NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 
 
 class Graph:
@@ -29,6 +34,7 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Expression] = []
         self.parameters: dict[str, float] = {}  # what `parameter` was told
+        self.zeros: list[Expression] = []  # of parameters alone; taken for 0, as they are now
         self._known: dict[tuple[object, ...], Expression] = {}
 
     def variable(self, name: str) -> Expression:
@@ -55,11 +61,27 @@ class Graph:
 class Expression:
     """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
-    __slots__ = ("args", "constant", "graph", "index", "op")
+    __slots__ = ("args", "graph", "index", "number", "op")
 
     def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
         self.graph, self.op, self.args, self.index = graph, op, args, index
-        self.constant = op != "var" and all(_constant(a) for a in args)  # while parameters are
+        self.number = self._number()  # of parameters alone: its value now
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is computed of parameters alone."""
+        return self.number is not None
+
+    def _number(self) -> float | None:
+        if self.op in INPUTS:
+            return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
+        if not all(_constant(a) for a in self.args):
+            return None
+        values = [a.number if isinstance(a, Expression) else a for a in self.args]
+        try:
+            return float(_NUMBER[self.op](*values))
+        except (ArithmeticError, ValueError):
+            return math.nan
 
     def __add__(self, other: Value) -> Value:
         return add(self, other)
@@ -87,6 +109,12 @@ class Expression:
 
     def __neg__(self) -> Value:
         return negate(self)
+
+    def __abs__(self) -> Value:
+        return absolute(self)
+
+    def __pow__(self, exponent: float) -> Value:
+        return multiply(self, self) if exponent == 2 else power(self, exponent)
 
 
 def negate(a: Value) -> Value:
@@ -118,9 +146,17 @@ def add(a: Value, b: Value) -> Value:
     for x, y in ((a, b), (b, a)):
         if _negative(y):
             positive = negate(y)
-            return 0.0 if positive is x else x.graph.node("-", (x, positive))
+            return 0.0 if positive is x else _unless_zero(x.graph.node("-", (x, positive)))
     first, second = sorted((a, b), key=lambda x: x.index)
-    return a.graph.node("+", (first, second))
+    return _unless_zero(a.graph.node("+", (first, second)))
+
+
+def _unless_zero(a: Expression) -> Value:
+    """A sum; 0 where parameters cancel: zeros belong to the shape."""
+    if a.number != 0.0:
+        return a
+    a.graph.zeros.append(a)
+    return 0.0
 
 
 def multiply(a: Value, b: Value) -> Value:
@@ -144,7 +180,7 @@ def multiply(a: Value, b: Value) -> Value:
     if b.op == "neg":
         return negate(multiply(a, _value(b.args[0])))
     for x, y in ((a, b), (b, a)):  # constant factors gather in front
-        if x.op == "*" and _constant(x.args[0]):
+        if _has_factor(x):
             return multiply(_value(x.args[0]), multiply(_value(x.args[1]), y))
     first, second = sorted((a, b), key=lambda x: x.index)
     return a.graph.node("*", (first, second))
@@ -152,7 +188,7 @@ def multiply(a: Value, b: Value) -> Value:
 
 def _scaled(a: Value, b: Expression) -> Value:
     """a b of a constant a."""
-    if b.op == "*" and _constant(b.args[0]):
+    if _has_factor(b):
         return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
     if b.op == "neg":
         return multiply(negate(a), _value(b.args[0]))
@@ -241,6 +277,13 @@ def greatest(a: Value, b: Value) -> Value:
 def cost(outputs: Sequence[Value]) -> float:
     """Cost of evaluating the outputs, in additions."""
     return sum(COST.get(node.op, 0.0) for node in needed(outputs) if not node.constant)
+
+
+def _has_factor(a: Expression) -> bool:
+    """Whether a constant stands in front of what is none, or a number before parameters."""
+    if a.op != "*":
+        return False
+    return _constant(a.args[0]) and not (a.constant and isinstance(a.args[0], Expression))
 
 
 def _constant(a: Value | str) -> bool:

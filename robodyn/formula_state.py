@@ -6,6 +6,7 @@ Angles, rates and directions of the links are nodes of one graph, made as they a
 from __future__ import annotations
 
 from robodyn import expression
+from robodyn.engines.parameters import parametrised
 from robodyn.expression import Graph, Value
 from robodyn.mechanism import Mechanism
 
@@ -13,12 +14,21 @@ Planar = tuple[Value, Value]  # a complex number: real and imaginary part
 
 
 class State:
-    """Angles, rates and directions of the links as expressions, made as they are asked for."""
+    """Angles, rates and directions of the links as expressions, made as they are asked for.
 
-    def __init__(self, mechanism: Mechanism, rates: tuple[str, ...], by_direction: bool) -> None:
-        self.mechanism = mechanism
-        self.by_direction = by_direction
+    With `parameters` the mechanism's numbers are parameters of the graph, else they are folded.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        rates: tuple[str, ...],
+        by_direction: bool,
+        parameters: bool = False,
+    ) -> None:
         self.graph = Graph()
+        self.mechanism = parametrised(mechanism, self.graph) if parameters else mechanism
+        self.by_direction = by_direction
         n = mechanism.n
         self.inputs = tuple(f"{name}{k}" for name in ("q", *rates) for k in range(n))
         self.relative: dict[str, list[Value]] = {

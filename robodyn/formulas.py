@@ -49,15 +49,17 @@ def _cheaper(write: Callable[[bool], Formula]) -> Formula:
 # -- inverse dynamics ----------------------------------------------------------------------------
 
 
-def inverse_formula(mechanism: Mechanism) -> Formula | None:
+def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula | None:
     """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
 
-    None where the solve for lambda is no 1x1 or 2x2 system: the numpy evaluator serves those.
+    None where the solve for lambda is no 1x1 or 2x2 system: the numpy evaluator serves those.  With
+    `parameters` the mechanism's numbers are parameters.
     """
     rows, passive = len(mechanism.rows), mechanism.passive
     if len(passive) != rows or rows > 2:
         return None
-    return _cheaper(lambda by_direction: inverse_of(State(mechanism, ("qd", "qdd"), by_direction)))
+    rates = ("qd", "qdd")
+    return _cheaper(lambda way: inverse_of(State(mechanism, rates, way, parameters)))
 
 
 def inverse_of(state: State) -> Formula:
@@ -156,6 +158,7 @@ def forward_formula(
     torques: Sequence[float] | None = None,
     baumgarte: float = 0.0,
     power: bool = False,
+    parameters: bool = False,
 ) -> Formula:
     """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
 
@@ -168,20 +171,18 @@ def forward_formula(
     """
 
     def write(by_direction: bool) -> Formula:
-        return _forward(mechanism, torques, baumgarte, power, by_direction)
+        rates = ("qd", "tau") if torques is None else ("qd",)
+        return _forward(
+            State(mechanism, rates, by_direction, parameters), torques, baumgarte, power
+        )
 
     return _cheaper(write)
 
 
 def _forward(
-    mechanism: Mechanism,
-    torques: Sequence[float] | None,
-    baumgarte: float,
-    power: bool,
-    by_direction: bool,
+    state: State, torques: Sequence[float] | None, baumgarte: float, power: bool
 ) -> Formula:
-    rates_and_torques = ("qd", "tau") if torques is None else ("qd",)
-    state = State(mechanism, rates_and_torques, by_direction)
+    mechanism = state.mechanism
     n, rows = mechanism.n, len(mechanism.rows)
     rates = state.absolute("qd")
     squares = [rate * rate for rate in rates]
