@@ -299,7 +299,12 @@ def _negative(a: Expression) -> bool:
     if a.op != "*":
         return a.op == "neg"
     first = _value(a.args[0])
-    return first.op == "neg" if isinstance(first, Expression) else first < 0.0
+    if not isinstance(first, Expression):
+        return first < 0.0
+    indices = [x.index for x in first.args if isinstance(x, Expression)]
+    if first.op == "-" and len(indices) == 2:  # of a - b and b - a of constants one is used
+        return indices[0] > indices[1]
+    return first.op == "neg"
 
 
 def needed(outputs: Sequence[Value]) -> list[Expression]:

@@ -9,6 +9,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +22,9 @@ import oracles
 from robodyn import cli
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# machine code that tests make is kept, but not among the user's
+os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-{os.geteuid()}")
 
 # the scenes of robots/ as the oracles take them
 TWO_LINK = oracles.TwoLink(

@@ -150,7 +150,8 @@ def executable_memory() -> bool:
         return True
     try:
         libc = ctypes.CDLL(None, use_errno=True)
-        with mmap.mmap(-1, mmap.PAGESIZE) as page:
+        kind = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
+        with mmap.mmap(-1, mmap.PAGESIZE, flags=kind) as page:
             held = ctypes.c_char.from_buffer(page)
             read_and_run = 1 | 4
             address = ctypes.c_void_p(ctypes.addressof(held))

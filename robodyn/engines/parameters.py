@@ -10,21 +10,10 @@ from typing import Any, NamedTuple
 
 from robodyn import expression
 from robodyn.expression import Graph, Value
-from robodyn.mechanism import Mechanism
+from robodyn.mechanism import ClosureRow, Mechanism
 
-_NUMERIC = [
-    "A",
-    "B",
-    "gamma",
-    "damping",
-    "rows",
-    "weights",
-    "moments",
-    "springs",
-    "joint_springs",
-    "forces",
-    "friction",
-]
+_NUMERIC = ["A", "B", "gamma", "damping", "weights", "moments"]
+_NUMERIC += ["springs", "joint_springs", "forces", "friction"]
 
 
 class Complex(NamedTuple):
@@ -61,7 +50,21 @@ def parametrised(mechanism: Mechanism, graph: Graph) -> Mechanism:
         replace(link, hangs_from=_lifted(link.hangs_from, f"hangs_{k}", graph))
         for k, link in enumerate(mechanism.description.links)
     )
-    return replace(mechanism, **lifted, description=replace(mechanism.description, links=links))
+    rows = tuple(_row(row, f"row_{r}", graph) for r, row in enumerate(mechanism.rows))
+    description = replace(mechanism.description, links=links)
+    return replace(mechanism, **lifted, rows=rows, description=description)
+
+
+def _row(row: ClosureRow, name: str, graph: Graph) -> ClosureRow:
+    """The two rows of a pin have the same numbers, the second one turned by a right angle."""
+    lifted: ClosureRow = _lifted(row, name, graph)
+    if row.direction not in (1, 1j):
+        return lifted
+    terms = []
+    for k, weight in row.P:
+        own = _lifted(weight * row.direction, f"closure_{row.closure}_{k}", graph)
+        terms.append((k, own * row.direction.conjugate()))
+    return replace(lifted, P=tuple(terms))
 
 
 def _lifted(value: Any, name: str, graph: Graph) -> Any:
