@@ -20,11 +20,17 @@ Value = Union["Expression", float]
 # Cost of an operation in additions, for choosing between two ways to write a formula.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log")
-COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0) | {"abs": 0.5, "choose": 1.0}
+COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0) | {
+    "abs": 0.5,
+    "choose": 1.0,
+    "atan2": 8.0,
+    "rough": 2.0,
+}
 INPUTS = ("var", "par")
 _NUMBER: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS}
 _NUMBER |= {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
-_NUMBER |= {"neg": operator.neg, "abs": abs, "pow": math.pow}
+_NUMBER |= {"neg": operator.neg, "abs": abs, "pow": math.pow, "rough": math.pow}
+_NUMBER["atan2"] = math.atan2
 _NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 
 
@@ -247,6 +253,22 @@ def log(a: Value) -> Value:
 def power(a: Value, exponent: float) -> Value:
     """a to a constant power."""
     return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def rough_power(a: Value, exponent: float) -> Value:
+    """The same of a >= 0 within 7 %, and finite at 0: for the length of a step."""
+    a = greatest(a, 1e-300)
+    return a.graph.node("rough", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def arctangent(y: Value, x: Value) -> Value:
+    """The angle of (x, y), atan2(y, x)."""
+    for known in (y, x):
+        if isinstance(known, Expression):
+            return known.graph.node("atan2", (y, x))
+    assert not isinstance(y, Expression)
+    assert not isinstance(x, Expression)
+    return math.atan2(y, x)
 
 
 def absolute(a: Value) -> Value:

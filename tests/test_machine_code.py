@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import stat
@@ -18,9 +19,13 @@ import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
 from robodyn import dense_dynamics, dynamics, expression, formulas
-from robodyn.engines import formula_rows, machine, object_cache, sines
+from robodyn.engines import bits, formula_rows, machine, object_cache, sines
+from robodyn.engines.assembler import Kernel, Module
+from robodyn.engines.lane_driver import LaneDriver
 from robodyn.engines.machine_rows import Rows
+from robodyn.engines.source_text import float_source
 from robodyn.expression import Expression, Graph
+from robodyn.straightline import define
 
 FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "plain"])
 
@@ -407,3 +412,150 @@ sys.exit(os.waitstatus_to_exitcode(status))
             cwd=ROOT, capture_output=True, text=True, timeout=60,
         )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
+
+
+def pendulum_step(order=12):
+    """A Taylor step of q'' = -k sin q: the graph's q and w after it, and its length."""
+    graph = Graph()
+    k, tol = graph.parameter("k", 9.81), graph.parameter("tol", 1e-12)
+    left = graph.variable("left")
+    q, w = [graph.variable("q")], [graph.variable("w")]
+    s, c = [expression.sin(q[0])], [expression.cos(q[0])]
+    for n in range(order):
+        q.append(w[n] / float(n + 1))
+        w.append(-k * s[n] / float(n + 1))
+        ds = dc = 0.0
+        for j in range(n + 1):
+            ds, dc = ds + c[n - j] * w[j], dc + s[n - j] * w[j]
+        s.append(ds / float(n + 1))
+        c.append(-dc / float(n + 1))
+    last = expression.greatest(abs(q[-1]), abs(q[-2]))
+    h = expression.least(tol ** (1 / order) * expression.rough_power(last, -1 / order), left)
+    ends = []
+    for series in (q, w):
+        total = series[-1]
+        for x in reversed(series[:-1]):
+            total = total * h + x
+        ends.append(total)
+    return ends, h, graph
+
+
+def pendulum_in_python(q, w, left):
+    """The same step on floats, until the time is up."""
+    ends, h, graph = pendulum_step()
+    lines, outputs = float_source([*ends, h])
+    body = "\n    ".join([*lines, f"return {', '.join(outputs)}"])
+    step = define(f"def step(q, w, left, k, tol):\n    {body}\n", "step")
+    steps = 0
+    while left > 0.0:
+        q, w, h = step(q, w, left, *graph.parameters.values())
+        left, steps = left - h, steps + 1
+    return q, w, steps
+
+
+class TestLaneDriver:
+    TIMES = np.array([1.0, 2.5, 0.0, 3.0, 0.01, 2.0, 2.2, 0.7, 1.9, 3.3, 0.4])
+
+    def columns(self, rows, *more):
+        q = np.linspace(-2.5, 2.5, self.TIMES.size)
+        columns = np.zeros((rows, self.TIMES.size))
+        columns[: 3 + len(more)] = [q, 0.3 * q, *more, self.TIMES]
+        return columns
+
+    @FAMILIES
+    def test_a_pendulum_as_in_python(self, family):
+        """Each lane until its own end, those without time at all left alone."""
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile(0 if family else 2, family)
+        columns = self.columns(4)
+        start = columns.copy()
+        assert run(columns, 10_000) == 0
+        for (q, w, left, _), found in zip(start.T.tolist(), columns.T.tolist(), strict=True):
+            expected = pendulum_in_python(q, w, left)
+            assert found[2] == 0.0
+            assert found[:2] == pytest.approx(expected[:2], rel=1e-10, abs=1e-10)
+            assert abs(found[3] - expected[2]) <= 0.1 * expected[2] + 1
+        q, w = columns[:2]
+        energy, before = w**2 / 2 - 9.81 * np.cos(q), start[1] ** 2 / 2 - 9.81 * np.cos(start[0])
+        assert np.abs(energy - before).max() < 1e-10
+
+    def test_it_goes_on_where_a_budget_ended(self):
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile()
+        whole, pieces = self.columns(4), self.columns(4)
+        assert run(whole, 10_000) == 0
+        left = [run(pieces, 3) for _ in range(60)]
+        assert left[0] > 0
+        assert left[-1] == 0
+        assert np.array_equal(whole, pieces)
+
+    def test_numbers_may_vary_from_lane_to_lane_and_an_observer_looks_on(self):
+        """k of each lane; the largest |w| of each lane, and the length of each of its steps."""
+        ends, h, _ = pendulum_step()
+
+        def observe(k, words, places):
+            speed = k.intrinsic("fabs", words["after_w"])
+            more = k.both(words["active"], k.less(k.load(places["fastest"]), speed))
+            k.store(k.select(more, speed, k.load(places["fastest"])), places["fastest"])
+            row = k.multiply(words["step"], k.whole(16))
+            k.store(words["h"], k.at(words["work"], k.add(row, words["motion"])))
+
+        driver = LaneDriver(("q", "w"), ends, h, ("k",), ("fastest",), observe)
+        assert driver.columns == ("q", "w", "k", "left", "steps", "fastest")
+        stiffness = np.linspace(1.0, 20.0, self.TIMES.size)
+        columns = self.columns(6, stiffness)
+        q, w = columns[:2].copy()
+        lengths = np.zeros((1000, 16))
+        assert driver.compile()(columns, 1000, lengths) == 0
+        np.testing.assert_allclose(lengths.sum(axis=0)[: self.TIMES.size], self.TIMES, rtol=1e-14)
+        assert np.array_equal((lengths > 0).sum(axis=0)[: self.TIMES.size], columns[4])
+        energy = columns[1] ** 2 / 2 - stiffness * np.cos(columns[0])
+        np.testing.assert_allclose(energy, w**2 / 2 - stiffness * np.cos(q), rtol=1e-10, atol=1e-9)
+        moved = self.TIMES > 0
+        assert (columns[5] >= np.abs(columns[1]))[moved].all()
+
+    def test_a_step_of_no_length_ends_its_lane_alone(self):
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile()
+        columns = self.columns(4)
+        alone = columns.copy()
+        columns[0, 3] = np.nan
+        assert run(columns, 10_000) == 0
+        assert columns[2, 3] == -self.TIMES[3]
+        run(alone, 10_000)
+        others = np.arange(self.TIMES.size) != 3
+        assert np.array_equal(columns[:, others], alone[:, others])
+
+
+class TestKernelLanguage:
+    @FAMILIES
+    def test_bits(self, family):
+        x = 10.0 ** np.random.default_rng(0).uniform(-200, 200, 800)
+
+        def write(k, words):
+            n = bits.exponent(k, words[0])
+            return [
+                bits.scaled(k, words[0], k.subtract(k.whole_lanes(0), n)),
+                bits.rough_power(k, words[0], -1 / 12),
+            ]
+
+        fraction, power = run(write, x, family=family)
+        assert np.array_equal(fraction, 2.0 * np.frexp(x)[0])
+        np.testing.assert_allclose(power, x ** (-1 / 12), rtol=0.07)
+        assert np.isfinite(run(write, np.zeros(8), family=family)[1]).all()
+
+    def test_control(self):
+        """Loops in loops, slots and a branch: the sum of i j over pairs with i < j < 30."""
+
+        def write(processor):
+            module = Module(processor.lanes)
+            k = Kernel(module, "pairs", ("i64",))
+            total = k.slot(k.whole(0))
+            count = k.arguments[0]
+            with k.loop(count) as i, k.loop(count) as j, k.when(k.compare("slt", i, j)):
+                k.set(total, k.add(k.get(total, "i64"), k.multiply(i, j)))
+            k.done(k.get(total, "i64"))
+            return module.text
+
+        function = machine.make(write).function("pairs", ctypes.c_int64)
+        assert function(30) == sum(i * j for j in range(30) for i in range(j))

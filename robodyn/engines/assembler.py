@@ -178,7 +178,8 @@ class Kernel:
         return self.binary("or", a, b)
 
     def invert(self, mask: Word) -> Word:
-        return self.binary("xor", mask, self.all_lanes(True))
+        single = mask.type == TRUTH
+        return self.binary("xor", mask, Word("true", TRUTH) if single else self.all_lanes(True))
 
     def all_lanes(self, value: bool) -> Word:
         """A mask, the same in every lane."""

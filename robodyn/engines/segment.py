@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from robodyn.engines import sines
+from robodyn.engines import bits, sines
 from robodyn.engines.assembler import Kernel, Word
 from robodyn.engines.sines import Circular
 from robodyn.expression import INPUTS, Expression, Value, needed
@@ -88,6 +88,10 @@ class Segment:
             case "choose":
                 b, x, y = rest
                 return k.select(k.less(a, b), x, y)
+            case "atan2":
+                return sines.arctangent(k, a, *rest)
+            case "rough":
+                return bits.rough_power(k, a, float(node.args[1]))  # type: ignore[arg-type]
         return sines.each_lane(k, node.op, a, *rest)  # exp, log, pow, tanh
 
 

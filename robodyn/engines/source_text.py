@@ -8,7 +8,8 @@ from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-_CALLS |= {"pow": "power", "abs": "absolute"}
+_CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
+_NAMES = {"rough": "pow"}  # of Python's functions of floats
 ARRAY_CALLS = (*_CALLS.values(), *FUNCTIONS, "where", "less", "copyto")  # what numpy code calls
 
 
@@ -39,7 +40,10 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
             x, y, a, b = (written(arg, 1) for arg in args)
             shown, precedence = f"{a} if {x} < {y} else {b}", 0
         elif op not in _PRECEDENCE:
-            shown, precedence = f"{op}({', '.join(written(arg, 0) for arg in args)})", 9
+            shown, precedence = (
+                f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})",
+                9,
+            )
         elif op == "neg":
             shown, precedence = f"-{written(args[0], 3)}", 3
         else:
