@@ -161,8 +161,8 @@ class TestBatches:
         compiled = Rows.compile
         made = []
 
-        def compile(self, level=2, _=""):
-            made.append(compiled(self, 0 if family else level, family))
+        def compile(self):
+            made.append(compiled(self, 0 if family else None, family))
             return made[-1]
 
         monkeypatch.setattr(Rows, "compile", compile)
@@ -478,6 +478,15 @@ class TestLaneDriver:
         q, w = columns[:2]
         energy, before = w**2 / 2 - 9.81 * np.cos(q), start[1] ** 2 / 2 - 9.81 * np.cos(start[0])
         assert np.abs(energy - before).max() < 1e-10
+
+    def test_one_lane_as_many(self):
+        ends, h, _ = pendulum_step()
+        driver = LaneDriver(("q", "w"), ends, h)
+        found = [self.columns(4) for _ in range(3)]
+        for columns, lanes in zip(found, (1, 2, 4), strict=True):
+            assert driver.compile(lanes=lanes)(columns, 10_000) == 0
+        assert np.array_equal(found[0], found[1])
+        assert np.array_equal(found[0], found[2])
 
     def test_it_goes_on_where_a_budget_ended(self):
         ends, h, _ = pendulum_step()

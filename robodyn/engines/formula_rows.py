@@ -60,7 +60,7 @@ class FormulaRows:
         check()
         return self.by_numpy(states, wanted)
 
-    def machine(self, wanted: int, level: int = 2, family: str = "") -> Evaluate | None:
+    def machine(self, wanted: int) -> Evaluate | None:
         """Machine code for the first `wanted` arrays of outputs; None where there is none."""
         if wanted not in self._machine:
             formula = self.record(True)
@@ -70,7 +70,7 @@ class FormulaRows:
             pairs = pairwise(ends)
             outputs = [formula.outputs[a:b] for a, b in pairs]
             rows = Rows(inputs, outputs, formula.pivots, self.least)
-            self._machine[wanted] = rows.compile(level, family)
+            self._machine[wanted] = rows.compile()
         return self._machine[wanted]
 
     def by_numpy(self, states: Sequence[Array], wanted: int) -> Found:

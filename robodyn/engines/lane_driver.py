@@ -58,13 +58,15 @@ class LaneDriver:
         self.parameters = {k: v for k, v in graph.parameters.items() if k not in self.fixed}
         self.columns = (*self.state, *self.fixed, LEFT, "steps", *kept)
 
-    def compile(self, level: int = 2, family: str = "") -> Callable[..., int] | None:
+    def compile(
+        self, level: int | None = None, family: str = "", lanes: int = 0
+    ) -> Callable[..., int] | None:
         """`run(columns, budget, work)` for columns (k, motions); None without machine code.
 
         It changes the columns in place, and returns how many lanes have not arrived.  `work` is
         an array for the observer; its motions are padded to `run.lanes` times a whole number.
         """
-        code = machine.make(self.text, level=level, family=family)
+        code = machine.make(self.text, level=level, family=family, lanes=lanes)
         if code is None:
             return None
         types = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 2 + [ctypes.c_int64, ctypes.c_void_p]

@@ -50,7 +50,7 @@ class Rows:
         graphs = [x.graph for x in (*values, *pivots) if isinstance(x, Expression)]
         self.parameters = dict((graphs[0] if graphs else Graph()).parameters)
 
-    def compile(self, level: int = 2, family: str = "") -> Evaluate | None:
+    def compile(self, level: int | None = None, family: str = "") -> Evaluate | None:
         """`evaluate`, made; None where there is no machine code."""
         code = machine.make(self.text, level=level, family=family)
         if code is None:
