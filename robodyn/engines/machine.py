@@ -24,6 +24,7 @@ from robodyn.engines import object_cache
 # Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
 # with 8 lanes, 20 to 30 % with one
 LARGE = 2000
+LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = ("sin", "cos", "tanh", "exp", "log", "pow", "fma")  # of C, that kernels may call
 PLAIN = "plain"  # the processor's family without what is optional: for tests
 
@@ -140,6 +141,8 @@ def available() -> bool:
         try:
             from llvmlite import binding as llvm
 
+            if llvm.llvm_version_info[0] < LEAST_LLVM:
+                return False
             llvm.initialize_native_target()
             llvm.initialize_native_asmprinter()
             library = _c_library()
