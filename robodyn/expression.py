@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import Union
 
 Value = Union["Expression", float]
@@ -35,9 +35,14 @@ _NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 
 
 class Graph:
-    """The shared nodes of one formula."""
+    """The shared nodes of one formula.
 
-    def __init__(self) -> None:
+    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code, but for those
+    whose names are `free`.
+    """
+
+    def __init__(self, free: Container[str] = ()) -> None:
+        self.free = free
         self.nodes: list[Expression] = []
         self.parameters: dict[str, float] = {}  # what `parameter` was told
         self.zeros: list[Expression] = []  # of parameters alone; taken for 0, as they are now
@@ -48,8 +53,8 @@ class Graph:
         return self.node("var", (name,))
 
     def parameter(self, name: str, number: float) -> Value:
-        """A number that may be another in the next call; 0, 1 and -1 belong to the shape."""
-        if number in (0.0, 1.0, -1.0):
+        """A number that may be another in the next call."""
+        if number in (0.0, 1.0, -1.0) and name not in self.free:
             return float(number)
         self.parameters[name] = float(number)
         return self.node("par", (name,))

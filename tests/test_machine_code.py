@@ -23,6 +23,7 @@ from robodyn.engines import bits, formula_rows, machine, object_cache, sines
 from robodyn.engines.assembler import Kernel, Module
 from robodyn.engines.lane_driver import LaneDriver
 from robodyn.engines.machine_rows import Rows
+from robodyn.engines.parameters import numbers, parametrised
 from robodyn.engines.source_text import float_source
 from robodyn.expression import Expression, Graph
 from robodyn.straightline import define
@@ -137,6 +138,18 @@ class TestGraphs:
             written.append(rows.text(machine.this_processor()))
         assert written[0] == written[1] != written[2]
 
+    def test_numbers_of_another_mechanism(self):
+        """By the names of the parameters; zeros and ones too, parameters where they are free."""
+        mech = api.load(ROOT / "robots/slider-crank.yaml")
+        formula = formulas.inverse_formula(mech, parameters=True)
+        graph = next(x.graph for x in formula.outputs if isinstance(x, Expression))
+        known = numbers(mech)
+        assert graph.parameters.items() <= known.items()
+        assert 0.0 in known.values()
+        graph = Graph(free=known)
+        parametrised(mech, graph)
+        assert graph.parameters == known
+
     def test_zeros_of_the_moment_are_told(self):
         graph = Graph()
         a, b, x = graph.parameter("a", 2.0), graph.parameter("b", 2.0), graph.variable("x")
@@ -211,6 +224,7 @@ class TestBatches:
         states = rng.normal(size=(3, 1003, 3))
         whole = dynamics.forward_dynamics(mech, *states)
         monkeypatch.setattr("robodyn.engines.machine_rows.SHARE", 300)
+        monkeypatch.setattr("robodyn.engines.machine_rows.PIECE", 77)
         assert np.array_equal(whole, dynamics.forward_dynamics(mech, *states))
         assert np.array_equal(whole[501:], dynamics.forward_dynamics(mech, *states[:, 501:]))
 
@@ -552,6 +566,33 @@ class TestKernelLanguage:
         assert np.array_equal(fraction, 2.0 * np.frexp(x)[0])
         np.testing.assert_allclose(power, x ** (-1 / 12), rtol=0.07)
         assert np.isfinite(run(write, np.zeros(8), family=family)[1]).all()
+
+    @FAMILIES
+    def test_series_with_the_order_as_a_loop(self, family):
+        """The product of two series of order 9 in each lane, from and to work arrays."""
+        order = 9
+
+        def write(processor):
+            module = Module(processor.lanes)
+            k = Kernel(module, "product", ("ptr", "ptr", "ptr"))
+            x, y, z = k.arguments
+            with k.loop(k.whole(order + 1)) as n:
+                total = k.slot(k.number(0.0))
+                with k.loop(k.add(n, k.whole(1))) as j:
+                    factors = (x, j), (y, k.subtract(n, j))
+                    a, b = (k.load(k.at(base, i, k.numbers)) for base, i in factors)
+                    k.set(total, k.fused(a, b, k.get(total)))
+                k.store(k.get(total), k.at(z, n, k.numbers))
+            k.done(k.whole(0))
+            return module.text
+
+        code = machine.make(write, family=family)
+        x, y = np.random.default_rng(0).normal(size=(2, order + 1, code.processor.lanes))
+        z = np.full_like(x, np.nan)
+        function = code.function("product", *[ctypes.c_void_p] * 3)
+        function(*(array.ctypes.data for array in (x, y, z)))
+        expected = [sum(x[j] * y[n - j] for j in range(n + 1)) for n in range(order + 1)]
+        np.testing.assert_allclose(z, expected, rtol=1e-13, atol=1e-13)
 
     def test_control(self):
         """Loops in loops, slots and a branch: the sum of i j over pairs with i < j < 30."""

@@ -24,6 +24,7 @@ from robodyn.expression import Expression, Graph, Value
 
 SHARE = 50_000  # rows that are worth a thread
 MAX_THREADS = 4
+PIECE = 200_000  # rows of one call, which Ctrl-C does not end: some ms
 
 Array = NDArray[np.float64]
 # fills outputs (T, k), C-contiguous, from inputs (T, n): the doubtful rows
@@ -81,18 +82,27 @@ class Rows:
         numbers = np.array([*self.parameters.values(), 0.0])
         threads = max(1, min(MAX_THREADS, os.cpu_count() or 1, total // SHARE))
         bounds = [total * k // threads for k in range(threads + 1)]
-        found = [0] * threads
+        place = (table.ctypes.data, numbers.ctypes.data)
+        found: list[int] = []
+        stopped: list[bool] = []
 
         def run(k: int) -> None:
-            place = (table.ctypes.data, numbers.ctypes.data)
-            found[k] = function(bounds[k], bounds[k + 1], *place)
+            for first in range(bounds[k], bounds[k + 1], PIECE):
+                if stopped:
+                    return
+                found.append(function(first, min(first + PIECE, bounds[k + 1]), *place))
 
         others = [threading.Thread(target=run, args=(k,)) for k in range(1, threads)]
         for thread in others:
             thread.start()
-        run(0)
-        for thread in others:
-            thread.join()
+        try:
+            run(0)
+        except BaseException:  # Ctrl-C ends the others too
+            stopped.append(True)
+            raise
+        finally:
+            for thread in others:
+                thread.join()
         return np.flatnonzero(doubtful) if any(found) else np.zeros(0, np.int64)
 
     def _padded(

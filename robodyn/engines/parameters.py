@@ -55,6 +55,21 @@ def parametrised(mechanism: Mechanism, graph: Graph) -> Mechanism:
     return replace(mechanism, **lifted, rows=rows, description=description)
 
 
+class _Numbers(Graph):
+    """What collects numbers in place of parameters."""
+
+    def parameter(self, name: str, number: float) -> float:
+        self.parameters[name] = float(number)
+        return number
+
+
+def numbers(mechanism: Mechanism) -> dict[str, float]:
+    """Every number of the model by the name that `parametrised` gives it, zeros and ones too."""
+    found = _Numbers()
+    parametrised(mechanism, found)
+    return found.parameters
+
+
 def _row(row: ClosureRow, name: str, graph: Graph) -> ClosureRow:
     """The two rows of a pin have the same numbers, the second one turned by a right angle."""
     lifted: ClosureRow = _lifted(row, name, graph)
