@@ -8,8 +8,9 @@ from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-_CALLS |= {"pow": "power", "abs": "absolute", "atan2": "arctan2"}
+_CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
 _CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
+_NAMES = {"rough": "pow"}  # of Python's functions of floats
 # what numpy code calls
 ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
@@ -45,7 +46,10 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
             assert isinstance(kept, Expression)
             shown, precedence = text[kept.index]
         elif op not in _PRECEDENCE:
-            shown, precedence = f"{op}({', '.join(written(arg, 0) for arg in args)})", 9
+            shown, precedence = (
+                f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})",
+                9,
+            )
         elif op == "neg":
             shown, precedence = f"-{written(args[0], 3)}", 3
         else:
