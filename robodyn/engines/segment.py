@@ -85,6 +85,8 @@ class Segment:
                 return k.intrinsic("sqrt", a)
             case "abs":
                 return k.intrinsic("fabs", a)
+            case "keep":
+                return a
             case "choose":
                 b, x, y = rest
                 return k.select(k.less(a, b), x, y)

@@ -315,7 +315,9 @@ class Series:
 
     def coefficient(self, c: Coefficient) -> Value:
         """The number that a coefficient is."""
-        return c if isinstance(c, float) else self.numbers[c.place]
+        if isinstance(c, float):
+            return c
+        return times(c.sign, self.numbers[c.place])
 
     def factor(self, to: int | None, frame: int | None, c: PlanarCoefficient | None) -> Planar:
         """c E_frame in the frame `to`: conj(E_to) c E_frame."""
@@ -480,11 +482,10 @@ class Series:
 
     def _accumulate(self, total: Value, c: Coefficient, value: Value) -> Value:
         """total + c value, with the sign of a coefficient 1 or -1 free."""
-        if isinstance(c, float) and c == -1.0:
-            if type(total) is float and total == 0.0:
-                return times(-1.0, value)
-            return difference(total, value)
-        return plus(total, times(self.coefficient(c), value))
+        negative = c < 0.0 if isinstance(c, float) else c.sign < 0.0
+        if not negative or (type(total) is float and total == 0.0):
+            return plus(total, times(self.coefficient(c), value))
+        return difference(total, times(self.coefficient(-c), value))
 
     def _value(self, z: Slot, m: int) -> Framed:
         """Coefficient m of a planar or real slot, as a planar one."""

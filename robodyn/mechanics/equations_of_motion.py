@@ -134,7 +134,7 @@ class EquationsOfMotion:
             else:
                 re, im = program.planar_number(value)
                 links.F[j].append(((re, im), self.P[k]))
-                links.F[k].append(((re, self._minus(im)), self.P[j]))
+                links.F[k].append(((re, -im), self.P[j]))
         program.named["bends"] = []
         self._scene_forces(links, work)
         self._joints(links, torques, work, steady)
@@ -154,11 +154,6 @@ class EquationsOfMotion:
         if work:
             program.named["power"] = [program.sum(*links.power)] if links.power else []
         return program
-
-    def _minus(self, coefficient: Coefficient) -> Coefficient:
-        if isinstance(coefficient, float):
-            return -coefficient
-        return self.program.number(-self.program.numbers[coefficient.place])
 
     def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
         """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
@@ -250,6 +245,7 @@ class EquationsOfMotion:
         program = self.program
         multipliers: list[Slot] = []
         gaps: list[Slot] = []
+        pins: dict[tuple[int | None, int], PlanarCoefficient] = {}
         self._rows: list[Slot] = []
         for r, row in enumerate(self.mechanism.rows):
             mu = program.add(Unknown(f"mu{r}"))
@@ -257,9 +253,13 @@ class EquationsOfMotion:
             total: list[tuple[Coefficient, Slot]] = []
             terms: list[PlanarTerm] = []
             for k, p in row.P:
-                re, im = program.planar_number(p)
+                # the two rows of a pin share their numbers, turned by a right angle
+                pin = pins.get((row.closure, k))
+                re, im = program.planar_number(p) if pin is None else (pin[1], -pin[0])
+                if row.closure is not None and row.direction == 1.0:
+                    pins[row.closure, k] = re, im
                 terms.append(((re, im), self.E[k]))
-                links.F[k].append(((re, self._minus(im)), mu))
+                links.F[k].append(((re, -im), mu))
             if terms:
                 place = program.add(PlanarSum((0.0, 0.0), tuple(terms)))
                 total.append((1.0, program.add(RealPart(place))))

@@ -24,9 +24,13 @@ Slot = int
 
 
 class Number(NamedTuple):
-    """A number of the scene, by its place in `Program.numbers`."""
+    """A number of the scene, by its place in `Program.numbers`, or its opposite."""
 
     place: int
+    sign: float = 1.0
+
+    def __neg__(self) -> Number:
+        return Number(self.place, -self.sign)
 
 
 Coefficient = float | Number
