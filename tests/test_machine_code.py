@@ -22,6 +22,7 @@ from robodyn import dense_dynamics, dynamics, expression
 from robodyn.engines import bits, formula_rows, formulas, machine, object_cache, sines
 from robodyn.engines.assembler import Kernel, Module
 from robodyn.engines.lane_driver import LaneDriver
+from robodyn.engines.lane_rows import rows_of, work_array
 from robodyn.engines.machine_rows import Rows
 from robodyn.engines.source_text import float_source
 from robodyn.expression import Expression, Graph
@@ -439,12 +440,12 @@ def pendulum_step(order=12):
         for x in reversed(series[:-1]):
             total = total * h + x
         ends.append(total)
-    return ends, h, graph
+    return ends, h, graph, (q, w)
 
 
 def pendulum_in_python(q, w, left):
     """The same step on floats, until the time is up."""
-    ends, h, graph = pendulum_step()
+    ends, h, graph, _ = pendulum_step()
     lines, outputs = float_source([*ends, h])
     body = "\n    ".join([*lines, f"return {', '.join(outputs)}"])
     step = define(f"def step(q, w, left, k, tol):\n    {body}\n", "step")
@@ -467,7 +468,7 @@ class TestLaneDriver:
     @FAMILIES
     def test_a_pendulum_as_in_python(self, family):
         """Each lane until its own end, those without time at all left alone."""
-        ends, h, _ = pendulum_step()
+        ends, h, *_ = pendulum_step()
         run = LaneDriver(("q", "w"), ends, h).compile(0 if family else 2, family)
         columns = self.columns(4)
         start = columns.copy()
@@ -482,7 +483,7 @@ class TestLaneDriver:
         assert np.abs(energy - before).max() < 1e-10
 
     def test_one_lane_as_many(self):
-        ends, h, _ = pendulum_step()
+        ends, h, *_ = pendulum_step()
         driver = LaneDriver(("q", "w"), ends, h)
         found = [self.columns(4) for _ in range(3)]
         for columns, lanes in zip(found, (1, 2, 4), strict=True):
@@ -491,7 +492,7 @@ class TestLaneDriver:
         assert np.array_equal(found[0], found[2])
 
     def test_it_goes_on_where_a_budget_ended(self):
-        ends, h, _ = pendulum_step()
+        ends, h, *_ = pendulum_step()
         run = LaneDriver(("q", "w"), ends, h).compile()
         whole, pieces = self.columns(4), self.columns(4)
         assert run(whole, 10_000) == 0
@@ -502,7 +503,7 @@ class TestLaneDriver:
 
     def test_numbers_may_vary_from_lane_to_lane_and_an_observer_looks_on(self):
         """k of each lane; the largest |w| of each lane, and the length of each of its steps."""
-        ends, h, _ = pendulum_step()
+        ends, h, *_ = pendulum_step()
 
         def observe(k, words, places):
             speed = k.intrinsic("fabs", words["after_w"])
@@ -525,8 +526,31 @@ class TestLaneDriver:
         moved = self.TIMES > 0
         assert (columns[5] >= np.abs(columns[1]))[moved].all()
 
+    @pytest.mark.parametrize("lanes", [0, 1])
+    def test_rows_at_times_that_all_lanes_share(self, lanes):
+        """Each lane's up to its own end; at each they are those of a motion that ends there."""
+        ends, h, _, series = pendulum_step()
+        shown = {
+            f"{x}_{n}": c for x, cs in zip("qw", series, strict=True) for n, c in enumerate(cs)
+        }
+        names = [[f"{x}_{n}" for n in range(13)] for x in "qw"]
+        driver = LaneDriver(("q", "w"), ends, h, ("end",), ("row",), rows_of(names), shown)
+        times = np.array([0.0, 1e-3, 0.4, 0.41, 1.0, 2.2, 3.3])
+        work, rows = work_array(times, 16, 2)
+        columns = self.columns(6, self.TIMES)
+        assert driver.compile(lanes=lanes)(columns, 10_000, work) == 0
+        plain = LaneDriver(("q", "w"), ends, h).compile()
+        for k, t in enumerate(times):
+            until = self.columns(4)
+            until[2] = np.where(t <= self.TIMES, t, 0.0)
+            plain(until, 10_000)
+            reached = (t <= self.TIMES) & (self.TIMES > 0)
+            found = rows[: self.TIMES.size, k]
+            np.testing.assert_allclose(found[reached], until[:2].T[reached], rtol=0, atol=2e-11)
+            assert np.isnan(found[~reached]).all()
+
     def test_a_step_of_no_length_ends_its_lane_alone(self):
-        ends, h, _ = pendulum_step()
+        ends, h, *_ = pendulum_step()
         run = LaneDriver(("q", "w"), ends, h).compile()
         columns = self.columns(4)
         alone = columns.copy()

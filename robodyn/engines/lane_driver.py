@@ -40,7 +40,7 @@ class LaneDriver:
 
     `state` are the names of what a step renews and `after` their new values, `length` is the
     step's; `fixed` are numbers of each motion, as those that a sweep varies.  `kept` are columns of
-    the observer's own.
+    the observer's own, `shown` are values of the step for it, such as coefficients, by name.
     """
 
     def __init__(
@@ -51,9 +51,11 @@ class LaneDriver:
         fixed: Sequence[str] = (),
         kept: Sequence[str] = (),
         observe: Observer | None = None,
+        shown: Mapping[str, Value] | None = None,
     ) -> None:
         self.state, self.fixed, self.observe = tuple(state), tuple(fixed), observe
-        self.outputs = [*after, length]
+        self.shown = dict(shown or {})
+        self.outputs = [*after, length, *self.shown.values()]
         graph = next(x.graph for x in self.outputs if isinstance(x, Expression))
         self.parameters = {k: v for k, v in graph.parameters.items() if k not in self.fixed}
         self.columns = (*self.state, *self.fixed, LEFT, "steps", *kept)
@@ -138,7 +140,8 @@ class LaneDriver:
         places: Mapping[str, Word],
         active: Word,
     ) -> None:
-        *after, length = segment.write(self.outputs)
+        found = segment.write(self.outputs)
+        after, length = found[: len(self.state)], found[len(self.state)]
         forward = k.both(active, k.less(k.number(0.0), length))
         step = k.select(forward, length, k.number(0.0))
         left = k.subtract(words[LEFT], step)
@@ -151,4 +154,6 @@ class LaneDriver:
         k.store(steps, places["steps"])
         if self.observe is not None:
             renewed = {f"after_{x}": word for x, word in zip(self.state, after, strict=True)}
+            renewed |= zip(self.shown, found[len(self.state) + 1 :], strict=True)
+            renewed[f"after_{LEFT}"] = left
             self.observe(k, {**words, **renewed, "h": step, "active": forward}, places)

@@ -7,7 +7,6 @@ engine of an empty module, which takes a tenth of the time that making it does.
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 import hashlib
 import mmap
 import os
@@ -158,7 +157,8 @@ def available() -> bool:
 def _c_library() -> ctypes.CDLL:
     if sys.platform == "win32":
         return ctypes.CDLL("ucrtbase")
-    return ctypes.CDLL(ctypes.util.find_library("m") if sys.platform == "darwin" else "libm.so.6")
+    own = ctypes.CDLL(None)  # what Python itself is linked with
+    return own if all(hasattr(own, name) for name in LIBRARY) else ctypes.CDLL("libm.so.6")
 
 
 def executable_memory() -> bool:
