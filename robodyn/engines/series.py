@@ -97,6 +97,11 @@ def plus(a: Value, b: Value) -> Value:
     return a + b
 
 
+def over(a: Value, k: int) -> Value:
+    """a / k; of recorded numbers a product with 1/k, of longer ones to their last digit."""
+    return 0.0 if type(a) is float and a == 0.0 else a / float(k)
+
+
 def planar_times(a: Planar, b: Planar) -> Planar:
     """a b of complex numbers."""
     return (
@@ -407,8 +412,8 @@ class Series:
         """Coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
         total: Value = 0.0
         for j in range(1, m + 1):
-            total = plus(total, times(times(float(j) / m, x[j]), y[m - j]))
-        return total
+            total = plus(total, times(times(float(j), x[j]), y[m - j]))
+        return over(total, m)
 
     def _known(self, slot: Slot, row: Row, m: int) -> Any:
         """Coefficient m of a slot; of unknowns of the present order nothing."""
@@ -429,7 +434,7 @@ class Series:
                 if m == 0:
                     given = self.state.given[start]
                     return given(0) if callable(given) else given[0]
-                return times(1.0 / m, real[x][m - 1])
+                return over(real[x][m - 1], m)
             case Anchored(x=x, start=start):
                 return self._known(slot, Integral(x, start), 0) if m == 0 else real[x][m]
             case Derivative(x=x) if x in planar:
@@ -466,9 +471,9 @@ class Series:
                     return self.arithmetic.power(real[x][0], exponent)
                 total = 0.0
                 for j in range(1, m + 1):
-                    weight = ((exponent + 1.0) * j - m) / m
+                    weight = (exponent + 1.0) * j - m
                     total = plus(total, times(times(weight, real[x][j]), real[slot][m - j]))
-                return total / real[x][0]
+                return over(total, m) / real[x][0]
             case Function(name=name, x=x):
                 return self._function(slot, name, real[x], m)
             case Primitive(name=name, x=x, density=y):
@@ -476,8 +481,9 @@ class Series:
                     return self.arithmetic.functions[name](real[x][0])
                 known = 0.0
                 for j in range(1, m):
-                    known = plus(known, times(times(float(j) / m, real[slot][j]), real[y][m - j]))
-                return difference(real[x][m], known) / real[y][0]
+                    product = times(times(float(j), real[slot][j]), real[y][m - j])
+                    known = plus(known, product)
+                return difference(real[x][m], over(known, m)) / real[y][0]
         raise AssertionError(row)
 
     def _accumulate(self, total: Value, c: Coefficient, value: Value) -> Value:
@@ -587,7 +593,7 @@ class Series:
             case Unknown():
                 return self.unknown_values.get(slot, 0.0)
             case Turn(link=k):
-                added = times(1.0 / (m * (m - 1.0)), self.unknown_values.get(slot, 0.0))
+                added = over(self.unknown_values.get(slot, 0.0), m * (m - 1))
                 return ((k, None, (0.0, added)),)
             case Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
@@ -597,7 +603,7 @@ class Series:
             case Derivative(x=x):
                 return times(m + 1.0, of(x))
             case Integral(x=x):
-                return times(1.0 / m, of(x))
+                return over(of(x), m)
             case Anchored(x=x):
                 return of(x)
             case Sum(terms=terms):

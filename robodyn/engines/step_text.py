@@ -42,7 +42,8 @@ def step_text(
     found = expansion(mechanism, actuation, order, work, held)
     x = found.graph.variable("x")
     n = mechanism.n
-    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
+    rho, theta, power, watched = found.series
+    turns = [turned(a, b, x) for a, b in zip(rho, theta, strict=True)]
     ways = [expression.arctangent(t, r) for (r, t), _ in turns]
     q, qd = [], []
     for j, above in enumerate(mechanism.parent):
@@ -54,19 +55,19 @@ def step_text(
     done: list[Value] = []
     if work:
         total: Value = found.graph.variable("work")
-        if found.power:
-            total = total + integral(found.power, x)
+        if power:
+            total = total + integral(power, x)
         for j, tau in enumerate(found.steady or ()):
             above = mechanism.parent[j]
             way = ways[j] if above is None else ways[j] - ways[above]
             total = total + tau * way
         done.append(total)
-    series = [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
+    series = [*rho, *theta, *([power] if power else []), *watched]
     return StepText(
         _expand(found, [*q, *qd, *done], series, n, work),
         _watched(found, n),
         found.arms,
-        bool(found.power),
+        bool(power),
     )
 
 
@@ -94,7 +95,7 @@ def _expand(
 
 
 def _watched(found: Expansion, n: int) -> Callable[..., tuple[float, ...]]:
-    lines, shown = source_text.float_source([each[0] for each in found.watched])
+    lines, shown = source_text.float_source([each[0] for each in found.series.watched])
     body = [_unpacked(found, n, False), *lines, f"return ({''.join(f'{x}, ' for x in shown)})"]
     return _defined("watched", "t, y, tau, dtau", body)
 
