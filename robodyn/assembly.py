@@ -27,7 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.assembly_plan import Plan, joints_of
 from robodyn.assembly_plan import assembly_plan as assembly_plan
-from robodyn.closed_form import closure_gap, closure_jacobian
+from robodyn.closed_form import closure_gap
+from robodyn.closing import close_positions as close_positions
+from robodyn.closing import loop_size as loop_size
 from robodyn.dyads import CLOSED as CLOSED
 from robodyn.dyads import coupled_angle, known_angles, solve_dyad
 from robodyn.errors import AssemblyError, InputError
@@ -37,7 +39,6 @@ Array = NDArray[np.float64]
 
 PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
-NEWTON_STEPS = 12
 
 
 def assemble(
@@ -100,30 +101,6 @@ def attempt(
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
     return q, missing
-
-
-def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
-    """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
-
-    Where it does not converge the gap stays; the caller checks it.
-    """
-    closed = np.array(q, dtype=float)
-    free = [k for k in range(mechanism.n) if k not in set(fixed)]
-    for _ in range(NEWTON_STEPS):
-        gap = closure_gap(mechanism, closed)
-        if gap.size == 0 or np.abs(gap).max() <= 1e-16 * loop_size(mechanism):
-            break
-        inverse = np.linalg.pinv(closure_jacobian(mechanism, closed)[..., free], rcond=1e-12)
-        step = np.einsum("...ij,...j->...i", inverse, gap)
-        longest = np.abs(step).max(axis=-1, keepdims=True, initial=1e-300)
-        closed[..., free] -= step * np.minimum(1.0, 0.5 / longest)
-    return closed
-
-
-def loop_size(mechanism: Mechanism) -> float:
-    """The largest sum of lengths in a closure, m: what a gap is measured against."""
-    sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
-    return max(sizes, default=0.0)
 
 
 def reachable(

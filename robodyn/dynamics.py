@@ -131,8 +131,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
         return found
     qdd, multipliers = found.qdd, found.multipliers
     Psi = closed_form.closure_jacobian(mechanism, q)
-    s = np.linalg.svd(Psi, compute_uv=False)
-    quality = (s[..., projection.regular_rank(mechanism) - 1] / s[..., 0]) ** 2
+    quality = change_points.nearness(mechanism, Psi) ** 2
     for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
         beside = partial(_accelerations_beside, mechanism, tau[state])
         led = _lead_across(mechanism, (q[state], qd[state]), float(quality[state]), beside)

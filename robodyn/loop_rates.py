@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import close_positions, loop_size
 from robodyn.closed_form import (
     absolute_rates,
     as_states,
@@ -20,6 +19,7 @@ from robodyn.closed_form import (
     closure_gap,
     closure_jacobian,
 )
+from robodyn.closing import close_positions, loop_size
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanism import Mechanism
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form
-from robodyn.assembly import loop_size
+from robodyn.closing import loop_size
 from robodyn.mechanism import Mechanism
 from robodyn.run_control import Control, JointTracking
 from robodyn.taylor import Chunk

@@ -15,13 +15,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from robodyn import dynamics, expression, formulas, loop_rates, straightline
+from robodyn.change_points import regular_rank
 from robodyn.dense_dynamics import check_actuators, required_load
 from robodyn.errors import InputError
 from robodyn.expression import Value
 from robodyn.formula_state import State
 from robodyn.formulas import Formula
 from robodyn.mechanism import Mechanism
-from robodyn.projection import regular_rank
 
 Floats = Callable[..., Sequence[float]]
 

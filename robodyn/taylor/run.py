@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
+from robodyn.change_points import suspect_quality
 from robodyn.errors import InputError, RobodynError
 from robodyn.kinks import kink_at, next_kink
 from robodyn.mechanism import Mechanism
-from robodyn.projection import float_closing, loop_terms, suspect_quality
+from robodyn.projection import float_closing, loop_terms
 from robodyn.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, Status, default_order
 from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine

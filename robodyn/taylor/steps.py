@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.change_points import suspect_quality
 from robodyn.mechanism import Mechanism
-from robodyn.projection import FloatClosing, suspect_quality
+from robodyn.projection import FloatClosing
 from robodyn.taylor import Chunk, Status, step_size
 from robodyn.taylor.arrays import ArraySeries, link_rates
 from robodyn.taylor.code import Expansion, compile_expansion
