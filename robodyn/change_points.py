@@ -25,7 +25,7 @@ which are about (s/L)^2: a "quality".
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import comb
 from typing import NamedTuple
@@ -64,7 +64,8 @@ OFFSETS = np.array([k for k in range(-K, K + 1) if k])
 SHARE = 0.5  # of the distance to a missed change point that a step may go
 FINE = 1e-3  # of it, rad, that a step may err
 CLOSEST = 1e-9  # rad, the least distance that is counted with
-FAR = 1.0  # rad, beyond which a missed change point holds no step
+SLOWEST = 1e-9  # rad/s: what is slower is held like this
+FAR = 1.0  # rad, within which steps that are not held are no use
 
 
 class Singular(NamedTuple):
@@ -218,27 +219,30 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
 class Misses:
     """The missed change points of a mechanism, and what they allow an integrator."""
 
-    def __init__(self, mechanism: Mechanism, suspect: float = SUSPECT) -> None:
-        self.mechanism, self.suspect = mechanism, suspect
-        self.told: float | None = None  # the least miss that was met, m
-        self.guards = regular_rank(mechanism) == len(mechanism.rows)
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self._known = mechanism, known(mechanism)
+        self._guards = regular_rank(mechanism) == len(mechanism.rows)
 
     def distance(self, q: Array) -> float:
-        """To the nearest known one, rad; infinite beyond FAR."""
-        least = np.inf
-        for each in known(self.mechanism):
-            if not each.crosses:
-                least = min(least, float(apart(self.mechanism, q, each.q)))
-        return max(least, CLOSEST) if least <= FAR else np.inf
+        """To the nearest known one, rad; infinite where none is known."""
+        if not self._known:
+            return np.inf
+        missed = [each for each in self._known if not each.crosses]
+        least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
+        return max(least, CLOSEST)
+
+    def holds(self, y: Array | Sequence[float]) -> tuple[float, float]:
+        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad."""
+        if not self._known:
+            return np.inf, np.inf
+        n, y = self.mechanism.n, np.asarray(y)
+        distance = self.distance(y[:n])
+        return SHARE * distance / max(float(np.abs(y[n : 2 * n]).max()), SLOWEST), FINE * distance
 
     def crosses(self, q: Array) -> bool:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""
         found = nearest_singular(self.mechanism, q)
-        if found is None or found.crosses:
-            return found is not None
-        if found.worth_saying:
-            self.told = min(found.miss, self.told or np.inf)
-        return False
+        return found is not None and found.crosses
 
     def leaps(self, q: Array) -> NDArray[np.intp]:
         """The steps between states (T + 1, n) that leap over a missed change point.
@@ -246,7 +250,7 @@ class Misses:
         Across a singular configuration the orientation of Psi's rows turns over:
         det(Psi Psi'^T) < 0.
         """
-        if not self.guards or not np.isfinite(q).all():
+        if not self._guards or not np.isfinite(q).all():
             return np.zeros(0, np.intp)
         Psi = closed_form.closure_jacobian(self.mechanism, q)
         turned = np.linalg.det(Psi[1:] @ np.swapaxes(Psi[:-1], -1, -2)) < 0.0

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form, straightline
-from robodyn.change_points import Closing, lead_across, regular_rank, suspect_quality
+from robodyn.change_points import (
+    SUSPECT,
+    Closing,
+    Misses,
+    lead_across,
+    regular_rank,
+    suspect_quality,
+)
 from robodyn.closing import CLOSED, CUT, close_positions, loop_size
 from robodyn.formulas import projection_formula
 from robodyn.mechanism import Mechanism
@@ -101,15 +108,22 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
     return nearest
 
 
-def projection(mechanism: Mechanism, closing: Closing) -> Callable[[Array], Array]:
-    """The state itself; next to a change point that of the branch which leads across."""
+class Projection:
+    """The nearest closed state; next to a change point that of the branch which leads across.
 
-    def project(y: Array) -> Array:
-        closed, quality = closing(y)
-        led = lead_across(mechanism, closing, y, quality, lambda states: states)
+    `misses` are the change points that the mechanism only nearly has, and hold an integrator.
+    """
+
+    def __init__(self, mechanism: Mechanism, closing: Closing) -> None:
+        self.mechanism, self.closing = mechanism, closing
+        self.misses = Misses(mechanism)
+
+    def __call__(self, y: Array) -> Array:
+        closed, quality = self.closing(y)
+        if quality > SUSPECT or not self.misses.crosses(closed[: self.mechanism.n]):
+            return closed
+        led = lead_across(self.mechanism, self.closing, y, quality, lambda states: states)
         return closed if led is None else led
-
-    return project
 
 
 @lru_cache(maxsize=64)

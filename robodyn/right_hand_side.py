@@ -31,17 +31,10 @@ from robodyn.actuation import Actuation
 from robodyn.change_points import lead_across, nearest_singular, regular_rank
 from robodyn.closed_form import other_forces
 from robodyn.mechanism import Mechanism
-from robodyn.projection import (
-    STRAIGHT,
-    dense_closing,
-    loop_terms,
-    projection,
-    straight_closing,
-)
+from robodyn.projection import STRAIGHT, Projection, dense_closing, loop_terms, straight_closing
 
 Array = NDArray[np.float64]
 Rates = Callable[[float, Array], Any]
-Projection = Callable[[Array], Array]
 
 STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest
 SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
@@ -106,7 +99,7 @@ def right_hand_side(
         closing = sparse.closing(system, dense_closing(mechanism))
     else:
         closing = (dense_closing if kind == "dense" else straight_closing)(mechanism)
-    project = projection(mechanism, closing)
+    project = Projection(mechanism, closing)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
 

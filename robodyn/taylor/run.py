@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
-from robodyn.change_points import suspect_quality
+from robodyn.change_points import FAR, Misses, suspect_quality
 from robodyn.errors import InputError, RobodynError
 from robodyn.kinks import kink_at, next_kink
 from robodyn.mechanism import Mechanism
@@ -108,6 +108,15 @@ def taylor_run(
     projects = project and bool(mechanism.rows)
     closing = float_closing(mechanism) if projects else None
     suspect = suspect_quality(mechanism) if projects else 0.0
+    misses = Misses(mechanism) if projects else None
+
+    def at_change_point() -> bool:
+        return misses is not None and misses.crosses(y[: mechanism.n])
+
+    def careful() -> SteppingEngine:
+        return stepping_engine(
+            mechanism, actuation, rtol, atol, order=order, project=project, work=work
+        )
 
     def fast() -> Engine | None:
         if project or not mechanism.rows:
@@ -115,6 +124,7 @@ def taylor_run(
         return None
 
     stepping: Engine | None = None
+    slow: SteppingEngine | None = None
     if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
         stepping = fast()
         if stepping is None and engine == "compiled":
@@ -124,12 +134,11 @@ def taylor_run(
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None
     if stepping is None:
-        stepping = stepping_engine(
-            mechanism, actuation, rtol, atol, order=order, project=project, work=work
-        )
+        stepping = careful()
     _check_start(mechanism, actuation, y)
     t, begun = 0.0, time.perf_counter()
-    crosses = closing is not None and closing(y.tolist())[1] < suspect
+    crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
+    held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
         bound = next_kink(actuation.kinks, t, t_end)
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
@@ -142,10 +151,22 @@ def taylor_run(
                 return Outcome.SINGULAR
             status = Status.FULL
         else:
-            steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
+            if near and not isinstance(stepping, SteppingEngine):
+                slow = slow or careful()
+                runner: Engine = slow
+            else:
+                runner = stepping
+            steps = STEPS if isinstance(runner, SteppingEngine) else COMPILED_STEPS
             left = recorder.max_evaluations - recorder.report.evaluations
             steps = max(1, min(steps, left + 1))
-            chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+            chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
+            leaps = () if misses is None else misses.leaps(_positions(mechanism, y, chunk)).tolist()
+            if len(leaps):
+                if held and not leaps[0]:
+                    return Outcome.SINGULAR
+                chunk = _first(chunk, int(leaps[0]), 1.0 if bound > t else -1.0)
+            held = bool(len(leaps))
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
@@ -158,12 +179,27 @@ def taylor_run(
         stuck = status is Status.STUCK and closing is not None and not crosses
         if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
             return Outcome.STEP_TOO_SMALL
-        crosses = stuck or status is Status.SINGULAR
+        crosses = stuck
+        if status is Status.SINGULAR:
+            crosses = at_change_point()
+            held = not crosses
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
             simple = actuation.constants is not None and not mechanism.has_state_forces
             if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
+
+
+def _positions(mechanism: Mechanism, y: Array, chunk: Chunk) -> Array:
+    """q (T + 1, n) before the steps of a chunk and after each."""
+    return np.concatenate([y[None, : mechanism.n], chunk.y[:, : mechanism.n]])
+
+
+def _first(chunk: Chunk, steps: int, direction: float) -> Chunk:
+    """The first steps of a chunk, and the rows within them."""
+    t = chunk.t[:steps]
+    rows = int(np.searchsorted(chunk.row_t * direction, t[-1] * direction, "right")) if steps else 0
+    return Chunk(t, chunk.y[:steps], chunk.row_t[:rows], chunk.row_y[:rows], Status.FULL)
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:
