@@ -50,6 +50,7 @@ WORTH_SAYING = 1e4 * EPS  # a miss, part of L, below which a scene may have mean
 ALIKE = 5.0  # singular values up to so many times the least vanish with it
 DEFINITE = 1e-6  # ratio of eigenvalues of H of one sign, from which it is definite
 FOUND = 1e-9  # rad, the last step of a search that has found; s/L there
+LOST = 1e-7  # s/L below which a singular value is none, in a configuration so found
 REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
 SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
@@ -193,6 +194,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int) -> Singular | No
     least = s[regular : regular_rank(mechanism)]
     if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
         return None
+    regular = int((s > LOST * size).sum())  # there more may vanish than beside it
     left, right = U[:, regular:], Vt[regular:].T
     miss = float(np.abs(left.T @ exact_gap(mechanism, q)).max())
     values = np.linalg.eigvalsh(_curvature(mechanism, q, left, right))
@@ -244,27 +246,34 @@ class Misses:
         found = nearest_singular(self.mechanism, q)
         return found is not None and found.crosses
 
-    def leaps(self, q: Array) -> NDArray[np.intp]:
-        """The steps between states (T + 1, n) that leap over a missed change point.
+    def leaps(self, t: Array, y: Array) -> list[int]:
+        """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
 
-        Across a singular configuration the orientation of Psi's rows turns over:
-        det(Psi Psi'^T) < 0.
+        Across a singular configuration the orientation of Psi's rows turns over, so that
+        det(Psi Psi'^T) < 0.  What was met so is known from then on, and holds the next steps.
         """
+        q = y[:, : self.mechanism.n]
         if not self._guards or not np.isfinite(q).all():
-            return np.zeros(0, np.intp)
+            return []
         Psi = closed_form.closure_jacobian(self.mechanism, q)
-        turned = np.linalg.det(Psi[1:] @ np.swapaxes(Psi[:-1], -1, -2)) < 0.0
-        steps = np.flatnonzero(turned)
-        return np.array([k for k in steps if self._leaps(q[k], q[k + 1])], np.intp)
+        turned = np.linalg.slogdet(Psi[1:] @ np.swapaxes(Psi[:-1], -1, -2))[0] < 0.0
+        return [
+            int(k)
+            for k in np.flatnonzero(turned)
+            if self._between(q[k], q[k + 1]) and self.holds(y[k])[0] < 0.9 * abs(t[k + 1] - t[k])
+        ]
 
-    def _leaps(self, begin: Array, end: Array) -> bool:
+    def _between(self, begin: Array, end: Array) -> bool:
         """Whether what lies between two states is a missed change point."""
-        parts = np.linspace(0.0, 1.0, 33)[:, None]
-        between = close_positions(self.mechanism, begin + parts * (end - begin))
-        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, between))
-        state = between[int(np.argmin(near))]
-        found = nearest_singular(self.mechanism, state)
-        return found is not None and not self.crosses(state)
+        way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
+        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self._known]
+        nearest, crosses = min(far, default=(np.inf, False))
+        if nearest <= SAME:
+            return not crosses
+        way = close_positions(self.mechanism, way)
+        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, way))
+        found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
+        return found is not None and not found.crosses
 
 
 # -- what is taken from the branch ----------------------------------------------------------------

@@ -125,7 +125,8 @@ def projected(method: str) -> type[OdeSolver]:
                 return success, message
             if self.projection is not None:
                 y = self.projection(self.y)
-                if self._leapt(begun[1], y):
+                times, ends = np.array([begun[0], self.t]), np.stack([begun[1], y])
+                if self.projection.misses.leaps(times, ends):
                     self.t, self.y, self.f = begun
                     self._restart()
                     return self._step_impl()
@@ -154,13 +155,6 @@ def projected(method: str) -> type[OdeSolver]:
             self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
             if base is LSODA:
                 self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
-
-        def _leapt(self, begin: Array, end: Array) -> bool:
-            """Whether the step went from one branch to another that only comes near it."""
-            assert self.projection is not None
-            misses = self.projection.misses
-            n = misses.mechanism.n
-            return bool(misses.leaps(np.stack([begin[:n], end[:n]])).size)
 
         def _reach(self, control: Control) -> None:
             """Tell a kink that the step ended on.  The dense output of the step stays as it is."""

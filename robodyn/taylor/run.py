@@ -161,12 +161,13 @@ def taylor_run(
             left = recorder.max_evaluations - recorder.report.evaluations
             steps = max(1, min(steps, left + 1))
             chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
-            leaps = () if misses is None else misses.leaps(_positions(mechanism, y, chunk)).tolist()
-            if len(leaps):
-                if held and not leaps[0]:
-                    return Outcome.SINGULAR
-                chunk = _first(chunk, int(leaps[0]), 1.0 if bound > t else -1.0)
-            held = bool(len(leaps))
+            leaps: list[int] = []
+            if misses is not None:
+                times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
+                leaps = misses.leaps(times, ends)
+            if leaps:
+                chunk = _first(chunk, leaps[0], 1.0 if bound > t else -1.0)
+            held = bool(leaps)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
@@ -188,11 +189,6 @@ def taylor_run(
             simple = actuation.constants is not None and not mechanism.has_state_forces
             if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
-
-
-def _positions(mechanism: Mechanism, y: Array, chunk: Chunk) -> Array:
-    """q (T + 1, n) before the steps of a chunk and after each."""
-    return np.concatenate([y[None, : mechanism.n], chunk.y[:, : mechanism.n]])
 
 
 def _first(chunk: Chunk, steps: int, direction: float) -> Chunk:
