@@ -29,12 +29,13 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from math import comb
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form
-from robodyn.closing import close_positions, exact_gap, loop_size
+from robodyn.closing import NEAR_SINGULAR, close_positions, exact_gap, loop_size
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ REACH = 1.0  # rad, how far a singular configuration may be from a state that is
 SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
 
-BESIDE = 6e-3  # part of the quality beside it below which a state is taken from the branch
+BESIDE = 0.08  # part of s/L beside it below which a state is taken from the branch
 STRAIGHT = 1e-9  # part of the loop's size that an interpolated position may be open by
 STEPS = (0.1, 0.03)  # rad of the fastest joint; the first serves up to d = 0.046
 SMOOTH = 1e-9  # part of the largest value by which two orders may differ
@@ -122,6 +123,31 @@ def nearness(mechanism: Mechanism, Psi: Array) -> Array:
     return np.asarray(s[..., regular_rank(mechanism) - 1] / loop_size(mechanism))
 
 
+def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
+    """The rank that Psi has about q (n,), and s/L there.
+
+    Closures may depend on one another along the branch that q is on, and nowhere else.
+    """
+    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)
+    rank, size = regular_rank(mechanism), loop_size(mechanism)
+    if s[rank - 1] <= FOUND * size:
+        rank = _branch_rank(mechanism, tuple(q.tolist()))
+    return rank, float(s[rank - 1] / size)
+
+
+_branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()
+
+
+def _branch_rank(mechanism: Mechanism, q: tuple[float, ...]) -> int:
+    """The rank of Psi at closed states beside q; of the first that is asked for."""
+    if mechanism not in _branch_ranks:
+        noise = np.random.default_rng(0).normal(size=(8, mechanism.n))
+        beside = close_positions(mechanism, np.array(q) + 1e-2 * noise)
+        s = np.linalg.svd(closed_form.closure_jacobian(mechanism, beside), compute_uv=False)
+        _branch_ranks[mechanism] = max(1, int((s > LOST * loop_size(mechanism)).sum(-1).max()))
+    return _branch_ranks[mechanism]
+
+
 # -- the nearest singular configuration ------------------------------------------------------------
 
 
@@ -133,12 +159,14 @@ def known(mechanism: Mechanism) -> list[Singular]:
 
 def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
     """The singular configuration that q (n,) is near; None where it is near none."""
-    Psi = closed_form.closure_jacobian(mechanism, q)
-    if not np.isfinite(Psi).all() or nearness(mechanism, Psi) > NEAR:
+    if not np.isfinite(q).all():
+        return None
+    rank, near = _measured(mechanism, q)
+    if near > NEAR:
         return None
     if (old := _known_near(mechanism, q, SAME)) is not None:
         return old
-    found = _search(mechanism, q)
+    found = _search(mechanism, q, rank)
     if found is None:
         return None
     if (old := _known_near(mechanism, found.q, 1e-6)) is not None:
@@ -161,19 +189,19 @@ def _known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | Non
     return known(mechanism)[best[1]] if best[0] <= within else None
 
 
-def _search(mechanism: Mechanism, q: Array) -> Singular | None:
+def _search(mechanism: Mechanism, q: Array, rank: int) -> Singular | None:
     """Newton's method from q: close the regular part, move inside V0 until Psi vanishes there."""
-    rank, size = regular_rank(mechanism), loop_size(mechanism)
+    size = loop_size(mechanism)
     s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)[:rank]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
     for corank in sorted({most, 1}, reverse=True):
-        found = _singular(mechanism, q, rank - corank)
+        found = _singular(mechanism, q, rank - corank, rank)
         if found is not None:
             return found
     return None
 
 
-def _singular(mechanism: Mechanism, start: Array, regular: int) -> Singular | None:
+def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Singular | None:
     """Where Psi has the rank `regular`, near `start`, and what that is."""
     size = loop_size(mechanism)
     q = start
@@ -191,7 +219,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int) -> Singular | No
         if np.abs(step).max() <= FOUND:
             break
     U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
-    least = s[regular : regular_rank(mechanism)]
+    least = s[regular:rank]
     if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
         return None
     regular = int((s > LOST * size).sum())  # there more may vanish than beside it
@@ -200,7 +228,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int) -> Singular | No
     values = np.linalg.eigvalsh(_curvature(mechanism, q, left, right))
     top = np.abs(values).max(axis=-1)
     definite = (values.min(axis=-1) > -DEFINITE * top) | (values.max(axis=-1) < DEFINITE * top)
-    may_cross = mechanism.n - regular_rank(mechanism) == 1 and not (definite & (top > 0.0)).any()
+    may_cross = mechanism.n - rank == 1 and not (definite & (top > DEFINITE * size)).any()
     crosses = may_cross and miss <= ROUNDING * size
     said = may_cross and not crosses and miss <= WORTH_SAYING * size
     return Singular(q, miss, crosses, said)
@@ -244,7 +272,10 @@ class Misses:
     def crosses(self, q: Array) -> bool:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""
         found = nearest_singular(self.mechanism, q)
-        return found is not None and found.crosses
+        if found is None:  # what it is near to is not known
+            Psi = closed_form.closure_jacobian(self.mechanism, q)
+            return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
+        return found.crosses
 
     def leaps(self, t: Array, y: Array) -> list[int]:
         """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
@@ -311,7 +342,7 @@ def lead_across(
     if near is None or not near.crosses:
         return None
     for step in STEPS:
-        around = _beside(mechanism, closing, y, quality, step / fastest)
+        around = _beside(mechanism, closing, y, step / fastest)
         if around is None:
             continue
         values = evaluate(around)
@@ -322,17 +353,15 @@ def lead_across(
     return None
 
 
-def _beside(
-    mechanism: Mechanism, closing: Closing, y: Array, quality: float, step: float
-) -> Array | None:
+def _beside(mechanism: Mechanism, closing: Closing, y: Array, step: float) -> Array | None:
     """Closed states (2K, len(y)) on both sides, `step` s apart; None where y is near none."""
     n = mechanism.n
     rows = np.repeat(y[None, :], len(OFFSETS), axis=0)
     rows[:, :n] += step * OFFSETS[:, None] * y[n : 2 * n]
-    ends = [closing(rows[k]) for k in (0, -1)]
-    if quality > BESIDE * max(found for _, found in ends):
+    rows[0], rows[-1] = (closing(rows[k])[0] for k in (0, -1))
+    here, *there = (_measured(mechanism, row[:n])[1] for row in (y, rows[0], rows[-1]))
+    if here > BESIDE * max(there):
         return None
-    rows[0], rows[-1] = (closed for closed, _ in ends)
     for k in range(1, len(rows) - 1):
         rows[k], _ = closing(rows[k])
     gap = closed_form.closure_gap(mechanism, (WEIGHTS @ rows)[:n])

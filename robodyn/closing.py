@@ -77,10 +77,11 @@ def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (
         Psi = closure_jacobian(mechanism, q)[..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
-        near = s[..., -1] < NEAR_SINGULAR * size
+        held = s > CUT * s[..., :1]
+        near = np.where(held, s, np.inf).min(axis=-1) < NEAR_SINGULAR * size
         for state in map(tuple, np.argwhere(near)):
             gap[state] = exact_gap(mechanism, q[state])
-        inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > CUT * s[..., :1])
+        inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
         along = inverse * np.einsum("...ij,...i->...j", U, gap)
         step[..., free] = np.einsum("...ji,...j->...i", Vt, along)
         return closed & ~near, step
