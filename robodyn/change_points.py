@@ -76,7 +76,9 @@ class Singular(NamedTuple):
     q: Array
     miss: float
     crosses: bool  # a change point
-    worth_saying: bool  # a near miss of one
+    misses: bool  # by more than rounding
+    freedoms: int  # beside it
+    worth_saying: bool  # as a miss
 
 
 @lru_cache(maxsize=64)
@@ -230,8 +232,9 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
     definite = (values.min(axis=-1) > -DEFINITE * top) | (values.max(axis=-1) < DEFINITE * top)
     may_cross = mechanism.n - rank == 1 and not (definite & (top > DEFINITE * size)).any()
     crosses = may_cross and miss <= ROUNDING * size
-    said = may_cross and not crosses and miss <= WORTH_SAYING * size
-    return Singular(q, miss, crosses, said)
+    misses = miss > ROUNDING * size
+    said = misses and miss <= WORTH_SAYING * size
+    return Singular(q, miss, crosses, misses, mechanism.n - rank, said)
 
 
 def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Array:
@@ -241,6 +244,15 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
     moved = arrays.J @ right
     H: Array = moved.T @ (weights[:, :, None] * moved)
     return H
+
+
+def miss_remark(mechanism: Mechanism, states: Array) -> str:
+    """Says that one of the states (..., n) is near a change point that the loops just miss."""
+    for q in states.reshape(-1, mechanism.n):
+        near = nearest_singular(mechanism, q)
+        if near is not None and near.worth_saying:
+            return f"misses a change point by {near.miss:.2g} m"
+    return ""
 
 
 # -- motions that pass a near miss ----------------------------------------------------------------
