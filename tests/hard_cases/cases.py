@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
+from hard_cases import near_misses as near_miss
 from robodyn.description import from_text
 from robodyn.mechanism import Mechanism, build
 from robodyn.recording import Outcome
@@ -436,6 +437,17 @@ def seven_body() -> Iterator[Row]:
             yield Row(case, hard, "energy balance", 10.0 * rtol, motion.report.energy_drift)
 
 
+# -- 11: near misses of change points -------------------------------------------------------------
+
+
+def near_misses() -> Iterator[Row]:
+    hard = "branches all but meet"
+    for case, worst in near_miss.states():
+        yield Row(case, hard, "error / eps (w^2 + |qdd|)/(s/L)^2", 100.0, worst)
+    for case, error, bound in near_miss.motions():
+        yield Row(case, hard, "error of q, qd", bound, error)
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -448,4 +460,5 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     long_run,
     scales_and_edges,
     seven_body,
+    near_misses,
 ]

@@ -1,9 +1,9 @@
-"""Linkages that narrowly miss a change point: states against mpmath, motions against longdoubles."""
+"""Linkages that narrowly miss a change point: against mpmath, and motions in longdoubles."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import mpmath as mp
 import numpy as np
@@ -12,10 +12,13 @@ import robodyn
 from robodyn.actuation import Actuation
 from robodyn.change_points import nearness
 from robodyn.closed_form import closure_jacobian
+from robodyn.closing import close_positions
 from robodyn.description import from_text
 from robodyn.extended import reference
 from robodyn.mechanism import Mechanism, build
 from robodyn.simulation import simulate
+
+Maker = Callable[[float], Mechanism]
 
 EPS = float(np.finfo(float).eps)
 BARS = """gravity: 9.81
@@ -44,6 +47,16 @@ def generic(miss: float) -> Mechanism:
     """The longest and the shortest bar as long as the other two, but for the miss."""
     text = BARS.format(a=0.35, b=0.8, c=0.55, d=0.35 + 0.8 - 0.55 + miss)
     return build(from_text(text, "four-bar"))
+
+
+def two_four_bars(miss: float) -> Mechanism:
+    """The N-four-bar, N = 2, of a last pivot that is off."""
+    bar = "m: 1, l: 1, r: 0.5, I: 0.083333333333333333"
+    pivots = (0.0, 1.0, 2.0 + miss)
+    links = [f"{{name: v{k}, {bar}, from: [{x!r}, 0]}}" for k, x in enumerate(pivots)]
+    links += [f"{{name: h{k}, {bar}, from: v{k}}}" for k in range(2)]
+    text = f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [[h0, v1], [h1, v2]]\n"
+    return build(from_text(text, "two-four-bars"))
 
 
 def slider_crank(miss: float) -> Mechanism:
@@ -139,11 +152,38 @@ def state_error(mechanism: Mechanism, angle: float, rate: float = 3.0, tau: floa
     return float(max(accel, inverse / size) / terms)
 
 
-def motion_error(
-    mechanism: Mechanism, angle: float, rate: float, time: float, **options: object
-) -> tuple[float, float]:
+def five_bar(miss: float) -> Mechanism:
+    """Two freedoms: its bars can all but lie in one line."""
+    lengths = (0.4, 0.5, 0.6, 0.3)
+    names = ("a", "b", "c", "d")
+    hangs = ("[0, 0]", "a", f"[{0.4 + 0.5 - 0.6 + 0.3 + miss!r}, 0]", "c")
+    links = [
+        f"{{name: {k}, m: {1 + l}, l: {l}, r: {l / 2}, I: {l / 9}, from: {h}}}"
+        for k, l, h in zip(names, lengths, hangs, strict=True)
+    ]
+    text = f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [[b, d]]\nactuated: [a, c]\n"
+    return build(from_text(text, "five-bar"))
+
+
+# the angle of the crank, its rate, and how long it goes, past the near miss
+PASSES = {
+    parallelogram: (0.5, -5.0, 0.2),
+    generic: (0.5, -5.0, 0.2),
+    slider_crank: (1.2, 5.0, 0.2),
+    two_four_bars: (0.5, -5.0, 0.2),
+}
+
+
+def motion_error(make: Maker, miss: float, **options: object) -> tuple[float, float]:
     """What `simulate` misses at its end, and 2,000 eps L/s of s on the way."""
-    q = robodyn.assemble(mechanism, [angle])
+    mechanism, (angle, rate, time) = make(miss), PASSES[make]
+    lying = np.zeros(mechanism.n)
+    lying[list(mechanism.actuated)] = angle
+    if len(mechanism.rows) == 4:
+        lying = np.array([angle, angle, angle, -angle, -angle])
+        q = close_positions(mechanism, lying, mechanism.actuated)
+    else:
+        q = robodyn.assemble(mechanism, [angle])
     qd = robodyn.loop_velocities(mechanism, q, [rate])
     nothing = Actuation((0.0,) * mechanism.n)
     exact = reference(mechanism, np.concatenate([q, qd]), np.array([time]), nothing)
@@ -156,27 +196,29 @@ def motion_error(
     return float(np.abs(end - exact.y[-1]).max()), 2000.0 * EPS / nearest + exact.uncertainty
 
 
-def near_miss_states(misses: Sequence[float] = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)) -> Iterator:
-    """Rows of the table: the worst of several angles."""
-    for make in (parallelogram, generic, slider_crank):
+STATES = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)  # m
+MOTIONS = (1e-12, 1e-9, 1e-6, 1e-3)
+TIGHT: tuple[dict[str, object], ...] = (
+    {"method": "taylor", "engine": "python", "rtol": 1e-14, "atol": 1e-14},
+    {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13},
+)
+
+
+def states(misses: Sequence[float] = STATES) -> Iterator[tuple[str, float]]:
+    """Of each linkage the worst of several angles, in units of eps (w^2 + |qdd|)/(s/L)^2."""
+    for make, singular in ((parallelogram, 0.0), (generic, 0.0), (slider_crank, np.pi / 2)):
         for miss in misses:
-            mechanism = make(miss)
-            worst = max(state_error(mechanism, angle) for angle in (0.03, 0.01, 1e-3, 1e-5, 1e-7))
+            angles = [singular - beside for beside in (0.03, 0.01, 1e-3, 1e-5, 1e-7)]
+            worst = max(state_error(make(miss), angle) for angle in angles)
             yield f"{make.__name__}, misses by {miss:g} m", worst
 
 
-def near_miss_motions(
-    misses: Sequence[float] = (1e-12, 1e-9, 1e-6, 1e-3),
-    engines: Sequence[dict[str, object]] = (
-        {"method": "taylor", "rtol": 1e-14, "atol": 1e-14},
-        {"method": "taylor", "engine": "compiled", "rtol": 1e-14, "atol": 1e-14},
-        {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13},
-    ),
-) -> Iterator:
-    """Rows of the table."""
-    for make in (parallelogram, generic, slider_crank):
+def motions(
+    misses: Sequence[float] = MOTIONS, ways: Sequence[dict[str, object]] = TIGHT
+) -> Iterator[tuple[str, float, float]]:
+    """Each linkage, by each way of integration, past its near miss: error and bound."""
+    for make in PASSES:
         for miss in misses:
-            for options in engines:
-                found, bound = motion_error(make(miss), 0.5, -5.0, 0.2, **options)
-                how = f"{options['method']} {options.get('engine', '')}".strip()
-                yield f"{make.__name__}, misses by {miss:g} m, {how}", found, bound
+            for way in ways:
+                found, bound = motion_error(make, miss, **way)
+                yield f"{make.__name__}, misses by {miss:g} m, {way['method']}", found, bound
