@@ -28,6 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.assembly_plan import Plan, joints_of
 from robodyn.assembly_plan import assembly_plan as assembly_plan
 from robodyn.closed_form import closure_gap, closure_jacobian
+from robodyn.closing import NEAR_SINGULAR
+from robodyn.closing import close_positions as close_positions
+from robodyn.closing import loop_size as loop_size
 from robodyn.dyads import CLOSED as CLOSED
 from robodyn.dyads import coupled_angle, known_angles, solve_dyad
 from robodyn.errors import AssemblyError, InputError
@@ -36,8 +39,8 @@ from robodyn.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
+FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearly singular
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
-NEWTON_STEPS = 12
 
 
 def assemble(
@@ -75,15 +78,15 @@ def attempt(
     q[..., list(mechanism.actuated)] = given
     for joint, c in plan.coupled:
         q[..., joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
-    missing = np.zeros(given.shape[:-1])
+    missing, flat = np.zeros(given.shape[:-1]), np.zeros(given.shape[:-1], bool)
     for arm, off in _couplings_off(mechanism, q, plan):
         missing = np.maximum(missing, arm * off)
     known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
     alpha = known_angles(mechanism, known, q)
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
-        angles, short = solve_dyad(mechanism, plan, step, alpha, side)
-        missing = np.maximum(missing, short)
+        angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
+        missing, flat = np.maximum(missing, short), flat | (sine < FLAT)
         for link, angle in zip(step.unknown, angles, strict=True):
             for k, root in enumerate(plan.turns_with):
                 if root == link:
@@ -99,31 +102,18 @@ def attempt(
     if plan.rest:
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
+    flat &= missing <= 0.0
+    if flat.any():
+        q[flat] = _sharpened(mechanism, q[flat])
     return q, missing
 
 
-def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
-    """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
-
-    Where it does not converge the gap stays; the caller checks it.
-    """
-    closed = np.array(q, dtype=float)
-    free = [k for k in range(mechanism.n) if k not in set(fixed)]
-    for _ in range(NEWTON_STEPS):
-        gap = closure_gap(mechanism, closed)
-        if gap.size == 0 or np.abs(gap).max() <= 1e-16 * loop_size(mechanism):
-            break
-        inverse = np.linalg.pinv(closure_jacobian(mechanism, closed)[..., free], rcond=1e-12)
-        step = np.einsum("...ij,...j->...i", inverse, gap)
-        longest = np.abs(step).max(axis=-1, keepdims=True, initial=1e-300)
-        closed[..., free] -= step * np.minimum(1.0, 0.5 / longest)
-    return closed
-
-
-def loop_size(mechanism: Mechanism) -> float:
-    """The largest sum of lengths in a closure, m: what a gap is measured against."""
-    sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
-    return max(sizes, default=0.0)
+def _sharpened(mechanism: Mechanism, q: Array) -> Array:
+    """States (k, n) closed to the last digit where Psi itself is nearly singular."""
+    s = np.linalg.svd(closure_jacobian(mechanism, q), compute_uv=False)
+    near = s[:, -1] < NEAR_SINGULAR * loop_size(mechanism)
+    q[near] = close_positions(mechanism, q[near], mechanism.actuated)
+    return q
 
 
 def reachable(

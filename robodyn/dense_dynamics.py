@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import loop_size
 from robodyn.closed_form import (
     absolute_gravity,
     absolute_inertia,
@@ -29,6 +28,7 @@ from robodyn.closed_form import (
     phases,
     scene_torques,
 )
+from robodyn.closing import loop_size
 from robodyn.errors import RobodynError, SingularError
 from robodyn.mechanism import Mechanism
 

@@ -17,8 +17,11 @@ CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 
 def solve_dyad(
     mechanism: Mechanism, plan: Plan, step: Step, alpha: Array, side: float
-) -> tuple[list[Array], Array]:
-    """The angles of the step's unknown links, and the distance missing (0 where it closes)."""
+) -> tuple[list[Array], Array, Array]:
+    """The angles of the step's unknown links, the distance missing (0 where it closes), a sine.
+
+    The sine is that of the angle between the unknown links, or of a link to its slider's normal.
+    """
     rows = [row for row in mechanism.rows if row.closure == step.closure]
     slider = len(rows) == 1
     # gap = K + sum_u c_u E_u over the unknown links u; a slider's is turned onto its line
@@ -37,7 +40,7 @@ def solve_dyad(
     tolerance = CLOSED * size
     if not step.unknown:
         gap = np.abs(K.imag) if slider else np.abs(K)
-        return [], np.where(gap > tolerance, gap, 0.0)
+        return [], np.where(gap > tolerance, gap, 0.0), np.ones(gap.shape)
     first = c[step.unknown[0]]
     if slider:
         across = -K.imag
@@ -45,10 +48,12 @@ def solve_dyad(
         along = side * np.sqrt(np.maximum(square, 0.0))
         missing = np.abs(across) - np.abs(first)
         angle = np.angle((along + 1j * across) / first)
-        return [angle], np.where(missing > tolerance, missing, 0.0)
+        closes = np.where(missing > tolerance, missing, 0.0)
+        return [angle], closes, np.abs(along) / np.abs(first)
     if len(step.unknown) == 1:
         missing = np.abs(np.abs(K) - np.abs(first))
-        return [np.angle(-K / first)], np.where(missing > tolerance, missing, 0.0)
+        closes = np.where(missing > tolerance, missing, 0.0)
+        return [np.angle(-K / first)], closes, np.ones(missing.shape)
     second = c[step.unknown[1]]
     ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
     missing = np.maximum(d - (ra + rb), np.abs(ra - rb) - d)
@@ -60,7 +65,8 @@ def solve_dyad(
         y = np.where(d > 0.0, np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d), ra)
     arm = unit * (x + 1j * side * y)
     angles = [np.angle(arm / first), np.angle((-K - arm) / second)]
-    return angles, np.where(missing > tolerance, missing, 0.0)
+    sine = np.abs(d * y) / (ra * rb)
+    return angles, np.where(missing > tolerance, missing, 0.0), sine
 
 
 def known_angles(mechanism: Mechanism, known: set[int], q: Array) -> Array:

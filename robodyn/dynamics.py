@@ -27,6 +27,7 @@ from robodyn import (
     projection,
 )
 from robodyn.closed_form import finite, n_wide
+from robodyn.closing import NEAR_SINGULAR, close_positions
 from robodyn.dense_dynamics import (
     MASS_CUT,
     RANK_CUT,
@@ -115,13 +116,16 @@ def _forward_batch(
 
 def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
     """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
-    found = dense_dynamics.forward(mechanism, q, qd, tau)
     if not mechanism.rows or not q.size:
-        return found
-    qdd, multipliers = found.qdd, found.multipliers
+        return dense_dynamics.forward(mechanism, q, qd, tau)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    s = np.linalg.svd(Psi, compute_uv=False)
-    quality = (s[..., projection.regular_rank(mechanism) - 1] / s[..., 0]) ** 2
+    near = change_points.nearness(mechanism, Psi)
+    close = near < NEAR_SINGULAR
+    if close.any():  # there a state must keep the closures to its last digit
+        q = q.copy()
+        q[close] = close_positions(mechanism, q[close])
+    found = dense_dynamics.forward(mechanism, q, qd, tau)
+    qdd, multipliers, quality = found.qdd, found.multipliers, near**2
     for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
         beside = partial(_accelerations_beside, mechanism, tau[state])
         led = _lead_across(mechanism, (q[state], qd[state]), float(quality[state]), beside)
@@ -129,13 +133,19 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
             qdd[state] = led
             load = required_load(mechanism, q[state], qd[state], qdd[state]) - tau[state]
             multipliers[state] = np.linalg.pinv(Psi[state].T, rcond=RANK_CUT) @ load
-    return found
+    missed = change_points.miss_remark(mechanism, q[quality < change_points.SUSPECT])
+    return found._replace(remark="; ".join(filter(None, (found.remark, missed))))
 
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
     try:
-        return dense_dynamics.inverse(mechanism, q, qd, qdd)
+        found = dense_dynamics.inverse(mechanism, q, qd, qdd)
+        if not mechanism.rows or not q.size:
+            return found
+        near = change_points.nearness(mechanism, closed_form.closure_jacobian(mechanism, q))
+        missed = change_points.miss_remark(mechanism, q[near < change_points.NEAR])
+        return found._replace(remark="; ".join(filter(None, (found.remark, missed))))
     except SingularError:
         if not mechanism.rows:
             raise

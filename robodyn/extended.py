@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
 from robodyn.errors import InputError, RobodynError
 from robodyn.expression import FUNCTIONS
 from robodyn.kinks import next_stop
 from robodyn.mechanism import Mechanism
-from robodyn.projection import CUT
 from robodyn.straightline import compile_forces
 from robodyn.taylor import step_size
 from robodyn.taylor.arrays import ArraySeries, solve_columns
@@ -39,6 +39,7 @@ EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
 SMALLEST_STEP = 1e-12  # s
 LARGEST_STEP = 0.25  # s, of the extrapolation
 AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
+TOO_NEAR = 1e-8  # s/L below which nothing is closed
 LARGE = 12  # links, up to which the second computation is worth its time
 
 
@@ -271,28 +272,43 @@ class _Closing:
 
     def __init__(self, mechanism: Mechanism) -> None:
         arrays = mechanism.arrays
-        self.n = mechanism.n
+        self.mechanism, self.n = mechanism, mechanism.n
         self.J = arrays.J.astype(LONG)
         self.P = arrays.P.astype(COMPLEX)
         self.angles = arrays.angles.astype(LONG)
         self.offset = np.asarray(arrays.offset, LONG)
+        self.size = loop_size(mechanism)
 
     def __call__(self, y: Long) -> Long:
         if not len(self.P):
             return y
         n = self.n
-        q, qd = y[:n], y[n:]
-        for _ in range(4):
-            alpha = self.J @ q
-            PE = self.P * np.exp(1j * alpha)
-            Psi = (self.angles - PE.imag) @ self.J
-            gap = PE.real.sum(axis=1) + self.angles @ alpha + self.offset
-            right = np.stack([gap, Psi @ qd], axis=1)
-            normal = Psi @ Psi.T
-            if float(np.abs(np.linalg.eigvalsh(normal.astype(float))).min()) < CUT:
-                return y  # next to a change point: the two computations will tell
-            change = Psi.T @ solve_columns(normal, right)
-            q, projected = q - change[:, 0], qd - change[:, 1]
-            if float(np.abs(gap).max()) < 100.0 * np.finfo(LONG).eps:
-                break
+        try:
+            q = newton(y[:n], self._step)
+            Psi, normal, _ = self._at(q)
+            projected = y[n:] - Psi.T @ solve_columns(normal, (Psi @ y[n:])[:, None])[:, 0]
+        except _TooNear:
+            return y  # next to a change point: the two computations will tell
         return np.concatenate([q, projected])
+
+    def _at(self, q: Long) -> tuple[Long, Long, Long]:
+        """Psi, Psi Psi^T and the gap, which is exact where Psi is nearly singular."""
+        alpha = self.J @ q
+        PE = self.P * np.exp(1j * alpha)
+        Psi = (self.angles - PE.imag) @ self.J
+        normal = Psi @ Psi.T
+        least = float(np.linalg.svd(Psi.astype(float), compute_uv=False)[-1]) / self.size
+        if least < TOO_NEAR:
+            raise _TooNear
+        if least < NEAR_SINGULAR:
+            return Psi, normal, exact_gap(self.mechanism, q).astype(LONG)
+        return Psi, normal, PE.real.sum(axis=1) + self.angles @ alpha + self.offset
+
+    def _step(self, q: Long) -> tuple[bool, Long]:
+        Psi, normal, gap = self._at(q)
+        step = Psi.T @ solve_columns(normal, gap[:, None])[:, 0]
+        return bool(np.abs(step).max() < 10.0 * np.finfo(LONG).eps), step
+
+
+class _TooNear(Exception):
+    """Psi is singular."""

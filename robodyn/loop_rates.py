@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import close_positions, loop_size
+from robodyn.change_points import nearest_singular
 from robodyn.closed_form import (
     absolute_rates,
     as_states,
@@ -20,6 +20,7 @@ from robodyn.closed_form import (
     closure_gap,
     closure_jacobian,
 )
+from robodyn.closing import close_positions, loop_size
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanism import Mechanism
 
@@ -69,7 +70,8 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     if passive and _smallest(mechanism, Psi[:, passive]) > SINGULAR:
         return ""
     if _smallest(mechanism, Psi) <= SINGULAR:
-        return "change point"
+        near = nearest_singular(mechanism, np.asarray(q, float))
+        return "" if near is not None and near.misses else "change point"
     return "dead centre" if passive else ""
 
 
@@ -188,9 +190,11 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
         return values
     columns = Psi[..., passive]
     singular = (_smallest(mechanism, columns) <= SINGULAR) & np.any(right != 0.0, axis=-1)
-    if singular.any():
-        state = np.unravel_index(int(np.argmax(singular)), singular.shape)
+    for state in map(tuple, np.argwhere(singular)):
         configuration = np.broadcast_to(q, values.shape)[state]
+        near = nearest_singular(mechanism, configuration)
+        if near is not None and near.misses and _smallest(mechanism, Psi[state]) > REDUNDANT:
+            continue  # as near as the loops ever come, and right to eps/s
         kind = singular_kind(mechanism, configuration)
         at = ", ".join(f"{x:.9g}" for x in configuration)
         raise SingularError(

@@ -17,20 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import closed_form, straightline
-from robodyn.assembly import close_positions, loop_size
-from robodyn.change_points import SUSPECT, Closing, lead_across
+from robodyn.change_points import (
+    SUSPECT,
+    Closing,
+    Misses,
+    lead_across,
+    regular_rank,
+    suspect_quality,
+)
+from robodyn.closing import CLOSED, CUT, close_positions, loop_size
 from robodyn.engines.formulas import projection_formula
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 
-SINGULAR = 1e-6  # relative pivot below which the written-out solve is not trusted
-CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
-CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
-USUAL = 0.13  # part of what is usual below which a quality is suspect
 PASSES = 4
 
 
@@ -41,18 +44,13 @@ def dense_closing(mechanism: Mechanism) -> Closing:
 
     def nearest(y: Array) -> tuple[Array, float]:
         closed = y.copy()
-        q, qd = closed[:n], closed[n : 2 * n]
-        for _ in range(PASSES):
-            gap = closed_form.closure_gap(mechanism, q)
-            if np.abs(gap).max() <= CLOSED * size:
-                break
-            Psi = closed_form.closure_jacobian(mechanism, q)
-            q -= np.linalg.pinv(Psi, rcond=CUT) @ gap
-        Psi = closed_form.closure_jacobian(mechanism, q)
+        closed[:n] = close_positions(mechanism, y[:n])
+        qd = closed[n : 2 * n]
+        Psi = closed_form.closure_jacobian(mechanism, closed[:n])
         U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
         held = s > CUT * s[0]
         qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
-        return closed, float((s[rank - 1] / s[0]) ** 2)
+        return closed, float((s[rank - 1] / size) ** 2)
 
     return nearest
 
@@ -110,53 +108,22 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
     return nearest
 
 
-def projection(mechanism: Mechanism, closing: Closing) -> Callable[[Array], Array]:
-    """The state itself; next to a change point that of the branch which leads across."""
+class Projection:
+    """The nearest closed state; next to a change point that of the branch which leads across.
 
-    def project(y: Array) -> Array:
-        closed, quality = closing(y)
-        led = lead_across(mechanism, closing, y, quality, lambda states: states)
-        return closed if led is None else led
-
-    return project
-
-
-@lru_cache(maxsize=64)
-def regular_rank(mechanism: Mechanism) -> int:
-    """The rank of Psi at closed configurations, but for singular ones."""
-    drawn = _closed_jacobians(mechanism)
-    if not len(drawn):
-        return min(len(mechanism.rows), mechanism.n)
-    s = np.linalg.svd(drawn, compute_uv=False)
-    return max(1, int((s > 1e-7 * loop_size(mechanism)).sum(axis=-1).max()))
-
-
-@lru_cache(maxsize=64)
-def suspect_quality(mechanism: Mechanism) -> float:
-    """The quality of a closing below which a state is near a singular one.
-
-    Loops of many links have small pivots everywhere, for their rows' sizes add up all links: what
-    is usual at closed states at random counts.
+    `misses` are the change points that the mechanism only nearly has, and hold an integrator.
     """
-    sizes = [row.size**2 for row in mechanism.rows]
-    # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
-    found = [
-        (np.asarray(np.linalg.qr(Psi.T, mode="r")).diagonal() ** 2 / sizes).min()
-        for Psi in _closed_jacobians(mechanism)
-        if len(sizes) <= mechanism.n
-    ]
-    return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
 
+    def __init__(self, mechanism: Mechanism, closing: Closing) -> None:
+        self.mechanism, self.closing = mechanism, closing
+        self.misses = Misses(mechanism)
 
-@lru_cache(maxsize=64)
-def _closed_jacobians(mechanism: Mechanism) -> Array:
-    """Psi (k, r, n) at up to 16 closed configurations."""
-    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
-    q = close_positions(mechanism, drawn)
-    gap = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
-    closed = q[gap <= 1e-9 * loop_size(mechanism)]
-    Psi: Array = closed_form.closure_jacobian(mechanism, closed)
-    return Psi
+    def __call__(self, y: Array) -> Array:
+        closed, quality = self.closing(y)
+        if quality > SUSPECT or not self.misses.crosses(closed[: self.mechanism.n]):
+            return closed
+        led = lead_across(self.mechanism, self.closing, y, quality, lambda states: states)
+        return closed if led is None else led
 
 
 @lru_cache(maxsize=64)
@@ -167,5 +134,5 @@ def _generated_closing(
     formula = projection_formula(mechanism)
     if formula is None:
         return lambda y: None
-    limits = SINGULAR, CLOSED * size, CONVERGED * size
+    limits = suspect_quality(mechanism), CLOSED * size, CONVERGED * size
     return straightline.compile_closing(formula, PASSES, *limits)

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import loop_size
 from robodyn.closed_form import absolute_rates, as_states, closure_jacobian, phases
+from robodyn.closing import loop_size
 from robodyn.dense_dynamics import RANK_CUT
 from robodyn.dynamics import coupling_torques, pin_forces
 from robodyn.errors import InputError

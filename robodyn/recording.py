@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from robodyn import closed_form
 from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
+from robodyn.change_points import miss_remark
+from robodyn.closing import loop_size
 from robodyn.mechanism import Mechanism
 from robodyn.run_control import JointTracking
 from robodyn.taylor import Chunk
@@ -91,6 +92,7 @@ class Report:
     largest_gap_rate: float = 0.0  # m/s
     nearest_singular: float | None = None  # least singular value of Psi against the loop's size
     nearest_singular_time: float | None = None
+    missed: str = ""  # of a change point that the loops just miss there
     error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
     tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
     hint: str = ""  # what would make it faster
@@ -266,6 +268,7 @@ class Recorder:
         if report.nearest_singular is None or least[worst] < report.nearest_singular:
             report.nearest_singular = float(least[worst])
             report.nearest_singular_time = float(t[::stride][worst])
+            report.missed = miss_remark(mechanism, q[::stride][worst])
 
     def _least_singular(self, Psi: Array) -> Array:
         """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""

@@ -28,24 +28,16 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics, straightline
 from robodyn.actuation import Actuation
-from robodyn.change_points import lead_across
+from robodyn.change_points import lead_across, nearest_singular, regular_rank
 from robodyn.closed_form import other_forces
 from robodyn.mechanism import Mechanism
-from robodyn.projection import (
-    SINGULAR,
-    STRAIGHT,
-    dense_closing,
-    loop_terms,
-    projection,
-    regular_rank,
-    straight_closing,
-)
+from robodyn.projection import STRAIGHT, Projection, dense_closing, loop_terms, straight_closing
 
 Array = NDArray[np.float64]
 Rates = Callable[[float, Array], Any]
-Projection = Callable[[Array], Array]
 
 STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest
+SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
 NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
 
 
@@ -107,7 +99,7 @@ def right_hand_side(
         closing = sparse.closing(system, dense_closing(mechanism))
     else:
         closing = (dense_closing if kind == "dense" else straight_closing)(mechanism)
-    project = projection(mechanism, closing)
+    project = Projection(mechanism, closing)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
 
@@ -119,7 +111,14 @@ def right_hand_side(
         beside = solving(Actuation(None, (f"{names}, = _held",), {"_held": held}))
         torques = actuation.function(mechanism.n)
 
+    def missing(y: Array) -> bool:
+        """Whether a state is near a singular configuration that is no change point."""
+        near = nearest_singular(mechanism, y[: mechanism.n])
+        return near is not None and not near.crosses
+
     def careful(t: float, y: Array) -> Any:
+        if missing(y):  # a stage that were closed here would bend the step
+            return solved(t, y)
         closed, quality = closing(y)
 
         def evaluate(states: Array) -> Array:

@@ -22,7 +22,7 @@ from robodyn import closed_form, dense_dynamics, dynamics, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.mechanism import Mechanism
-from robodyn.projection import best_closing, projection
+from robodyn.projection import Projection, best_closing
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.right_hand_side import RightHandSide, right_hand_side
 from robodyn.torque_times import harmless_torque, over_a_run
@@ -222,7 +222,7 @@ def run(
             mechanism, y0[None, : mechanism.n], y0[None, mechanism.n :][:, : mechanism.n]
         )
     if projects:
-        y0 = projection(mechanism, best_closing(mechanism))(y0)
+        y0 = Projection(mechanism, best_closing(mechanism))(y0)
     if actuation.told is not None:
         actuation.told.begin(y0.tolist(), float(t_end))
     if taylor:  # tell now where no motion is defined

@@ -7,6 +7,8 @@
 3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh;
 4. an observer sees the step.
 
+Near a change point that the loops miss, steps are held, and one that leapt across is taken again.
+
 The change is of the order of the step's local error, so the order of the method stays.  A dense
 output is projected as well, so that states between steps close too; at a step's ends it meets the
 projected states up to the square of that change.
@@ -23,11 +25,11 @@ from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
 from robodyn.kinks import NEAR, kink_at, next_stop
+from robodyn.projection import Projection
 from robodyn.right_hand_side import NearSingular
 from robodyn.run_control import Steps
 
 Array = NDArray[np.float64]
-Projection = Callable[[Array], Array]
 Observer = Callable[[Any], None]
 
 METHODS: dict[str, type[OdeSolver]] = {
@@ -40,6 +42,7 @@ METHODS: dict[str, type[OdeSolver]] = {
 }
 EXPLICIT = ("DOP853", "RK45", "RK23")
 COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
+UNBOUNDED = 1e50  # a tolerance from which what it is for chooses no step
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
 STIFF_SAMPLE = 10  # every so many steps are looked at
 STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 1.0}  # |h lambda| near the stable limit
@@ -87,6 +90,7 @@ def projected(method: str) -> type[OdeSolver]:
             self._jumped = False  # whether the torque may have, at self.t
             self._options = options
             self.steps = 0
+            self._tolerances: tuple[Any, Array] | None = None  # as they were given
             self._stiff_steps = 0
             self._rates = fun  # not counted
             self.near = near if method in EXPLICIT else None
@@ -109,7 +113,9 @@ def projected(method: str) -> type[OdeSolver]:
             if self._jumped:
                 self._restart()
             end = self.t_bound
+            begun = self.t, self.y, self.f if method in EXPLICIT else None
             self._bound(next_stop(self.kinks, self.leaves, self.t, end, NEAR))
+            self._hold()
             try:
                 success, message = self._take_step()
             except ValueError as error:  # an implicit method met a rate that is not finite
@@ -119,16 +125,38 @@ def projected(method: str) -> type[OdeSolver]:
                 success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
             if not success:
                 return success, message
-            self.steps += 1
             if self.projection is not None:
                 y = self.projection(self.y)
+                times, ends = np.array([begun[0], self.t]), np.stack([begun[1], y])
+                if self.projection.misses.leaps(times, ends):
+                    self.t, self.y, self.f = begun
+                    self._restart()
+                    return self._step_impl()
                 if y is not self.y:
                     self._accept(y)
+            self.steps += 1
             if edge < np.inf:
                 self._watch_stability()
             if self.told is not None:
                 self._reach(self.told)
             return success, message
+
+        def _hold(self) -> None:
+            """Bound the step near a missed change point, and its error."""
+            if self.projection is None:
+                return
+            longest, fine = self.projection.misses.holds(self.y)
+            if longest < abs(self.t_bound - self.t):
+                self._bound(self.t + self.direction * longest)
+            if self._tolerances is None:
+                if fine == np.inf:
+                    return
+                self._tolerances = self._options["rtol"], np.array(self._options["atol"])
+            rtol, atol = self._tolerances
+            self.rtol = min(rtol, fine)
+            self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
+            if base is LSODA:
+                self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
 
         def _reach(self, told: Steps) -> None:
             """Tell a kink that the step ended on.  The dense output of the step stays as it is."""

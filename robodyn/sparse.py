@@ -15,16 +15,16 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.actuation import Actuation
-from robodyn.change_points import Closing
+from robodyn.change_points import Closing, suspect_quality
 from robodyn.closed_form import other_forces, scene_torques
+from robodyn.closing import newton
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Fallback = Callable[[float, Array], Any]
 
 SINGULAR = 1e-12  # ratio of pivots below which a factorisation is not trusted
-PASSES = 4
-CONVERGED = 1e-14  # rad
+CONVERGED = 3e-15  # rad
 
 
 class _Pattern:
@@ -114,20 +114,23 @@ class SparseMechanism:
         gap: Array = np.bincount(self.row, terms, minlength=self.r) + self.offset
         return gap
 
-    def newton_step(self, q: Array, qd: Array) -> tuple[Array, Array, float]:
-        """q and qd after one Newton step of least norm towards closing; ratio of pivots."""
+    def closing_step(self, q: Array) -> tuple[Array, Any, float, Callable[[Array], Array]]:
+        """The gap at q (r,), Psi, the ratio of pivots, and what takes a gap to its least step."""
         E = self.directions(q)
         PE = self.P * E[self.link]
-        gap = self.gap(PE, self.J @ q)
         slope = self.angles - PE.imag
         Psi = csr_matrix((slope, (self.row, self.link)), shape=(self.r, self.n)) @ self.J
         # unscaled and with pivots from the diagonal, which are small where a loop hardly closes
         symmetric = {"Equil": False, "SymmetricMode": True}
         factors = splu(csc_matrix(Psi @ Psi.T), diag_pivot_thresh=0.0, options=symmetric)
         pivots = np.abs(factors.U.diagonal())
-        right = np.stack([gap, Psi @ qd], axis=-1)
-        change = Psi.T @ factors.solve(right)
-        return q - change[:, 0], qd - change[:, 1], float(pivots.min() / pivots.max())
+        gap = self.gap(PE, self.J @ q)
+        ratio = float(pivots.min() / pivots.max())
+        return gap, Psi, ratio, lambda x: Psi.T @ factors.solve(x)
+
+
+class _Lost(Exception):
+    """A factorisation is not to be trusted."""
 
 
 def rates(
@@ -167,21 +170,26 @@ def closing(system: SparseMechanism, fallback: Closing) -> Closing:
     """The nearest state that closes (`projection.py`); singular ones are left to `fallback`."""
     n = system.n
 
+    suspect = suspect_quality(system.mechanism)
+
     def nearest(y: Array) -> tuple[Array, float]:
+        last: list[Any] = []
+
+        def evaluate(q: Array) -> tuple[bool, Array]:
+            last[:] = system.closing_step(q)
+            gap, _, ratio, least = last
+            if not ratio > suspect:
+                raise _Lost
+            step = least(gap)
+            return bool(np.abs(step).max() <= CONVERGED), step
+
         closed = y.copy()
-        q, given = closed[:n], closed[n : 2 * n]
-        for _ in range(PASSES):
-            try:
-                new, qd, ratio = system.newton_step(q, given)
-            except RuntimeError:
-                return fallback(y)
-            if not ratio > SINGULAR:
-                return fallback(y)
-            change = np.abs(new - q).max()
-            q = new
-            if change <= CONVERGED:
-                break
-        closed[:n], closed[n : 2 * n] = q, qd
+        try:
+            closed[:n] = newton(y[:n], evaluate)
+        except (RuntimeError, _Lost):  # splu: exactly singular
+            return fallback(y)
+        _, Psi, ratio, least = last
+        closed[n : 2 * n] -= least(Psi @ y[n : 2 * n])
         return closed, ratio
 
     return nearest

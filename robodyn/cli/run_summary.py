@@ -35,6 +35,8 @@ def tell(mechanism: Mechanism, facts: Report) -> None:
             f"nearest to singular: {facts.nearest_singular:.3g} at "
             f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
         )
+    if facts.missed:
+        lines.append(facts.missed)
     note("\n".join(lines))
 
 

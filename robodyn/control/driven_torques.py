@@ -15,13 +15,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from robodyn import dynamics, loop_rates, straightline
+from robodyn.change_points import regular_rank
 from robodyn.dense_dynamics import check_actuators, required_load
 from robodyn.engines import formulas
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.errors import InputError
 from robodyn.expression import Value
 from robodyn.mechanism import Mechanism
-from robodyn.projection import regular_rank
 
 Floats = Callable[..., Sequence[float]]
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import close_positions
+from robodyn.closing import close_positions
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, PlanarPoint, joint_index

@@ -9,6 +9,7 @@ has q, qd and qdd of both: extremes and crossings are those of these polynomials
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,9 @@ def _inner(
 ) -> None:
     """What q does between the rows of a motion."""
     n, h = mechanism.n, np.diff(motion.t)
-    rates = _pieces(motion.q, motion.qd, motion.qdd, h)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # remarks belong to single motions
+        rates = _pieces(motion.q, motion.qd, motion.qdd, h)
     low, high, rate_low, rate_high = extremes(rates, h)
     begin = motion.q[:-1].T
     for to, inner, choose in (

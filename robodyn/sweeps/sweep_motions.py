@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.change_points import regular_rank, suspect_quality
 from robodyn.dense_dynamics import elimination_is_safe
 from robodyn.mechanism import Mechanism
-from robodyn.projection import regular_rank, suspect_quality
 from robodyn.recording import Outcome
 from robodyn.sweeps import lanes
 from robodyn.sweeps.lane_forces import LaneForces

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
+from robodyn.closing import CLOSED, loop_size
 from robodyn.mechanism import Mechanism
-from robodyn.projection import CLOSED
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from robodyn import dense_dynamics
 from robodyn.actuation import Actuation
+from robodyn.change_points import FAR, Misses, suspect_quality
 from robodyn.errors import InputError, RobodynError
 from robodyn.kinks import kink_at, next_stop
 from robodyn.mechanism import Mechanism
-from robodyn.projection import float_closing, loop_terms, suspect_quality
+from robodyn.projection import float_closing, loop_terms
 from robodyn.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, Status, default_order
 from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine
@@ -102,6 +103,15 @@ def taylor_run(
     projects = project and bool(mechanism.rows)
     closing = float_closing(mechanism) if projects else None
     suspect = suspect_quality(mechanism) if projects else 0.0
+    misses = Misses(mechanism) if projects else None
+
+    def at_change_point() -> bool:
+        return misses is not None and misses.crosses(y[: mechanism.n])
+
+    def careful() -> SteppingEngine:
+        return stepping_engine(
+            mechanism, actuation, rtol, atol, order=order, project=project, work=work
+        )
 
     def fast() -> Engine | None:
         if project or not mechanism.rows:
@@ -109,6 +119,7 @@ def taylor_run(
         return None
 
     stepping: Engine | None = None
+    slow: SteppingEngine | None = None
     if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
         stepping = fast()
         if stepping is None and engine == "compiled":
@@ -118,12 +129,11 @@ def taylor_run(
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None
     if stepping is None:
-        stepping = stepping_engine(
-            mechanism, actuation, rtol, atol, order=order, project=project, work=work
-        )
+        stepping = careful()
     _check_start(mechanism, actuation, y)
     t, begun = 0.0, time.perf_counter()
-    crosses = closing is not None and closing(y.tolist())[1] < suspect
+    crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
+    held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
         if abs(bound - t) > max_step:
@@ -138,10 +148,23 @@ def taylor_run(
                 return Outcome.SINGULAR
             status = Status.FULL
         else:
-            steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
+            if near and not isinstance(stepping, SteppingEngine):
+                slow = slow or careful()
+                runner: Engine = slow
+            else:
+                runner = stepping
+            steps = STEPS if isinstance(runner, SteppingEngine) else COMPILED_STEPS
             left = recorder.max_evaluations - recorder.report.evaluations
             steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
-            chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+            chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
+            leaps: list[int] = []
+            if misses is not None:
+                times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
+                leaps = misses.leaps(times, ends)
+            if leaps:
+                chunk = _first(chunk, leaps[0], 1.0 if bound > t else -1.0)
+            held = bool(leaps)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
@@ -154,12 +177,22 @@ def taylor_run(
         stuck = status is Status.STUCK and closing is not None and not crosses
         if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
             return Outcome.STEP_TOO_SMALL
-        crosses = stuck or status is Status.SINGULAR
+        crosses = stuck
+        if status is Status.SINGULAR:
+            crosses = at_change_point()
+            held = not crosses
         if waits and time.perf_counter() - begun > PATIENCE:
             stepping, waits = fast() or stepping, False
             simple = actuation.constants is not None and not mechanism.has_state_forces
             if simple and find_spec("numba") is None:
                 recorder.report.hint = HINT
+
+
+def _first(chunk: Chunk, steps: int, direction: float) -> Chunk:
+    """The first steps of a chunk, and the rows within them."""
+    t = chunk.t[:steps]
+    rows = int(np.searchsorted(chunk.row_t * direction, t[-1] * direction, "right")) if steps else 0
+    return Chunk(t, chunk.y[:steps], chunk.row_t[:rows], chunk.row_y[:rows], Status.FULL)
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:

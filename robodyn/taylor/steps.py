@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
+from robodyn.change_points import Misses, suspect_quality
 from robodyn.engines.step_text import StepText, step_text
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanism import Mechanism
-from robodyn.projection import FloatClosing, suspect_quality
+from robodyn.projection import FloatClosing
 from robodyn.taylor import Chunk, Status, step_size
 from robodyn.taylor.arrays import ArraySeries, link_rates
 from robodyn.taylor.torques import TorqueSeries
@@ -46,8 +47,10 @@ class SteppingEngine:
     ) -> None:
         self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
+        self.misses = Misses(mechanism) if closing is not None else None
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
+        self._given = self.tolerances  # near a missed change point they are tighter
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.prepare()
@@ -79,24 +82,29 @@ class SteppingEngine:
         states: list[list[float]] = []
         rows: list[Array] = []
         due = 0
-        status = Status.FULL
+        status, n = Status.FULL, self.mechanism.n
         while len(ends) < steps:
-            most = (bound - t) * direction
+            left = most = (bound - t) * direction
+            if self.misses is not None:
+                longest, fine = self.misses.holds(state)
+                most = min(most, longest)
+                self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
             h, new, series = self.expand(t, state, most, direction)
             if not len(series):
                 status = Status.NOT_FINITE
                 break
             if self.bends:
                 h, new = self._shorten(t, state, h, new, series, direction)
-            if h < 4.0 * math.ulp(t) and h != most:
+            if h < 4.0 * math.ulp(t) and h != left:
                 status = Status.STUCK
                 break
-            quality = 1.0
-            if self.closing is not None:
+            crosses = False
+            if self.closing is not None and self.misses is not None:
                 new, quality = self.closing(new)
-                if quality < self.suspect:
+                if quality < self.suspect and self.misses.crosses(np.array(new[:n])):
                     h, new, quality = self._land(state, h, new, quality, series, direction)
-            end = bound if h == most else t + h * direction
+                    crosses = quality < self.suspect
+            end = bound if h == left else t + h * direction
             if due < len(times) and (times[due] - end) * direction <= 0.0:
                 last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
                 rows.append(self.states(state, series, times[due:last] - t))
@@ -110,7 +118,7 @@ class SteppingEngine:
             if t == bound:
                 status = Status.REACHED
                 break
-            if quality < self.suspect:
+            if crosses:
                 status = Status.SINGULAR
                 break
         made = np.array(states).reshape(len(states), len(y))

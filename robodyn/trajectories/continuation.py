@@ -17,8 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import CLOSED, loop_size
+from robodyn.assembly import CLOSED
+from robodyn.change_points import nearest_singular
 from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.closing import close_positions, loop_size
 from robodyn.errors import AssemblyError
 from robodyn.mechanism import Mechanism
 from robodyn.trajectories.joint_paths import JointPath, Pieces
@@ -29,7 +31,6 @@ TRAVEL = 0.1  # rad, the most that a joint moves between two nodes
 CORRECTION = 0.01  # rad, the most that Newton's method may correct a prediction
 FIRST_STEP = 1 / 64  # of a piece
 LEAST_STEP = 1e-11  # in u, below which the path has ended
-NEWTON_STEPS = 8
 MOST_NODES = 500_000
 NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
@@ -80,20 +81,7 @@ def follow(mechanism: Mechanism, path: JointPath, start: Array) -> Nodes:
 
 def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, NDArray[np.bool_]]:
     """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
-    passive = list(mechanism.passive)
-    q = q.copy()
-    last = np.inf
-    for _ in range(NEWTON_STEPS):
-        gap = closure_gap(mechanism, q)
-        columns = closure_jacobian(mechanism, q)[..., passive]
-        inverse = np.linalg.pinv(columns, rcond=1e-9)
-        step = np.einsum("...ij,...j->...i", inverse, gap)
-        longest = np.abs(step).max(axis=-1, keepdims=True, initial=1e-300)
-        q[..., passive] -= step * np.minimum(1.0, 0.5 / longest)
-        most = float(longest.max())
-        if most < 1e-13 or (most < 1e-9 and most > 0.3 * last):
-            break
-        last = most
+    q = close_positions(mechanism, q, mechanism.actuated)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
     turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
     return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
@@ -192,7 +180,7 @@ class _Follower:
         Psi = closure_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         U, s, Vt = np.linalg.svd(columns, full_matrices=False)
-        if s[-1] <= self._least:
+        if s[-1] <= self._least and not self._misses(q):
             return None
         inverse = (Vt.T / s) @ U.T
         q1[self._passive] = -inverse @ (driving @ held[1])
@@ -217,11 +205,16 @@ class _Follower:
                 low = middle, found[0]
             else:
                 high = middle, found[0]
-        if np.abs(high[1] - low[1]).max() > TOGETHER:
+        if np.abs(high[1] - low[1]).max() > TOGETHER or self._misses(low[1]):
             return False
         fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
         self._crossings.append((0.5 * (low[0] + high[0]), fastest))
         return True
+
+    def _misses(self, q: Array) -> bool:
+        """Whether q is near a singular configuration that is no change point."""
+        near = nearest_singular(self.mechanism, q)
+        return near is not None and not near.crosses
 
     def _obstacle(self, node: _Node) -> str:
         """Why the path does not go on from a node."""
