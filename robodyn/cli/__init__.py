@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import gc
 import os
-import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -18,6 +17,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from robodyn import __version__
+from robodyn.cli import signals
 from robodyn.errors import InputError, RobodynError
 
 COMMANDS = (
@@ -29,12 +29,13 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that open files are tidied up
+    signals.answer(signals.end)
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     code = run(sys.argv[1:])
     try:
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
+            # after a signal what is left is let go: its pipe may have a reader that waits
+            if stream is not None and not signals.received:
                 stream.flush()
     except BrokenPipeError:
         code = _without_reader()
@@ -70,6 +71,8 @@ def run(arguments: list[str]) -> int:
         print(f"Error: {named}{error.strerror or error}", file=sys.stderr)
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
+        if signals.received:  # compiled code makes another error of a signal
+            return 128 + signals.received[-1]
         if debug:
             raise
         kind = type(error).__name__

@@ -177,7 +177,8 @@ def simulate(
     if report is not None and same_file(report, out):
         raise InputError("--report", value=report, limit="must not be where the rows go (--out)")
 
-    with open_output(out, partial=lambda name: note(f"what was computed is in {name}")) as stream:
+    kept = open_output(out, partial=lambda name: note(f"what was computed is in {name}"))
+    with watching(duration, quiet) as watch, kept as stream:
 
         @cache
         def writer() -> Writer:  # a run that cannot start writes no header
@@ -187,7 +188,7 @@ def simulate(
             writer().write_columns(_rows(mechanism, torques, t, y))
 
         with nullcontext() if report is None else open_output(report) as file:
-            with named_options(), remarks(), watching(duration, quiet) as watch:
+            with named_options(), remarks():
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )

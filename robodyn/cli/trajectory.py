@@ -26,6 +26,7 @@ from robodyn.cli.trajectory_options import (
     seconds_from,
 )
 from robodyn.errors import InputError
+from robodyn.even_times import EvenTimes
 from robodyn.mechanism import Mechanism, load
 from robodyn.per_joint import for_each_actuated
 from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate
@@ -41,6 +42,7 @@ from robodyn.trajectories.time_scaling import (
 from robodyn.trajectories.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
+ENTRIES = 1 << 22  # of their matrices
 MOST_CYCLES = 100_000  # of a sweep
 
 
@@ -348,15 +350,16 @@ def _tell(motion: ReferenceMotion, bound: str) -> None:
 
 
 def _write(
-    motion: ReferenceMotion, times: np.ndarray, format: Format | None, out: str | None
+    motion: ReferenceMotion, times: EvenTimes, format: Format | None, out: str | None
 ) -> None:
     n = motion.mechanism.n
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
-    times = motion.begin + times
-    times[-1] = motion.end
+    block = max(1, min(BLOCK, ENTRIES // n**2))
     with row_writer(format, out, columns) as writer:
-        for k in range(0, len(times), BLOCK):
-            t = times[k : k + BLOCK]
+        for k in range(0, len(times), block):
+            t = motion.begin + times[k : k + block]
+            if k + block >= len(times):
+                t[-1] = motion.end
             with np.errstate(all="ignore"):
                 values = np.concatenate([t[:, None], *motion.states(t)], axis=1)
             if not np.isfinite(values).all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -52,6 +53,7 @@ class SteppingEngine:
         self.bends = torques if isinstance(torques, TorqueSeries) and torques.bends else None
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
+        self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.prepare()
 
     def prepare(self) -> None:
@@ -104,9 +106,16 @@ class SteppingEngine:
             if quality < self.suspect:
                 status = Status.SINGULAR
                 break
+            if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
+                break
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
         return Chunk(np.array(ends), made, times[:due], row_y, status)
+
+    def within(self, times: Array) -> Array:
+        """See `Engine`."""
+        t, state, series = self.last
+        return self.states(state, series, times - t)
 
     def _shorten(
         self,

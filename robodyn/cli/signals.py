@@ -1,0 +1,29 @@
+"""Signals that end a command, so that open files are tidied up."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping
+from types import FrameType
+from typing import Any, NoReturn
+
+ENDING = [getattr(signal, x) for x in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, x)]
+
+received: list[int] = []  # by this process, in order
+
+
+def answer(handler: Callable[[int, FrameType | None], Any]) -> Mapping[int, Any]:
+    """Let `handler` answer the signals, less those ignored as under nohup; the ones before."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    before = {number: old for number, old in before.items() if old != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, handler)
+    return before
+
+
+def end(number: int, _: FrameType | None = None) -> NoReturn:
+    """End the command at once, as one that the signal has ended."""
+    received.append(number)
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise SystemExit(128 + number)
