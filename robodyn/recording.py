@@ -31,7 +31,7 @@ Sink = Callable[[Array, Array], None]
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
-ENTRIES_AT_ONCE = 1 << 20  # of the rows' matrices: of large mechanisms fewer rows go at once
+WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
 
 class Outcome(Enum):
@@ -151,7 +151,7 @@ class Recorder:
 
     @property
     def rows_at_once(self) -> int:
-        return max(1, min(ROWS_AT_ONCE, ENTRIES_AT_ONCE // self.mechanism.n**2))
+        return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // self.mechanism.n**3))
 
     def times_until(self, bound: float) -> Array:
         """The output times still to come, up to `bound`; of many the first."""

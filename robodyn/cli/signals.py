@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any, NoReturn
@@ -21,9 +22,15 @@ def answer(handler: Callable[[int, FrameType | None], Any]) -> Mapping[int, Any]
     return before
 
 
+def note(number: int) -> None:
+    """A signal has come: of what it breaks off (a callback of a compiler's) nothing is told."""
+    received.append(number)
+    sys.unraisablehook = lambda _: None
+
+
 def end(number: int, _: FrameType | None = None) -> NoReturn:
     """End the command at once, as one that the signal has ended."""
-    received.append(number)
+    note(number)
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)

@@ -42,7 +42,7 @@ from robodyn.trajectories.time_scaling import (
 from robodyn.trajectories.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
-ENTRIES = 1 << 22  # of their matrices
+WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows
 MOST_CYCLES = 100_000  # of a sweep
 
 
@@ -354,7 +354,7 @@ def _write(
 ) -> None:
     n = motion.mechanism.n
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
-    block = max(1, min(BLOCK, ENTRIES // n**2))
+    block = max(1, min(BLOCK, WORK // n**3))
     with row_writer(format, out, columns) as writer:
         for k in range(0, len(times), block):
             t = motion.begin + times[k : k + block]

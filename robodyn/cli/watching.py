@@ -69,7 +69,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
         if stopped:
             signals.end(number, frame)
         stopped.append(number)
-        signals.received.append(number)
+        signals.note(number)
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
 
