@@ -14,7 +14,7 @@ import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through
+from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through
 from robodyn.trajectories.time_scaling import (
     LimitError,
     check_limits,
@@ -218,7 +218,7 @@ def test_torques_of_geared_joints() -> None:
 
 
 def test_the_fastest_constant_speed() -> None:
-    path = constant_speed(np.zeros(1), np.array([2 * np.pi]))
+    path = ConstantSpeed(np.zeros(1), np.array([2 * np.pi]))
     found = shortest_along(BAR, path, all_joints(BAR, [[0.0]]), limits_of(BAR, tau=20.0))
     assert found.bound.startswith("tau1 (crank) at t = ")
     assert_shortest(found.motion, np.array([20.0]))

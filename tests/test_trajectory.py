@@ -15,7 +15,7 @@ from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through, piece_at
+from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through, piece_at
 from robodyn.trajectories.loop_path import LoopPath
 from robodyn.trajectories.trajectory import (
     ReferenceMotion,
@@ -33,7 +33,7 @@ every_profile = pytest.mark.parametrize("profile", PROFILES)
 
 def turning(mech: Mechanism, begin: float, turns: float = 1.0) -> ReferenceMotion:
     """A crank at constant speed, a turn a second."""
-    path = constant_speed(np.array([begin]), np.array([2 * np.pi * turns]))
+    path = ConstantSpeed(np.array([begin]), np.array([2 * np.pi * turns]))
     return motion_along(mech, path, all_joints(mech, [[begin]]), abs(turns))
 
 
@@ -143,7 +143,7 @@ def test_a_sweep_is_a_chirp_with_its_derivatives() -> None:
 
 def test_constant_speed() -> None:
     motion = motion_along(
-        ARM, constant_speed(np.zeros(2), np.array([3.0, -1.0])), np.zeros((1, 2)), 2
+        ARM, ConstantSpeed(np.zeros(2), np.array([3.0, -1.0])), np.zeros((1, 2)), 2
     )
     q, qd, qdd = motion.states(np.linspace(0, 2, 5))
     assert np.abs(qd - [1.5, -0.5]).max() < 1e-15
@@ -190,7 +190,7 @@ def test_a_four_bar_turns_on_its_branch(assembly: str, whole: bool) -> None:
     text = (ROOT / "robots/four-bar.yaml").read_text()
     mech = BAR if whole else mechanism(text.replace("assembly: open", f"assembly: {assembly}"))
     start = oracles.four_bar_position(FOUR_BAR, 1.0, assembly)
-    path = constant_speed(np.array([1.0]), np.array([-4 * np.pi]))
+    path = ConstantSpeed(np.array([1.0]), np.array([-4 * np.pi]))
     points = start[None] if whole else all_joints(mech, [[1.0]])
     motion = motion_along(mech, path, points, 2.0)
     t = np.linspace(0, 2, 501)
@@ -299,7 +299,7 @@ def test_geared_joints_count_turns() -> None:
     text = (ROOT / "robots/2r.yaml").read_text()
     mech = mechanism(text + '\ncouplings: ["q2 = -20/37 q1"]\nactuated: [upper arm]\n')
     motion = motion_along(
-        mech, constant_speed(np.zeros(1), np.array([74 * np.pi])), all_joints(mech, [[0.0]]), 1.0
+        mech, ConstantSpeed(np.zeros(1), np.array([74 * np.pi])), all_joints(mech, [[0.0]]), 1.0
     )
     q, qd, _ = motion.states([0.0, 0.5, 1.0])
     assert q[:, 1] == pytest.approx([0.0, -20 * np.pi, -40 * np.pi], rel=1e-14)
