@@ -23,7 +23,7 @@ from robodyn.simulation import METHODS, SCIPY_RTOL, SMALLEST_RTOL, Settings, run
 from robodyn.taylor.run import compiled_engine, stepping_engine
 
 Array = NDArray[np.float64]
-Watch = Callable[[float], None]  # the part that is done
+Watch = Callable[[float], object]  # the part that is done
 
 TOLERANCES = tuple(10.0**-k for k in range(3, 14))
 TIMES = 20  # output times at which errors are measured

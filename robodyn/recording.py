@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from robodyn import closed_form
 from robodyn.actuation import Actuation
 from robodyn.change_points import miss_remark
 from robodyn.closing import loop_size
+from robodyn.even_times import EvenTimes
 from robodyn.mechanism import Mechanism
 from robodyn.run_control import JointTracking
 from robodyn.taylor import Chunk
@@ -32,6 +34,7 @@ Sink = Callable[[Array, Array], None]
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
+WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
 
 class Outcome(Enum):
@@ -112,7 +115,7 @@ class Recorder:
     mechanism: Mechanism
     report: Report
     sink: Sink
-    times: Array | None
+    times: Array | EvenTimes | None
     max_evaluations: int
     watch: Callable[[float], bool] | None
     actuation: Actuation
@@ -140,26 +143,15 @@ class Recorder:
 
     def step(self, solver: OdeSolver) -> None:
         t = float(solver.t)
+        y = solver.y.copy()
         self.report.steps += 1
         self.report.evaluations = self.ended + solver.nfev
-        self.report.t_reached = t
         if self.times is None:
-            self._row(np.array([t]), solver.y[None, :].copy())
+            self._row(np.array([t]), y[None])
         else:
-            end = bisect_right(
-                self.times,
-                t * solver.direction,
-                self.next_row,
-                key=lambda time: time * solver.direction,
-            )
-            if end > self.next_row:
-                due = self.times[self.next_row : end]
-                y = solver.y[None, :].copy() if due[0] == t else solver.dense_output()(due).T
-                if due[-1] == t:
-                    y[-1] = solver.y
-                self.next_row = end
-                self._row(due, y)
-        self.steps.append((np.array([t]), solver.y[None, :].copy()))
+            between = cache(solver.dense_output)  # made where a row asks for it
+            self._due(t, y, lambda times: between()(times).T)
+        self.steps.append((np.array([t]), y[None]))
         self.held += 1
         self._stepped(t, solver.status == "running")
 
@@ -167,41 +159,68 @@ class Recorder:
         """Count what a solver did that another one follows."""
         self.ended += solver.nfev
 
+    @property
+    def rows_at_once(self) -> int:
+        return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // self.mechanism.n**3))
+
     def times_until(self, bound: float) -> Array:
-        """The output times still to come, up to `bound`."""
-        if self.times is None:
+        """The output times still to come, up to `bound`; of many the first."""
+        if self.times is None or self.next_row == len(self.times):
             return np.zeros(0)
-        forward = -1.0 if len(self.times) and self.times[-1] < 0.0 else 1.0
+        forward = -1.0 if self.times[-1] < 0.0 else 1.0
+        last = min(len(self.times), self.next_row + self.rows_at_once)
         end = bisect_right(
-            self.times, bound * forward, self.next_row, key=lambda time: time * forward
+            self.times, bound * forward, self.next_row, last, key=lambda time: time * forward
         )
         return self.times[self.next_row : end]
 
-    def chunk(self, chunk: Chunk, t_end: float) -> None:
-        """Take steps of the Taylor integrator."""
+    def chunk(self, chunk: Chunk, t_end: float, within: Callable[[Array], Array]) -> None:
+        """Take steps of the Taylor integrator; `within` gives the states (k, N) at times (k,).
+
+        It does so for the times of the last step that the chunk has no rows for.
+        """
         count = len(chunk.t)
-        self.report.steps += count
         self.ended += count
         self.report.evaluations = self.ended
+        self.report.steps += count
         if not count:
             return
-        t = self.report.t_reached = float(chunk.t[-1])
+        t = float(chunk.t[-1])
         if self.times is None:
             self._row(chunk.t, chunk.y)
-        elif len(chunk.row_t):
-            self.next_row += len(chunk.row_t)
-            self._row(chunk.row_t, chunk.row_y)
+        else:
+            if len(chunk.row_t):
+                self.next_row += len(chunk.row_t)
+                self._row(chunk.row_t, chunk.row_y)
+            self._due(t, chunk.y[-1], within)
         self.steps.append((chunk.t, chunk.y))
         self.held += count
         self._stepped(t, t != t_end)
 
+    def _due(self, t: float, y: Array, states: Callable[[Array], Array]) -> None:
+        """The rows still to come up to t, where the state is y; `states` gives those before."""
+        while len(due := self.times_until(t)):
+            rows = y[None] if due[0] == t else states(due)
+            if due[-1] == t:
+                rows[-1] = y
+            self.next_row += len(due)
+            self._row(due, rows)
+            if due[-1] != t:
+                self._look(float(due[-1]))
+
+    def _look(self, t: float) -> None:
+        """The run is at t: end it there where that is wanted."""
+        self.report.t_reached = t
+        if self.watch is not None and self.watch(t):
+            raise StopRun(Outcome.INTERRUPTED)
+
     def _stepped(self, t: float, running: bool) -> None:
+        self.report.t_reached = t
         if self.held >= STEPS_AT_ONCE:
             self.flush_steps()
         if self.report.evaluations > self.max_evaluations and running:
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
-        if self.watch is not None and self.watch(t):
-            raise StopRun(Outcome.INTERRUPTED)
+        self._look(t)
 
     def finish(self) -> None:
         self.flush_steps()
@@ -212,7 +231,7 @@ class Recorder:
     def _row(self, t: Array, y: Array) -> None:
         self.rows.append((t, y))
         self.waiting += len(t)
-        if self.waiting >= ROWS_AT_ONCE:
+        if self.waiting >= self.rows_at_once:
             self._flush_rows()
 
     def _flush_rows(self) -> None:

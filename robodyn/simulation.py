@@ -21,6 +21,7 @@ from robodyn import actuation as torque_sources
 from robodyn import closed_form, dense_dynamics, dynamics, loop_rates
 from robodyn.actuation import Actuation
 from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.even_times import EvenTimes
 from robodyn.mechanism import Mechanism
 from robodyn.projection import Projection, best_closing
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
@@ -181,7 +182,7 @@ def run(
     actuation: Actuation,
     settings: Settings,
     sink: Sink,
-    times: Array | None = None,
+    times: Array | EvenTimes | None = None,
     watch: Callable[[float], bool] | None = None,
 ) -> tuple[Outcome, Report]:
     """Integrate from `state` (2n,) and hand rows (t (k,), y (k, 2n)) to `sink` as they come.
@@ -192,7 +193,8 @@ def run(
     settings.check()
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
-    times = None if times is None else _checked_times(times, t_end)
+    if isinstance(times, np.ndarray):
+        _check_times(times, t_end)
     if actuation.span is not None:
         what, first, last = actuation.span
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
@@ -322,7 +324,7 @@ def _integrate(
     )
 
 
-def _checked_times(times: Array, t_end: float) -> Array:
+def _check_times(times: Array, t_end: float) -> None:
     direction = -1.0 if t_end < 0.0 else 1.0
     if times.ndim != 1 or not np.isfinite(times).all():
         raise InputError("t_eval", limit="must be a list of finite times")
@@ -332,7 +334,6 @@ def _checked_times(times: Array, t_end: float) -> Array:
     )
     if not (ordered and within):
         raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
-    return times
 
 
 def _as_actuation(

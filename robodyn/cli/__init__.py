@@ -10,7 +10,6 @@ import atexit
 import functools
 import gc
 import os
-import signal
 import sys
 from collections.abc import Callable
 from copy import copy
@@ -20,6 +19,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from robodyn import __version__
+from robodyn.cli import signals
 from robodyn.csv_fields import plain_digits
 from robodyn.errors import RobodynError, printable_lines
 
@@ -33,13 +33,13 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    for number in ending_signals():  # so that open files are tidied up
-        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    signals.answer(signals.end)
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     code = run(sys.argv[1:])
     try:
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
+            # after a signal what is left is let go: its pipe may have a reader that waits
+            if stream is not None and not signals.received:
                 stream.flush()
     except BrokenPipeError:
         code = _without_reader()
@@ -47,13 +47,6 @@ def main() -> NoReturn:
         sys.exit(code)
     atexit._run_exitfuncs()  # matplotlib's folder, the semaphores of processes
     os._exit(code)  # nothing is left to do, and taking down scipy's modules takes 50 ms
-
-
-def ending_signals() -> list[int]:
-    """The signals that end this process, less those that it was started to ignore (nohup)."""
-    names = ("SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
-    known = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    return [number for number in known if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def run(arguments: list[str]) -> int:
@@ -89,6 +82,8 @@ def run(arguments: list[str]) -> int:
         _tell(f"Error: {named}{error.strerror or error}")
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
+        if signals.received:  # compiled code makes another error of a signal
+            return 128 + signals.received[-1]
         if debug:
             raise
         kind = type(error).__name__

@@ -43,8 +43,10 @@ def row_writer(
             table = TableView(stream, on_terminal(out), columns, header)
             try:
                 yield table
-            finally:
+            except Exception:
                 table.close()
+                raise
+            table.close()
         return
     with open_output(out) as stream:
         writer = WRITERS[format.value](stream, columns, header)

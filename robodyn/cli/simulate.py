@@ -181,7 +181,8 @@ def simulate(
 
         with remarks():
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
-    with open_output(out, partial=lambda name: note(f"what was computed is in {name}")) as stream:
+    kept = open_output(out, partial=lambda name: note(f"what was computed is in {name}"))
+    with watching(duration, quiet) as watch, kept as stream:
 
         @cache
         def writer() -> Writer:  # a run that cannot start writes no header
@@ -191,7 +192,7 @@ def simulate(
             writer().write_columns(_rows(mechanism, torques, t, y))
 
         with nullcontext() if report is None else open_output(report) as file:
-            with named_options(), remarks(), watching(duration, quiet) as watch:
+            with named_options(), remarks():
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )

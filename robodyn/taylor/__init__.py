@@ -58,7 +58,12 @@ class Engine(Protocol):
         """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
 
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last, so that there may be more than are given.
         """
+        ...
+
+    def within(self, times: Array) -> Array:
+        """The states (k, N) at times (k,) in the last step."""
         ...
 
 

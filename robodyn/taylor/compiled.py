@@ -18,6 +18,7 @@ from robodyn.taylor.kernel import advance
 from robodyn.taylor.layout import numbers
 
 Array = NDArray[np.float64]
+Limits = tuple[float, float, float, float]  # atol, rtol, a fixed step, the quality of a suspect
 
 
 class CompiledEngine:
@@ -42,7 +43,8 @@ class CompiledEngine:
         self.order = best_order(rtol) if order is None else order
         self._numbers = numbers(mechanism, actuation, self.order)
         suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
-        self._limits = (float(atol), float(rtol), float(step or 0.0), suspect)
+        self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
+        self._limits: Limits = (float(atol), float(rtol), float(step or 0.0), suspect)
 
     @classmethod
     def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
@@ -60,10 +62,27 @@ class CompiledEngine:
 
         y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last.
         """
+        chunk = self._advance(self._limits, t, y, bound, times, steps)
+        if count := len(chunk.t):
+            begun = (chunk.t[-2], chunk.y[-2]) if count > 1 else (t, y)
+            self._last = *begun, float(chunk.t[-1])
+        return chunk
+
+    def within(self, times: Array) -> Array:
+        """The states (k, N) at times (k,) in the last step, made once more for them."""
+        atol, rtol, _, suspect = self._limits
+        t, y, end = self._last
+        longer = 10.0 * abs(end - t)  # than any landing leaves: so that it ends there again
+        return self._advance((atol, rtol, longer, suspect), t, y, end, times, 1).row_y
+
+    def _advance(
+        self, limits: Limits, t: float, y: Array, bound: float, times: Array, steps: int
+    ) -> Chunk:
         y, times = (np.require(array, float, ["C", "A", "W"]) for array in (y, times))
         ends, states, taken, rows, given, status = advance(  # type: ignore[no-untyped-call]
-            *self._numbers, *self._limits, float(t), y, float(bound), times, steps
+            *self._numbers, *limits, float(t), y, float(bound), times, steps
         )
         N = len(y)
         states = states[N : (taken + 1) * N].reshape(taken, N)

@@ -433,7 +433,7 @@ def advance(whole, real, at, atol, rtol, fixed, suspect, t, y, bound, times, ste
         if t == bound:
             status = REACHED
             break
-        if taken == steps:
+        if taken == steps or (given > 0 and given == len(times)):
             break
         if not quality >= suspect:
             status = SINGULAR

@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
+CALL = 0.1  # s that a call of compiled code may take
 PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
 COMPILED = "robodyn.taylor.compiled"
@@ -109,9 +110,11 @@ def taylor_run(
         return misses is not None and misses.crosses(y[: mechanism.n])
 
     def careful() -> SteppingEngine:
-        return stepping_engine(
+        made = stepping_engine(
             mechanism, actuation, rtol, atol, order=order, project=project, work=work
         )
+        made.halts = recorder.watch
+        return made
 
     def fast() -> Engine | None:
         if project or not mechanism.rows:
@@ -131,7 +134,8 @@ def taylor_run(
     if stepping is None:
         stepping = careful()
     _check_start(mechanism, actuation, y)
-    t, begun = 0.0, time.perf_counter()
+    t, begun, most = 0.0, time.perf_counter(), STEPS
+    recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
@@ -154,10 +158,14 @@ def taylor_run(
                 runner: Engine = slow
             else:
                 runner = stepping
-            steps = STEPS if isinstance(runner, SteppingEngine) else COMPILED_STEPS
             left = recorder.max_evaluations - recorder.report.evaluations
+            steps = STEPS if isinstance(runner, SteppingEngine) else most
             steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
+            called = time.perf_counter()
             chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
+            if not isinstance(runner, SteppingEngine):  # nothing halts it within a call
+                took = max(1e-9, time.perf_counter() - called)
+                most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
             leaps: list[int] = []
             if misses is not None:
                 times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
@@ -168,10 +176,15 @@ def taylor_run(
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
-            recorder.chunk(chunk, t_end)
-            if _held_by_stability(chunk, t_end, recorder, rtol, atol):
-                return Outcome.STIFF
+            recorder.chunk(chunk, t_end, runner.within)
             status = chunk.status
+            recent.append(chunk)
+            if status is not Status.FULL:
+                recent.clear()
+            elif sum(len(some.t) for some in recent) >= STEPS:
+                if _held_by_stability(recent, t_end, recorder, rtol, atol):
+                    return Outcome.STIFF
+                recent.clear()
         if t == t_end:
             return Outcome.FINISHED
         stuck = status is Status.STUCK and closing is not None and not crosses
@@ -212,18 +225,17 @@ def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
 
 
 def _held_by_stability(
-    chunk: Chunk, t_end: float, recorder: Recorder, rtol: float, atol: float
+    recent: list[Chunk], t_end: float, recorder: Recorder, rtol: float, atol: float
 ) -> bool:
     """Whether a run that would take too many steps takes them along what one cubic describes."""
-    count, n = len(chunk.t), recorder.mechanism.n
-    if count < STEPS or chunk.status is not Status.FULL:
-        return False
-    x = (chunk.t - chunk.t[0])[:, None]
+    t, y = np.concatenate([x.t for x in recent]), np.concatenate([x.y for x in recent])
+    count, n = len(t), recorder.mechanism.n
+    x = (t - t[0])[:, None]
     span = float(x[-1, 0])
     left = recorder.max_evaluations - recorder.report.evaluations
-    if (t_end - chunk.t[-1]) / span * count <= left:
+    if (t_end - t[-1]) / span * count <= left:
         return False
-    q, qd = chunk.y[:, :n], chunk.y[:, n : 2 * n]
+    q, qd = y[:, :n], y[:, n : 2 * n]
     fast = float(np.abs(qd).max())
     if abs(span) * fast > 0.1 * count:  # turns of links hold it as well
         return False

@@ -53,6 +53,7 @@ class SteppingEngine:
         self._given = self.tolerances  # near a missed change point they are tighter
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
+        self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.prepare()
 
     def prepare(self) -> None:
@@ -121,9 +122,16 @@ class SteppingEngine:
             if crosses:
                 status = Status.SINGULAR
                 break
+            if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
+                break
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
         return Chunk(np.array(ends), made, times[:due], row_y, status)
+
+    def within(self, times: Array) -> Array:
+        """See `Engine`."""
+        t, state, series = self.last
+        return self.states(state, series, times - t)
 
     def _shorten(
         self,

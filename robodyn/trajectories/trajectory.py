@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn import assembly, loop_rates
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.mechanism import Mechanism
-from robodyn.trajectories.continuation import PathEndError
+from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath
 from robodyn.trajectories.profiles import ACCELERATION
@@ -100,28 +100,36 @@ def reference_motion(
 
 
 def motion_along(
-    mechanism: Mechanism, path: JointPath, points: Array, duration: float, begin: float = 0.0
+    mechanism: Mechanism,
+    path: JointPath,
+    points: Array,
+    duration: float,
+    begin: float = 0.0,
+    watch: Watch = lambda u: None,
 ) -> ReferenceMotion:
     """The motion along a path of the actuated joints from the first of points (K, n).
 
-    Passive angles that are not NaN must be those that the motion reaches.
+    Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
+    (0 to 1) the loops are followed.
     """
     if not (math.isfinite(duration) and duration > 0.0):
         raise InputError("duration", value=duration, limit="must be > 0 and finite")
     if duration > LONGEST:
         raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
     try:
-        whole = whole_path(mechanism, path, points)
+        whole = whole_path(mechanism, path, points, watch)
     except PathEndError as error:
         error.what = f"t = {begin + error.u * duration:.6g} s: {error.what}"
         raise
     return ReferenceMotion(mechanism, whole, duration, begin)
 
 
-def whole_path(mechanism: Mechanism, path: JointPath, points: Array) -> OpenPath | LoopPath:
+def whole_path(
+    mechanism: Mechanism, path: JointPath, points: Array, watch: Watch = lambda u: None
+) -> OpenPath | LoopPath:
     """The path of all joints; `points` (K, n) as for `motion_along`."""
     if not mechanism.passive and not mechanism.rows:
-        return OpenPath(path)
+        return OpenPath(mechanism, path)
     _check_determined(mechanism)
     driven = list(mechanism.actuated)
     first = path.evaluate(np.zeros(1))[0][0]
@@ -133,7 +141,7 @@ def whole_path(mechanism: Mechanism, path: JointPath, points: Array) -> OpenPath
         if fault is not None:
             raise fault[1]
     start[driven] = first
-    whole = LoopPath(mechanism, path, start)
+    whole = LoopPath(mechanism, path, start, watch)
     if isinstance(path, Legs | Spline) and len(points) == len(path.knots):
         _check_reached(mechanism, whole, path.knots, points)
     return whole
