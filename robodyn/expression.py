@@ -8,7 +8,9 @@ floats, `array_source` as in-place numpy calls on blocks of states with as few b
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from types import MappingProxyType
 from typing import Union
 
 Value = Union["Expression", float]
@@ -179,17 +181,27 @@ def tanh(a: Value) -> Value:
 
 def cost(outputs: Sequence[Value]) -> float:
     """Cost of evaluating the outputs, in additions."""
-    return sum(COST.get(node.op, 0.0) for node in _needed(outputs))
+    return sum(COST.get(node.op, 0.0) for node in needed(outputs))
 
 
-def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
+def float_source(
+    outputs: Sequence[Value],
+    names: Mapping[int, str] = MappingProxyType({}),
+    symbol: Callable[[str], str] = str,
+    longest: float = math.inf,
+    ordered: bool = True,
+) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
-    A node used once stands where it is used; one used more often gets a local name.
+    A node used once stands where it is used; one used more often gets a local name.  `names` has
+    those of nodes by their index: such a node always gets its own, or with "" none.  Statements
+    keep to `longest` characters where names do; variables are called as `symbol` says.  Unless
+    `ordered`, brackets that do no more than order a sum or a product are left out.
     """
     uses = _uses(outputs)
     text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
     lines: list[str] = []
+    numbers = count(1)
 
     def written(a: Value | str, least: int) -> str:
         if isinstance(a, Expression):
@@ -200,24 +212,35 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
             )
         return shown if precedence >= least else f"({shown})"
 
-    for node in _needed(outputs):
+    def composed(node: Expression) -> tuple[str, int]:
         op, args = node.op, node.args
         if op == "var":
-            text[node.index] = (str(args[0]), 9)
-            continue
+            return symbol(str(args[0])), 9
         if op in FUNCTIONS:
-            shown, precedence = f"{op}({written(args[0], 0)})", 9
-        elif op == "neg":
-            shown, precedence = f"-{written(args[0], 3)}", 3
-        else:
-            precedence = _PRECEDENCE[op]
-            left = written(args[0], precedence)
-            right = written(args[1], precedence + 1)
-            shown = f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
-        if uses[node.index] > 1:
-            lines.append(f"t{node.index} = {shown}")
-            shown, precedence = f"t{node.index}", 9
-        text[node.index] = (shown, precedence)
+            return f"{op}({written(args[0], 0)})", 9
+        if op == "neg":
+            return f"-{written(args[0], 2)}", 2
+        precedence = _PRECEDENCE[op]
+        left = written(args[0], precedence)
+        right = written(args[1], precedence + (ordered or op in "-/"))
+        return f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}", precedence
+
+    def named(node: Expression) -> None:
+        name = names.get(node.index) or f"t{next(numbers)}"
+        lines.append(f"{name} = {text[node.index][0]}")
+        text[node.index] = (name, 9)
+
+    for node in needed(outputs):
+        text[node.index] = composed(node)
+        while len(text[node.index][0]) > longest:
+            parts = [a for a in node.args if isinstance(a, Expression)]
+            parts = [a for a in parts if not text[a.index][0].isidentifier()]
+            if not parts:
+                break
+            named(max(parts, key=lambda a: len(text[a.index][0])))
+            text[node.index] = composed(node)
+        if node.op != "var" and names.get(node.index, uses[node.index] > 1):
+            named(node)
     return lines, [written(output, 0) for output in outputs]
 
 
@@ -227,9 +250,9 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
     Output number i is left in the array called `names[i]`, which may be strided.
     """
     calls = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-    needed = _needed(outputs)
+    used = needed(outputs)
     last: dict[int, int] = {}  # node -> the last node that reads it
-    for node in needed:
+    for node in used:
         for a in node.args:
             if isinstance(a, Expression):
                 last[a.index] = node.index
@@ -239,7 +262,7 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
     buffers = 0
     place: dict[int, str] = {}
     lines: list[str] = []
-    for node in needed:
+    for node in used:
         if node.op == "var":
             place[node.index] = str(node.args[0])
             continue
@@ -279,7 +302,7 @@ def _negative(a: Expression) -> bool:
 
 def _uses(outputs: Sequence[Value]) -> dict[int, int]:
     uses: dict[int, int] = {}
-    for node in _needed(outputs):
+    for node in needed(outputs):
         for a in node.args:
             if isinstance(a, Expression):
                 uses[a.index] = uses.get(a.index, 0) + 1
@@ -289,7 +312,7 @@ def _uses(outputs: Sequence[Value]) -> dict[int, int]:
     return uses
 
 
-def _needed(outputs: Sequence[Value]) -> list[Expression]:
+def needed(outputs: Sequence[Value]) -> list[Expression]:
     """The nodes that the outputs need, each after its arguments."""
     found: dict[int, Expression] = {}
     stack = [out for out in outputs if isinstance(out, Expression)]

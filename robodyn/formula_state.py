@@ -15,10 +15,17 @@ Planar = tuple[Value, Value]  # a complex number: real and imaginary part
 class State:
     """Angles, rates and directions of the links as expressions, made as they are asked for."""
 
-    def __init__(self, mechanism: Mechanism, rates: tuple[str, ...], by_direction: bool) -> None:
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        rates: tuple[str, ...],
+        by_direction: bool,
+        graph: Graph | None = None,
+    ) -> None:
+        """On a graph of its own, or on that of a mechanism whose numbers are expressions."""
         self.mechanism = mechanism
         self.by_direction = by_direction
-        self.graph = Graph()
+        self.graph = graph or Graph()
         n = mechanism.n
         self.inputs = tuple(f"{name}{k}" for name in ("q", *rates) for k in range(n))
         self.relative: dict[str, list[Value]] = {

@@ -216,7 +216,7 @@ def _forward(
         force[k] = force[k] - w[1] * squares[j]
     bends = closure_bends(state)
     for row, entries in enumerate(_jacobian(state)):
-        gap, gapd = _gap(state, row), _product(entries, rates)
+        gap, gapd = closure_gap(state, row), _product(entries, rates)
         force.append(bends[row] - 2.0 * baumgarte * gapd - baumgarte**2 * gap)
         for k, slope in entries.items():
             matrix[k][n + row] = slope
@@ -246,7 +246,7 @@ def projection_formula(mechanism: Mechanism) -> Formula:
     outputs: list[Value] = []
     pivots: list[Value] = []
     rates: list[Value] = list(state.relative["qd"])
-    gap = [_gap(state, r) for r in range(rows)]
+    gap = [closure_gap(state, r) for r in range(rows)]
     speed = [_dot(Psi[r], rates) for r in range(rows)]
     for name, right in (("q", gap), ("qd", speed)):
         multipliers, pivots = _solve_symmetric(normal, right, 0)
@@ -258,7 +258,7 @@ def projection_formula(mechanism: Mechanism) -> Formula:
     return Formula(state.inputs, (*outputs, *gap), relative)
 
 
-def _gap(state: State, row: int) -> Value:
+def closure_gap(state: State, row: int) -> Value:
     """Re(P E) + angles alpha + offset."""
     entry = state.mechanism.rows[row]
     gap: Value = entry.offset
