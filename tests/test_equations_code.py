@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -168,10 +169,51 @@ def test_twelve_links_have_names_of_their_own() -> None:
             assert_close(names[name](*arguments), values, 1.0 + float(np.abs(values).max()))
 
 
+def chain(n: int) -> Mechanism:
+    rng = np.random.default_rng(n)
+    numbers = rng.uniform(0.2, 1.5, (n, 4)).round(3)
+    links = "".join(
+        f"  - {{name: n{k}, m: {m}, l: {l}, r: {r}, I: {I}}}\n"
+        for k, (m, l, r, I) in enumerate(numbers)
+    )
+    return mechanism(f"gravity: 9.81\nlinks:\n{links}")
+
+
+@needs_compiler
+def test_twenty_links_are_short(tmp_path: Path) -> None:
+    mech = chain(20)
+    assert max(len(write(recorded(mech)).encode()) for write in (python, c99)) < 120_000
+    states = tuple(np.random.default_rng(2).uniform(-3, 3, (3, 20)))
+    assert_c_gives_the_same(mech, states, False, tmp_path)
+    names: dict = {}
+    exec(compile(python(recorded(mech)), "equations.py", "exec"), names)
+    for name, (arguments, values) in expected(mech, *states).items():
+        if name in names:
+            assert_close(names[name](*arguments), values, float(np.abs(values).max()))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parameters_may_be_given_other_values(seed: int) -> None:
+    """Of another scene of the same shape: no entry holds a number of the first."""
+    shape = list(LOOPS.values())[3 * seed % len(LOOPS)]
+    scene = forced(seed, seeded_scene(seed, shape) if seed % 2 else seeded_tree(seed, 4))
+    digits = re.compile(r"\d+\.\d+")
+    changed = digits.sub(lambda found: repr(1.1 * float(found[0]) + 0.01), scene.text)
+    one, other = recorded(scene.mechanism), recorded(mechanism(changed))
+    names: dict = {}
+    exec(compile(python(one), "equations.py", "exec"), names)
+    assert [x.name for x in one.parameters] == [x.name for x in other.parameters]
+    names |= {x.name: x.value for x in other.parameters}
+    for name, (arguments, values) in expected(other.mechanism, *scene.states).items():
+        if name in names:
+            size = 1.0 + float(np.abs(values).max())
+            assert_close(names[name](*arguments), values, size, 1e-12)
+
+
 @pytest.mark.parametrize("write", [python, c99])
 def test_lines_are_not_too_long(write) -> None:
     scene = forced(1, seeded_scene(1, LOOPS["six-bar, dyad on the coupler"]))
-    found = write(recorded(scene.mechanism)).splitlines()
+    found = [line for x in (scene.mechanism, chain(25)) for line in write(recorded(x)).splitlines()]
     comments = ("#", "/*", " *", "static")
     code = [line for line in found if not line.startswith(comments) and "  # " not in line]
     assert max(map(len, code)) <= 100

@@ -33,6 +33,7 @@ class EquationFormat(StrEnum):
 
 
 READABLE = {EquationFormat.latex: latex, EquationFormat.json: as_json}
+DERIVING = 0.8  # of the time that a long text takes, about
 CODE = {EquationFormat.python: python, EquationFormat.c: c99}
 
 
@@ -67,10 +68,10 @@ def equations(
     if format in CODE:
         content = CODE[format](recorded(mechanism, numeric))
     else:
-        with progress("writing") as watch:
-            found = equations_of(mechanism, numeric, watch)
         on_terminal = out is None and sys.stdout.isatty()
         width = shutil.get_terminal_size((WIDTH, 0)).columns if on_terminal else WIDTH
-        content = READABLE[format](found) if format in READABLE else text(found, width)
+        with progress("writing") as watch:
+            found = equations_of(mechanism, numeric, lambda part: watch(DERIVING * part))
+            content = READABLE[format](found) if format in READABLE else text(found, width)
     with open_output(out) as stream:
         stream.write(content.encode())

@@ -23,7 +23,7 @@ from robodyn.equations import Equations, with_parameters
 from robodyn.equations.named import Numbers, named_mechanism
 from robodyn.equations.outline import Block, heads
 from robodyn.equations.scene_symbols import SymbolicScene
-from robodyn.expression import Graph, Value
+from robodyn.expression import Expression, Graph, Value
 from robodyn.force_formulas import other_torques, potential_torques
 from robodyn.formula_state import Planar, State, planar, plus, times, to_joints
 from robodyn.formulas import closure_bends, closure_gap, joint_jacobian
@@ -55,7 +55,9 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
         entries = list(chain.from_iterable(row for block in found for row in block.rows))
         nodes = expression.needed(entries)
         constants = chain(entries, (a for node in nodes for a in node.args))
-        if not all(math.isfinite(x) for x in constants if isinstance(x, (int, float))):
+        folded = [abs(float(x)) for x in constants if not isinstance(x, (str, Expression))]
+        sums = sum(abs(x) for *_, x in mechanism.A) if numeric else 0.0  # as in M's entries
+        if not math.isfinite(max([sums, *folded])):
             raise OverflowError
     except OverflowError:
         raise too_large(mechanism.description) from None
