@@ -47,15 +47,10 @@ def head(equations: CodeEquations) -> Iterator[str]:
     yield from ["", *remarks] if remarks else []
 
 
-def nodes(equations: CodeEquations) -> list[Expression]:
-    """All that the entries are computed from."""
-    rows = chain.from_iterable(block.rows for block in equations.blocks)
-    return needed(list(chain.from_iterable(rows)))
-
-
 def functions(equations: CodeEquations) -> list[str]:
     """The names of the functions that all blocks use."""
-    return sorted({node.op for node in nodes(equations)} & set(FUNCTIONS))
+    rows = chain.from_iterable(block.rows for block in equations.blocks)
+    return sorted({node.op for node in needed(list(chain.from_iterable(rows)))} & set(FUNCTIONS))
 
 
 def body(block: CodeBlock, symbol: Callable[[str], str]) -> Body:
