@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -15,6 +12,7 @@ import typer
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.options import Model, Size, named
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
+from robodyn.cli.watching import progress
 from robodyn.closed_form import phases
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError, RobodynError
@@ -109,7 +107,7 @@ def animate(
 
     film = Film(drawn, shown_frames.t, traces, extent)
     write = write_gif if suffix == ".gif" else write_mp4
-    with _progress() as watch:
+    with progress("drawing") as watch:
         write(film, fps, out, watch)
 
 
@@ -141,17 +139,3 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
     except RobodynError as error:
         error.add_place(name)
         raise
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[float], object]]:
-    """A watch that moves a bar on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda part: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("drawing", total=1.0)
-        yield lambda part: progress.update(task, completed=part)

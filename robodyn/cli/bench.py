@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain
 from typing import Annotated, Optional
 
@@ -13,11 +11,12 @@ import typer
 
 from robodyn import actuation
 from robodyn.actuation import Actuation
-from robodyn.benchmark import Benchmark, Watch, benchmark
+from robodyn.benchmark import Benchmark, benchmark
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, named
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.states import Quantity, remarks, single_state
+from robodyn.cli.watching import progress
 from robodyn.errors import InputError
 from robodyn.mechanism import load
 from robodyn.output_file import same_file
@@ -105,7 +104,7 @@ def bench(
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")
     state = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
-    with remarks(), _progress() as watch:
+    with remarks(), progress("measuring") as watch:
         result = benchmark(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
@@ -142,17 +141,3 @@ def _rows(result: Benchmark) -> Iterator[list[float | str]]:
             *([1e3 * x.median, 1e3 * x.least] if finished else ["", ""]),
             "*" if x.front else "",
         ]
-
-
-@contextmanager
-def _progress() -> Iterator[Watch]:
-    """A watch that moves a bar on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda part: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("measuring", total=1.0)
-        yield lambda part: progress.update(task, completed=part)

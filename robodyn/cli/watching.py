@@ -25,32 +25,45 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
             raise KeyboardInterrupt
         stopped.append(number)
 
-    begun = time.monotonic()
-    shows = sys.stderr.isatty() and not quiet and duration != 0.0
-    bar: list[tuple[Progress, TaskID]] = []
-
-    def watch(t: float) -> bool:
-        if shows and time.monotonic() - begun > SILENT:
-            if not bar:
-                bar.append(_progress_bar())
-            bar[0][0].update(bar[0][1], completed=t / duration)
-        return bool(stopped)
-
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield watch
+        with progress("simulating", quiet or duration == 0.0) as advance:
+
+            def watch(t: float) -> bool:
+                advance(t / duration if duration else 1.0)
+                return bool(stopped)
+
+            yield watch
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def progress(told: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
+    """A function of the part that is done: it moves a bar on a terminal, after a while."""
+    begun = time.monotonic()
+    shows = sys.stderr.isatty() and not quiet
+    bar: list[tuple[Progress, TaskID]] = []
+
+    def advance(part: float) -> None:
+        if shows and time.monotonic() - begun > SILENT:
+            if not bar:
+                bar.append(_progress_bar(told))
+            bar[0][0].update(bar[0][1], completed=part)
+
+    try:
+        yield advance
+    finally:
         if bar:
             bar[0][0].stop()
 
 
-def _progress_bar() -> tuple[Progress, TaskID]:
+def _progress_bar(told: str) -> tuple[Progress, TaskID]:
     from rich.console import Console
     from rich.progress import Progress
 
-    progress = Progress(console=Console(stderr=True), transient=True)
-    task = progress.add_task("simulating", total=1.0)
-    progress.start()
-    return progress, task
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task(told, total=1.0)
+    bar.start()
+    return bar, task

@@ -52,9 +52,17 @@ class Formula(NamedTuple):
 class Recorded:
     """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name."""
 
-    def __init__(self, mechanism: Mechanism, rates: Sequence[str], by_direction: bool) -> None:
-        self.mechanism, self.by_direction = mechanism, by_direction
-        self.graph = Graph()
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        rates: Sequence[str],
+        by_direction: bool,
+        graph: Graph | None = None,
+        arithmetic: Arithmetic = RECORDED,
+    ) -> None:
+        """On a graph of its own, or on that of a mechanism whose numbers are formulas."""
+        self.mechanism, self.by_direction, self.arithmetic = mechanism, by_direction, arithmetic
+        self.graph = graph or Graph()
         self.torques: list[Slot | None] = []
         n = mechanism.n
         names = ("q", *rates)
@@ -105,7 +113,7 @@ class Recorded:
         state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
         return Series(
             program,
-            RECORDED,
+            self.arithmetic,
             program.numbers,
             orders,
             state,
