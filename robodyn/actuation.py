@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
+import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -131,7 +132,11 @@ def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
         line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
         if line.endswith(","):
             raise SyntaxError("an expression is missing at the end")
-        tree = ast.parse(line, mode="eval").body
+        if not line.isascii():  # Python would take other scripts' letters for our own
+            raise SyntaxError("a character is not ASCII")
+        with warnings.catch_warnings():  # what Python warns of it will not take one day
+            warnings.simplefilter("error")
+            tree = ast.parse(line, mode="eval").body
         nodes = tree.elts if isinstance(tree, ast.Tuple) else [tree]
         writer = _Writer(mechanism.n, where)
         written = [ast.unparse(writer.write(node)) for node in nodes]

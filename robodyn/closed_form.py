@@ -34,11 +34,21 @@ Array = NDArray[np.float64]
 
 def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
     """`values` as floats (..., n); InputError unless they are finite and n wide."""
+    return finite(name, n_wide(mechanism, name, values))
+
+
+def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are n wide."""
     array = np.asarray(values, dtype=float)
     n = mechanism.n
     if array.ndim == 0 or array.shape[-1] != n:
         limit = f"must have {n} values along the last axis, one a joint"
         raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    return array
+
+
+def finite(name: str, array: Array) -> Array:
+    """The array; InputError that names the first value which is not finite."""
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0]
         place = f"{name}[{', '.join(map(str, where))}]"

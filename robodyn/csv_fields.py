@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from robodyn.errors import printable
+
 LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
 # A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.
@@ -25,15 +27,20 @@ def quoted(name: str) -> str:
 
 
 def shown(text: str) -> str:
-    """Text of the input as an error repeats it, fit for a terminal."""
+    """Text of the input as an error or a picture repeats it, fit for a terminal."""
     text = text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
-    return text if text.isprintable() else ascii(text)
+    return printable(text)
+
+
+def plain_digits(text: str) -> bool:
+    """Whether a number in this text can be written with 0 to 9 alone, as everywhere in robodyn."""
+    return "_" not in text and text.strip().isascii()
 
 
 def finite(text: str) -> float | None:
-    """The finite number that a field is, None where it is none."""
+    """The finite number that a field is, in ASCII, None where it is none."""
     try:
-        value = math.nan if "_" in text else float(text)
+        value = float(text) if plain_digits(text) else math.nan
     except ValueError:
         return None
     return value if math.isfinite(value) else None

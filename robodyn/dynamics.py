@@ -21,14 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn import (
-    blocks,
     change_points,
     closed_form,
     dense_dynamics,
     projection,
-    straightline,
 )
-from robodyn.closed_form import as_states
+from robodyn.closed_form import finite, n_wide
 from robodyn.dense_dynamics import (
     MASS_CUT,
     RANK_CUT,
@@ -39,9 +37,10 @@ from robodyn.dense_dynamics import (
     required_load,
 )
 from robodyn.engines import formulas
+from robodyn.engines.formula_rows import FormulaRows
+from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanism import Mechanism
-from robodyn.straightline import ArrayFunction
 
 Array = NDArray[np.float64]
 
@@ -65,30 +64,25 @@ def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: Arr
     where the mechanism has fewer actuators than freedoms, SingularError where no torque at the
     actuated joints can make the motion.
     """
-    return inverse_dynamics_and_forces(mechanism, q, qd, qdd).tau
+    return _inverse_batch(mechanism, q, qd, qdd, arrays=1).tau
 
 
 def inverse_dynamics_and_forces(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
 ) -> Torques:
     """`inverse_dynamics` and the multipliers of the closures; see there."""
-    q, qd, qdd = _broadcast(
-        as_states(mechanism, "q", q),
-        as_states(mechanism, "qd", qd),
-        as_states(mechanism, "qdd", qdd),
-    )
-    check_actuators(mechanism, q)
-    generated = _generated("inverse", mechanism) if _worth(mechanism, q) else None
-    if generated is None:
-        return _warned(_inverse(mechanism, q, qd, qdd))
-    solution, forces, doubtful = _run(mechanism, generated, q, qd, qdd)
-    if doubtful.size:
-        pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, qdd)]
-        dense = _inverse(mechanism, *pieces)
-        solution.reshape(-1, mechanism.n)[doubtful] = dense.tau
-        forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
-        return Torques(solution, forces, _warned(dense).remark)
-    return Torques(solution, forces)
+    return _inverse_batch(mechanism, q, qd, qdd, arrays=2)
+
+
+def _inverse_batch(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, arrays: int
+) -> Torques:
+    states = _states(mechanism, q=q, qd=qd, qdd=qdd)
+    check_actuators(mechanism, states["q"])
+    rows = _generated("inverse", mechanism) if _worth(mechanism, states["q"]) else None
+    if rows is None:
+        return _warned(_inverse(mechanism, *_finite(states)))
+    return _warned(Torques(*_run(mechanism, rows, _inverse, states, arrays)))
 
 
 def forward_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike) -> Array:
@@ -97,31 +91,26 @@ def forward_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: Arr
     q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
     Raises InputError for arrays that do not fit, SingularError where a freedom has no inertia.
     """
-    return forward_dynamics_and_forces(mechanism, q, qd, tau).qdd
+    return _forward_batch(mechanism, q, qd, tau, arrays=1).qdd
 
 
 def forward_dynamics_and_forces(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike
 ) -> Accelerations:
     """`forward_dynamics` and the multipliers of the closures; see there."""
-    q, qd, tau = _broadcast(
-        as_states(mechanism, "q", q),
-        as_states(mechanism, "qd", qd),
-        as_states(mechanism, "tau", tau),
-    )
-    generated = None
-    if _worth(mechanism, q) and _regular_everywhere(mechanism):
-        generated = _generated("forward", mechanism)
-    if generated is None:
-        return _warned(_forward(mechanism, q, qd, tau))
-    solution, forces, doubtful = _run(mechanism, generated, q, qd, tau)
-    if doubtful.size:
-        pieces = [np.reshape(x, (-1, mechanism.n))[doubtful] for x in (q, qd, tau)]
-        dense = _forward(mechanism, pieces[0], pieces[1], pieces[2])
-        solution.reshape(-1, mechanism.n)[doubtful] = dense.qdd
-        forces.reshape(-1, len(mechanism.rows))[doubtful] = dense.multipliers
-        return Accelerations(solution, forces, _warned(dense).remark)
-    return Accelerations(solution, forces)
+    return _forward_batch(mechanism, q, qd, tau, arrays=2)
+
+
+def _forward_batch(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, arrays: int
+) -> Accelerations:
+    states = _states(mechanism, q=q, qd=qd, tau=tau)
+    rows = None
+    if _worth(mechanism, states["q"]) and _regular_everywhere(mechanism):
+        rows = _generated("forward", mechanism)
+    if rows is None:
+        return _warned(_forward(mechanism, *_finite(states)))
+    return _warned(Accelerations(*_run(mechanism, rows, _forward, states, arrays)))
 
 
 def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
@@ -236,19 +225,25 @@ def loop_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
 
 def _warned(solution: Solution) -> Solution:
     if solution.remark:
-        warnings.warn(solution.remark, RobodynWarning, stacklevel=3)
+        warnings.warn(solution.remark, RobodynWarning, stacklevel=4)
     return solution
 
 
 # -- generated code over batches -----------------------------------------------------------------
 
 
-def _broadcast(*arrays: Array) -> list[Array]:
+def _states(mechanism: Mechanism, **values: ArrayLike) -> dict[str, Array]:
+    """Arrays (..., n) of one shape by their names; whether they are finite is not asked yet."""
+    arrays = [n_wide(mechanism, name, value) for name, value in values.items()]
     try:
-        return list(np.broadcast_arrays(*arrays))
+        return dict(zip(values, np.broadcast_arrays(*arrays), strict=True))
     except ValueError:
         shapes = ", ".join(str(array.shape) for array in arrays)
         raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+
+
+def _finite(states: dict[str, Array]) -> list[Array]:
+    return [finite(name, array) for name, array in states.items()]
 
 
 def _worth(mechanism: Mechanism, q: Array) -> bool:
@@ -270,33 +265,37 @@ def _regular_everywhere(mechanism: Mechanism) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _generated(kind: str, mechanism: Mechanism) -> tuple[ArrayFunction, int, int] | None:
-    """The compiled array function, its buffers and pivots; None where there is none."""
-    if kind == "inverse":
-        formula = formulas.inverse_formula(mechanism)
-    else:
-        formula = formulas.forward_formula(mechanism)
+def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
+    """The formula over batches; None where there is none."""
+
+    def record(parameters: bool) -> Formula | None:
+        if kind == "inverse":
+            return formulas.inverse_formula(mechanism, parameters)
+        return formulas.forward_formula(mechanism, parameters=parameters)
+
+    formula = record(False)
     if formula is None:
         return None
-    function, buffers = straightline.compile_arrays(formula, kind)
-    return function, buffers, len(formula.pivots)
+    return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
 
 
 def _run(
-    mechanism: Mechanism, generated: tuple[ArrayFunction, int, int], *states: Array
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Joint values (..., n), multipliers (..., r), and the flat indices of doubtful states."""
-    function, buffers, pivots = generated
-    shape, n, r = states[0].shape[:-1], mechanism.n, len(mechanism.rows)
-    inputs = [state.reshape(-1, n) for state in states]
-    total = inputs[0].shape[0]
-    joints, forces, quality = (np.empty((total, k)) for k in (n, r, pivots))
-    blocks.evaluate(function, buffers, inputs, (joints, forces, quality))
-    with np.errstate(all="ignore"):
-        total_of_joints = joints.sum()
-    if not pivots and np.isfinite(total_of_joints):  # one pass over a large batch, not four
-        doubtful = np.zeros(0, dtype=np.int64)
-    else:
-        sound = (quality > PIVOT_CUT).all(axis=-1) & np.isfinite(joints).all(axis=-1)
-        doubtful = np.flatnonzero(~sound)
-    return joints.reshape(*shape, n), forces.reshape(*shape, r), doubtful
+    mechanism: Mechanism,
+    rows: FormulaRows,
+    dense: Callable[[Mechanism, Array, Array, Array], Torques | Accelerations],
+    states: dict[str, Array],
+    arrays: int,
+) -> tuple[Array, Array, str]:
+    """Joint values (..., n), multipliers (..., r) where two `arrays` are wanted, and a remark."""
+    shape, remark = states["q"].shape[:-1], ""
+    flat = [state.reshape(-1, mechanism.n) for state in states.values()]
+    found, doubtful = rows.run(flat, arrays, check=lambda: _finite(states))
+    if doubtful.size:
+        solution = dense(mechanism, *(state[doubtful] for state in flat))
+        for array, values in zip(found, solution[:2], strict=False):
+            array[doubtful] = values
+        remark = solution.remark
+    joints, forces, *_ = (*found, np.zeros((0, 0)))
+    if arrays > 1:
+        forces = forces.reshape(*shape, -1) if forces.size else np.zeros((*shape, forces.shape[1]))
+    return joints.reshape(*shape, -1), forces, remark

@@ -65,6 +65,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
+def printable_lines(text: str) -> str:
+    """Each line of the text `printable`."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
 class DescriptionError(InputError):
     """A scene file has faults; all of them are told, one a line."""
 

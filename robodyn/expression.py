@@ -4,14 +4,15 @@ A formula evaluated on `Expression`s instead of floats leaves a graph behind: co
 zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
 straight-line Python or numpy code, `engines/segment.py` as machine code.
 
-A number that code takes as an argument is a parameter: a node, and what is computed of parameters
-alone is as good as a constant: it gathers in front of products, and is evaluated once a call.
+A number that code takes as an argument is a parameter.  What is computed of parameters alone is
+as good as a constant: it gathers in front of products, and code evaluates it once a call.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Callable, Container, Sequence
 from typing import Union
 
 Value = Union["Expression", float]
@@ -19,16 +20,28 @@ Value = Union["Expression", float]
 # Cost of an operation in additions, for choosing between two ways to write a formula.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log", "sinh", "cosh", "atan", "asin", "acos")
-COST |= dict.fromkeys((*FUNCTIONS, "pow", "atan2"), 4.0) | {"abs": 0.5, "choose": 1.0}
+COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0)
+COST |= {"abs": 0.5, "choose": 1.0, "atan2": 8.0, "rough": 2.0}
 INPUTS = ("var", "par")
+_NUMBER: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS}
+_NUMBER |= {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
+_NUMBER |= {"neg": operator.neg, "abs": abs, "pow": math.pow, "rough": math.pow}
+_NUMBER |= {"atan2": math.atan2, "keep": lambda a: a}
+_NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
 
 
 class Graph:
-    """The shared nodes of one formula."""
+    """The shared nodes of one formula.
 
-    def __init__(self) -> None:
+    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code, but for those
+    whose names are `free`.
+    """
+
+    def __init__(self, free: Container[str] = ()) -> None:
+        self.free = free
         self.nodes: list[Expression] = []
         self.parameters: dict[str, float] = {}  # what `parameter` was told
+        self.zeros: list[Expression] = []  # of parameters alone; taken for 0, as they are now
         self._known: dict[tuple[object, ...], Expression] = {}
 
     def variable(self, name: str) -> Expression:
@@ -36,8 +49,8 @@ class Graph:
         return self.node("var", (name,))
 
     def parameter(self, name: str, number: float) -> Value:
-        """A number that may be another in the next call; 0, 1 and -1 belong to the shape."""
-        if number in (0.0, 1.0, -1.0):
+        """A number that may be another in the next call."""
+        if number in (0.0, 1.0, -1.0) and name not in self.free:
             return float(number)
         self.parameters[name] = float(number)
         return self.node("par", (name,))
@@ -55,11 +68,27 @@ class Graph:
 class Expression:
     """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
-    __slots__ = ("args", "constant", "graph", "index", "op")
+    __slots__ = ("args", "graph", "index", "number", "op")
 
     def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
         self.graph, self.op, self.args, self.index = graph, op, args, index
-        self.constant = op != "var" and all(_constant(a) for a in args)  # while parameters are
+        self.number = self._number()  # of parameters alone: its value now
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is computed of parameters alone."""
+        return self.number is not None
+
+    def _number(self) -> float | None:
+        if self.op in INPUTS:
+            return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
+        if not all(_constant(a) for a in self.args):
+            return None
+        values = [a.number if isinstance(a, Expression) else a for a in self.args]
+        try:
+            return float(_NUMBER[self.op](*values))
+        except (ArithmeticError, ValueError):
+            return math.nan
 
     def __add__(self, other: Value) -> Value:
         return add(self, other)
@@ -87,6 +116,12 @@ class Expression:
 
     def __neg__(self) -> Value:
         return negate(self)
+
+    def __abs__(self) -> Value:
+        return absolute(self)
+
+    def __pow__(self, exponent: float) -> Value:
+        return multiply(self, self) if exponent == 2 else power(self, exponent)
 
 
 def negate(a: Value) -> Value:
@@ -118,9 +153,17 @@ def add(a: Value, b: Value) -> Value:
     for x, y in ((a, b), (b, a)):
         if _negative(y):
             positive = negate(y)
-            return 0.0 if positive is x else x.graph.node("-", (x, positive))
+            return 0.0 if positive is x else _unless_zero(x.graph.node("-", (x, positive)))
     first, second = sorted((a, b), key=lambda x: x.index)
-    return a.graph.node("+", (first, second))
+    return _unless_zero(a.graph.node("+", (first, second)))
+
+
+def _unless_zero(a: Expression) -> Value:
+    """A sum; 0 where parameters cancel: zeros belong to the shape."""
+    if a.number != 0.0:
+        return a
+    a.graph.zeros.append(a)
+    return 0.0
 
 
 def multiply(a: Value, b: Value) -> Value:
@@ -144,7 +187,7 @@ def multiply(a: Value, b: Value) -> Value:
     if b.op == "neg":
         return negate(multiply(a, _value(b.args[0])))
     for x, y in ((a, b), (b, a)):  # constant factors gather in front
-        if x.op == "*" and _constant(x.args[0]):
+        if _has_factor(x):
             return multiply(_value(x.args[0]), multiply(_value(x.args[1]), y))
     first, second = sorted((a, b), key=lambda x: x.index)
     return a.graph.node("*", (first, second))
@@ -152,7 +195,7 @@ def multiply(a: Value, b: Value) -> Value:
 
 def _scaled(a: Value, b: Expression) -> Value:
     """a b of a constant a."""
-    if b.op == "*" and _constant(b.args[0]):
+    if _has_factor(b):
         return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
     if b.op == "neg":
         return multiply(negate(a), _value(b.args[0]))
@@ -230,8 +273,14 @@ def call(name: str, a: Value) -> Value:
     return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
 
 
-def atan2(y: Value, x: Value) -> Value:
-    """The angle of the vector (x, y)."""
+def rough_power(a: Value, exponent: float) -> Value:
+    """The same of a >= 0 within 7 %, and finite at 0: for the length of a step."""
+    a = greatest(a, 1e-300)
+    return a.graph.node("rough", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def arctangent(y: Value, x: Value) -> Value:
+    """The angle of (x, y), atan2(y, x)."""
     for known in (y, x):
         if isinstance(known, Expression):
             return known.graph.node("atan2", (y, x))
@@ -277,6 +326,13 @@ def cost(outputs: Sequence[Value]) -> float:
     return sum(COST.get(node.op, 0.0) for node in needed(outputs) if not node.constant)
 
 
+def _has_factor(a: Expression) -> bool:
+    """Whether a constant stands in front of what is none, or a number before parameters."""
+    if a.op != "*":
+        return False
+    return _constant(a.args[0]) and not (a.constant and isinstance(a.args[0], Expression))
+
+
 def _constant(a: Value | str) -> bool:
     return a.constant if isinstance(a, Expression) else True
 
@@ -290,7 +346,12 @@ def _negative(a: Expression) -> bool:
     if a.op != "*":
         return a.op == "neg"
     first = _value(a.args[0])
-    return first.op == "neg" if isinstance(first, Expression) else first < 0.0
+    if not isinstance(first, Expression):
+        return first < 0.0
+    indices = [x.index for x in first.args if isinstance(x, Expression)]
+    if first.op == "-" and len(indices) == 2:  # of a - b and b - a of constants one is used
+        return indices[0] > indices[1]
+    return first.op == "neg"
 
 
 def needed(outputs: Sequence[Value]) -> list[Expression]:

@@ -24,6 +24,7 @@ from robodyn.scene_bodies import (
     other_power,
     potential_energy,
     sharpness,
+    spins,
 )
 from robodyn.scene_bodies import (
     kinetic_energy as kinetic_energy_of_bodies,
@@ -117,23 +118,22 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
 
 
 def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> list[Identity]:
-    KE = closed_form.kinetic_energy(mechanism, q, qd)
-    half = 0.5 * np.einsum("...i,...ij,...j->...", qd, M, qd)
-    bodies = kinetic_energy_of_bodies(mechanism.description, q, qd)
-    C = closed_form.coriolis_matrix(mechanism, q, qd)
-    Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), qd)
-    skew = Mdot - 2 * C
-    convective = np.einsum("...ij,...j->...i", C, qd)
-    # C qd = Mdot qd - d(1/2 qd^T M qd)/dq holds for the right C alone
-    slopes = [
-        along(partial(_shifted_energy, mechanism, q, qd, joint), _ones(q))
-        for joint in np.eye(mechanism.n)
-    ]
-    christoffel = np.einsum("...ij,...j->...i", Mdot, qd) - np.stack(slopes, axis=-1)
-    directions = np.random.default_rng(2).normal(size=q.shape)
     description = mechanism.description
+    turning = spins(description, qd)
+    KE = closed_form.kinetic_energy(mechanism, q, qd)
+    half = 0.5 * _form(qd, M, qd)
+    bodies = kinetic_energy_of_bodies(description, q, qd)
+    C = closed_form.coriolis_matrix(mechanism, q, qd)
+    Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), turning)
+    skew = Mdot - 2 * C
+    directions = np.random.default_rng(2).normal(size=q.shape)
+    ways = spins(description, directions)
+    # C qd = Mdot qd - d(1/2 qd^T M qd)/dq holds for the right C alone
+    convective = _form(directions, C, qd)
+    shown = _form(directions, Mdot, qd)
+    bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
     sharp = sharpness(description, q)
-    slope = along(lambda s: potential_energy(description, q + s * directions), directions * sharp)
+    slope = along(lambda s: potential_energy(description, q + s * directions), ways * sharp)
     G = closed_form.gravity_vector(mechanism, q)
     PE = closed_form.potential_energy(mechanism, q)
     work = np.einsum("...i,...i->...", G, directions)
@@ -146,7 +146,7 @@ def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> l
         ),
         Identity(
             "C qd = Mdot qd - dKE/dq",
-            _relative(convective - christoffel, _top(M) * _top(qd) ** 2),
+            _relative(convective - (shown - bend), max(_top(M) * _top(qd) ** 2, _top(bend))),
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
         Identity(
@@ -173,10 +173,6 @@ def _force_identities(
     return [Identity(FORCES, _relative(power - bodies, max(_top(Q), _top(power))))]
 
 
-def _shifted_energy(mechanism: Mechanism, q: Array, qd: Array, joint: Array, s: Array) -> Array:
-    return closed_form.kinetic_energy(mechanism, q + s * joint, qd)
-
-
 def _closure_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
@@ -185,14 +181,14 @@ def _closure_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Ident
     opened = partial(gap_of_bodies, mechanism.description, arms)
     bodies = opened(q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(lambda s: opened(q + s * directions), directions)
+    slope = along(lambda s: opened(q + s * directions), spins(mechanism.description, directions))
     moved = np.einsum("...ij,...j->...i", Psi, directions)
     bias = closed_form.closure_bias(mechanism, q, qd)
     turned = along(
         lambda s: np.einsum(
             "...ij,...j->...i", closed_form.closure_jacobian(mechanism, q + s * qd), qd
         ),
-        qd,
+        spins(mechanism.description, qd),
     )
     speed = np.einsum("...ij,...j->...i", Psi, qd)
     return [
@@ -240,11 +236,9 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
         size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
-    scale = max(map(_top, terms))
-    found.insert(
-        0,
-        Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)),
-    )
+    # the parts of M qdd are what rounds: in a long chain they are far larger than their sum
+    scale = max(*map(_top, terms), _top((np.abs(M) @ np.abs(qdd)[..., None])[..., 0]))
+    found.insert(0, Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)))
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
     def energy(s: Array) -> Array:
@@ -253,7 +247,8 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
         return KE + potential_energy(description, path)
 
     sharp = sharpness(description, q)
-    speed = sharp * np.maximum(np.abs(qd), np.sqrt(np.abs(qdd)))
+    turning, bending = spins(description, qd), spins(description, qdd)
+    speed = sharp * np.maximum(np.abs(turning), np.sqrt(np.abs(bending)))
     growth = along(energy, speed)
     power = np.einsum("...i,...i->...", tau + Q, qd) - (damping * qd**2).sum(axis=-1)
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
@@ -268,8 +263,10 @@ def _negative_part(M: Array) -> float:
     return float(max(0.0, -least.min(initial=0.0)))
 
 
-def _ones(q: Array) -> Array:
-    return np.ones((*q.shape[:-1], 1))
+def _form(left: Array, matrix: Array, right: Array) -> Array:
+    """left^T matrix right, (...)."""
+    form: Array = ((matrix @ right[..., None])[..., 0] * left).sum(axis=-1)
+    return form
 
 
 def _top(values: Array) -> float:

@@ -2,71 +2,111 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from typing import BinaryIO
+from contextlib import ExitStack, contextmanager, suppress
+from io import BufferedIOBase
+from typing import TYPE_CHECKING, BinaryIO, cast
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, printable_lines
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+
+class NamedFile(io.FileIO):
+    """A file that is told by `shown` where a write fails, as on a full disk."""
+
+    def __init__(self, path: str, mode: str, shown: str) -> None:
+        super().__init__(path, mode)
+        self._shown = shown
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:  # of a write, which knows no name
+            raise OSError(error.errno, error.strerror, self._shown) from None
 
 
 @contextmanager
 def open_output(
-    path: str | os.PathLike[str] | None, partial: Callable[[str], object] | None = None
+    path: str | os.PathLike[str] | None,
+    partial: Callable[[str], object] | None = None,
+    styled: bool = False,
 ) -> Iterator[BinaryIO]:
     """A binary stream to a file that takes its place, whole, when the block ends well.
 
     Where the block raises, an older file stays as it was; what was written is removed, or, with
     `partial`, kept under a name beside it that `partial` is told.  None and "-" are the standard
-    output; a device or a pipe is written as it stands.  Raises InputError where the file
-    cannot be created.
+    output; a device or a pipe is written as it stands.  A terminal is shown what it would obey
+    written out, unless the output is `styled`, made for a terminal.  Raises InputError where the
+    file cannot be created.
     """
     if path is None or os.fspath(path) == "-":
-        yield sys.stdout.buffer
+        raw = on_terminal(None) and not styled
+        yield cast(BinaryIO, _Terminal()) if raw else sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
+    shown = os.fspath(path)
     target = os.path.realpath(path)  # a link stays, the file that it names is replaced
     temporary = os.path.join(os.path.dirname(target), f".robodyn-{os.urandom(8).hex()}.tmp")
     is_file = os.path.isfile(path)
     in_place = os.path.exists(path) and not is_file
     with ExitStack() as cleanup:
+        if not in_place:
+            cleanup.callback(_remove, temporary)
         try:
             if is_file:
                 os.close(os.open(path, os.O_WRONLY))  # a read-only file is not to be replaced
             if not os.path.basename(path):
                 raise OSError("it names no file")
-            if in_place:
-                stream = cleanup.enter_context(open(path, "wb"))
-            else:
-                stream = cleanup.enter_context(open(temporary, "xb"))
+            mode, name = ("wb", shown) if in_place else ("xb", temporary)
+            stream = io.BufferedWriter(NamedFile(name, mode, shown))
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            raise InputError("cannot be written", where=os.fspath(path), limit=reason) from error
-        if in_place:
-            yield stream
-            return
+            raise InputError("cannot be written", where=shown, limit=reason) from error
+        cleanup.callback(close_quietly, stream)
+        if is_file:
+            shutil.copymode(target, temporary)
         try:
-            if is_file:
-                shutil.copymode(target, temporary)
             yield stream
             stream.close()
-            os.replace(temporary, target)
+            if not in_place:
+                os.replace(temporary, target)
         except BaseException:
-            stream.close()
-            if partial is None or not os.path.getsize(temporary):
-                os.unlink(temporary)
-            else:
+            close_quietly(stream)
+            if partial is not None and not in_place and os.path.getsize(temporary):
                 kept = f"{target}.partial"
                 os.replace(temporary, kept)
                 partial(kept)
             raise
 
 
-def same_file(first: str, second: str | None) -> bool:
-    """Whether two outputs would take the same place; a device takes both."""
-    targets = {"-" if path in (None, "-") else os.path.realpath(path) for path in (first, second)}
-    return len(targets) == 1 and (
-        first == "-" or not os.path.exists(first) or os.path.isfile(first)
-    )
+def close_quietly(stream: BinaryIO) -> None:
+    """Close after a failure: what waits to be written to a full disk fails again, untold."""
+    with suppress(OSError):
+        stream.close()
+
+
+def _remove(path: str) -> None:
+    with suppress(FileNotFoundError):
+        os.unlink(path)
+
+
+def on_terminal(path: str | None) -> bool:
+    """Whether an output goes to a terminal."""
+    return path in (None, "-") and sys.stdout.isatty()
+
+
+class _Terminal(BufferedIOBase):
+    """The standard output for data that may hold what a terminal would obey."""
+
+    def write(self, data: ReadableBuffer) -> int:
+        text = bytes(data).decode(errors="surrogateescape")
+        return sys.stdout.buffer.write(printable_lines(text).encode())
+
+    def flush(self) -> None:
+        sys.stdout.buffer.flush()

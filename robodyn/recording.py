@@ -86,6 +86,7 @@ class Report:
     energy_drift: float = 0.0  # largest |E(t) - E(0) - work done| / energy in motion
     energy_in_motion: float = 0.0  # largest KE, or change of PE, J
     work: float = 0.0  # of torques less dampers, J
+    work_missed: float = 0.0  # of a torque between the steps, part of the energy in motion
     largest_gap: float = 0.0  # m
     largest_gap_rate: float = 0.0  # m/s
     nearest_singular: float | None = None  # least singular value of Psi against the loop's size
@@ -122,6 +123,7 @@ class Recorder:
     rank: int = 0
     begun: bool = False  # whether the energy at the start is known
     unseen: UnseenWork | None = None
+    missed: float = 0.0  # J
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
 
     def begin(self, y: Array) -> None:
@@ -236,7 +238,8 @@ class Recorder:
         KE, PE = closed_form.energies(mechanism, q, qd)
         work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
         if self.unseen is not None:
-            work = work + self.unseen(t, q, qd)
+            unseen = self.unseen(t, q, qd)
+            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
         if not self.begun:
             report.energy_start, self.begun = float(KE[0] + PE[0]), True
         error = float(np.abs(KE + PE - work - report.energy_start).max())
@@ -244,6 +247,7 @@ class Recorder:
         moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
         report.energy_in_motion = moving
         report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
+        report.work_missed = self.missed / moving if moving > 0.0 else 0.0
         report.work = float(work[-1])
         if mechanism.rows:
             self._flush_loops(t, q, qd)

@@ -5,37 +5,53 @@ Nothing of the numeric model is used: a wrong constant of it shows beside these.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.differences import along, rate
+from robodyn.differences import along
 from robodyn.scene import Description, JointSpring, Load, Moment, Point, Spring
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def _places(description: Description, q: Array) -> tuple[list[Complex], list[Complex]]:
+Places = tuple[list[Complex], list[Complex]]
+
+
+def _places(description: Description, q: Array) -> Places:
     """Each link's joint and its direction, found by walking from the ground outward."""
     joints: dict[int, Complex] = {}
     directions: dict[int, Complex] = {}
-    links = description.links
-    while len(joints) < len(links):
-        for k, link in enumerate(links):
-            point = link.hangs_from
-            if k in joints or (point.link is not None and point.link not in joints):
-                continue
-            turn = np.exp(1j * q[..., k])
-            if point.link is None:
-                joints[k], directions[k] = np.full(turn.shape, point.at), turn
-            else:
-                above = directions[point.link]
-                joints[k] = joints[point.link] + point.at * above
-                directions[k] = above * turn
-    order = range(len(links))
+    for k in _outward(description):
+        point = description.links[k].hangs_from
+        turn = np.exp(1j * q[..., k])
+        if point.link is None:
+            joints[k], directions[k] = np.full(turn.shape, point.at), turn
+        else:
+            above = directions[point.link]
+            joints[k] = joints[point.link] + point.at * above
+            directions[k] = above * turn
+    order = range(len(description.links))
     return [joints[k] for k in order], [directions[k] for k in order]
+
+
+def _outward(description: Description) -> list[int]:
+    """The links, each after the one it hangs from."""
+    known: set[int | None] = {None}
+    order: list[int] = []
+    for k in range(len(description.links)):
+        path: list[int] = []
+        link: int | None = k
+        while link is not None and link not in known:
+            path.append(link)
+            link = description.links[link].hangs_from.link
+        order += reversed(path)
+        known.update(path)
+    return order
 
 
 def _masses(description: Description, q: Array) -> list[tuple[float, Complex]]:
@@ -70,14 +86,18 @@ def other_power(description: Description, q: Array, qd: Array, directions: Array
     """The power along `directions` of dampers of springs, forces that turn, and friction."""
     power = np.zeros(q.shape[:-1])
     sharp = sharpness(description, q)
+
+    def rate(function: Callable[[Array], Any], v: Array) -> Any:
+        return along(lambda s: function(q + s * v), spins(description, v) * sharp)
+
     for spring in description.springs:
         if isinstance(spring, Spring) and spring.damping:
             length = partial(_length, description, spring=spring)
-            speed, way = (rate(length, q, v, sharp) for v in (qd, directions))
+            speed, way = (rate(length, v) for v in (qd, directions))
             power = power - spring.damping * speed * way
     for load in description.loads:
         if isinstance(load, Load) and load.turns:
-            way = rate(partial(_place, description, point=load.point), q, directions, sharp)
+            way = rate(partial(_place, description, point=load.point), directions)
             assert load.point.link is not None
             turn = np.exp(1j * _angle(description, q, load.point.link))
             power = power + ((load.force * turn).conjugate() * way).real
@@ -113,31 +133,41 @@ def _length(description: Description, q: Array, spring: Spring) -> Array:
 
 
 def kinetic_energy(description: Description, q: Array, qd: Array) -> Array:
+    spin = spins(description, qd)
     velocities = along(
-        lambda s: np.stack([z for _, z in _masses(description, q + s * qd)], axis=-1), qd
+        lambda s: np.stack([z for _, z in _masses(description, q + s * qd)], axis=-1), spin
     )
     masses = np.array([m for m, _ in _masses(description, q[:1])])
-    spin: dict[int, Array] = {}
-    while len(spin) < len(description.links):
-        for k, link in enumerate(description.links):
-            above = link.hangs_from.link
-            if k not in spin and (above is None or above in spin):
-                spin[k] = qd[..., k] + (0.0 if above is None else spin[above])
-    turning = sum(link.I * spin[k] ** 2 for k, link in enumerate(description.links))
+    turning = spin**2 @ np.array([link.I for link in description.links])
     return np.asarray(0.5 * (np.abs(velocities) ** 2 @ masses + turning))
 
 
+def spins(description: Description, qd: Array) -> Array:
+    """The links' own rates: how fast their directions turn, (..., n)."""
+    found = np.array(qd)
+    for k in _outward(description):
+        above = description.links[k].hangs_from.link
+        if above is not None:
+            found[..., k] += found[..., above]
+    return found
+
+
 def _place(description: Description, q: Array, point: Point) -> Complex:
+    return _among(_places(description, q), point)
+
+
+def _among(places: Places, point: Point) -> Complex:
+    joints, directions = places
     if point.link is None:
-        return np.full(q.shape[:-1], point.at)
-    joints, directions = _places(description, q)
+        return np.full(directions[0].shape, point.at)
     return joints[point.link] + point.at * directions[point.link]
 
 
 def gap(description: Description, arms: list[float], q: Array) -> Array:
     rows: list[Array] = []
+    places = _places(description, q)
     for closure in description.closures:
-        apart = _place(description, q, closure.first) - _place(description, q, closure.second)
+        apart = _among(places, closure.first) - _among(places, closure.second)
         if closure.along is None:
             rows += [apart.real, apart.imag]
         else:

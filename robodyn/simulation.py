@@ -25,7 +25,7 @@ from robodyn.mechanism import Mechanism
 from robodyn.projection import best_closing, projection
 from robodyn.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.right_hand_side import RightHandSide, right_hand_side
-from robodyn.torque_times import over_a_run
+from robodyn.torque_times import harmless_torque, over_a_run
 
 Array = NDArray[np.float64]
 
@@ -198,7 +198,8 @@ def run(
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
-    given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end))
+    small = harmless_torque(mechanism, settings.atol, t_end)
+    given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
     work = actuation.active or mechanism.changes_energy
     report = Report(
         method=settings.method,

@@ -136,7 +136,7 @@ def define(
     source: str, name: str, arrays: bool = False, scope: Mapping[str, object] | None = None
 ) -> Callable[..., Any]:
     """The function called `name` of a source that may name those of `scope`."""
-    known = (*expression.FUNCTIONS, "atan2", "pow", "nan", "inf")
+    known = (*expression.FUNCTIONS, "pow", "atan2", "nan", "inf")
     names: dict[str, object] = {name: getattr(math, name) for name in known} | dict(scope or {})
     if arrays:
         import numpy as np

@@ -23,6 +23,8 @@ FINEST = 1e-18  # of the run: no bracket is cut further
 DEGREE = 16
 SMOOTH = 1e-9  # part of the largest torque by which a polynomial may miss a sample
 LEAVES = 32768  # beyond so many, the torque is left to the control of the steps' errors
+ASIDE = 0.47  # where a leaf is split: where a root begins, no step should
+ROUNDED = 1e-15
 NARROWEST = 1e-10  # of the run, for a leaf
 
 _OPERATORS: dict[type, Callable[..., Any]] = {
@@ -187,20 +189,23 @@ def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> Array:
 def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
     """Of neighbours between which a switch changes one; of those within rounding the shortest."""
     memo: dict[int, Any] = {}
+    finest = 2.0 * FINEST * (t[-1] - t[0])
     codes = [_code(values_of(switch, {"t": t}, memo)) for switch in switches]
     changes = sum((code[1:] != code[:-1] for code in codes), np.zeros(len(t) - 1, bool))
     (k,) = np.nonzero(changes)
     times = np.unique(np.concatenate([t[k], t[k + 1]])).tolist()
     groups: list[list[float]] = []
     for time in times:
-        if groups and time - groups[-1][-1] <= 4.0 * math.ulp(time):
+        if groups and time - groups[-1][-1] <= max(4.0 * math.ulp(time), finest):
             groups[-1].append(time)
         else:
             groups.append([time])
     return [min(group, key=lambda x: len(repr(x))) for group in groups]
 
 
-def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Array) -> Array:
+def leaf_ends(
+    functions: list[ast.expr], names: Names, edges: Array, samples: Array, small: float
+) -> Array:
     """The ends of the leaves: `edges`, and what lies between them."""
     angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))
     orders = np.arange(DEGREE + 1)
@@ -210,7 +215,7 @@ def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Ar
     places = np.cos(np.concatenate([angles, between]))
     memo: dict[int, Any] = {}
     sampled = [values_of(x, {**names, "t": samples}, memo) for x in functions]
-    small = [SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in sampled]
+    least = [max(SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0), small) for x in sampled]
     a, b, ends = edges[:-1], edges[1:], edges
     span = edges[-1] - edges[0]
     while len(a):
@@ -219,27 +224,27 @@ def leaf_ends(functions: list[ast.expr], names: Names, edges: Array, samples: Ar
         leaf = np.minimum(np.searchsorted(a, samples, "right") - 1, len(a) - 1)
         inside = (samples > a[leaf]) & (samples < b[leaf])
         good = np.ones(len(a), bool)
+        rounding = ROUNDED * np.maximum(np.abs(a), np.abs(b)) / (b - a)  # of t, part of a leaf
         memo = {}
-        for x, known, least in zip(functions, sampled, small, strict=True):
+        for x, known, off_by in zip(functions, sampled, least, strict=True):
             values = values_of(x, {**names, "t": t}, memo)
             series = values[:, : DEGREE + 1] @ fit
+            most = np.maximum(off_by, np.ptp(values, axis=1) * rounding)
             miss = np.abs(series @ probe - values[:, DEGREE + 1 :]).max(axis=1)
-            plain = (miss <= least) | ~np.isfinite(values).any(axis=1)
-            good &= plain
+            undefined = np.asarray(~np.isfinite(values).any(axis=1))
+            good &= (miss <= most) | undefined
             (k,) = np.nonzero(inside & good[leaf])
             at = leaf[k]
             u = (samples[k] - middle[at]) / half[at]
             off = np.abs(_chebyshev(series[at], u) - known[k])
-            undefined = ~np.isfinite(values[at]).any(axis=1)
-            good[at[~((off <= least) | (undefined & ~np.isfinite(known[k])))]] = False
+            good[at[~((off <= most[at]) | (undefined[at] & ~np.isfinite(known[k])))]] = False
         split = ~good & (half > NARROWEST * span)
         if len(ends) + split.sum() > LEAVES:
             break
-        ends = np.append(ends, middle[split])
-        a, b = (
-            np.stack(pair, axis=1).ravel()
-            for pair in ((a[split], middle[split]), (middle[split], b[split]))
-        )
+        a, b = a[split], b[split]
+        inner = a + ASIDE * (b - a)
+        ends = np.append(ends, inner)
+        a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
     return ends
 
 

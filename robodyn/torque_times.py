@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from robodyn.actuation import Actuation
+from robodyn.mechanism import Mechanism
 from robodyn.time_samples import call, leaf_ends, parts_of, samples_of, switching_times, values_of
 
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
@@ -52,16 +53,25 @@ class Pieces:
         return self.values[max(bisect_left(self.kinks, t), self.now)]
 
 
-def over_a_run(actuation: Actuation, state: Sequence[float], t_end: float) -> Actuation:
+def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
+    """A torque, N m, that moves the lightest link by less than `atol` in the time of a run."""
+    lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0), default=0.0)
+    return float(atol * lightest / (abs(t_end) or 1.0))
+
+
+def over_a_run(
+    actuation: Actuation, state: Sequence[float], t_end: float, small: float = 0.0
+) -> Actuation:
     """The torques with their switching times and leaves from 0 to `t_end`.
 
     `state` (2n) is that at the start: what depends on time and state is sampled as if it stayed.
+    A torque below `small`, N m, may be missed.
     Torques that are no expressions of time are returned as they are.
     """
     if actuation.pieces is not None or not np.isfinite(t_end) or t_end == 0.0:
         return actuation
     try:
-        found = _found(actuation.lines, tuple(map(float, state)), float(t_end))
+        found = _found(actuation.lines, tuple(map(float, state)), float(t_end), small)
     except (RecursionError, MemoryError):  # too deep an expression: as it is
         return actuation
     if found is None:
@@ -81,7 +91,7 @@ def _pick(k: float, *values: float) -> float:
 
 @lru_cache(maxsize=16)
 def _found(
-    lines: tuple[str, ...], state: tuple[float, ...], t_end: float
+    lines: tuple[str, ...], state: tuple[float, ...], t_end: float, small: float
 ) -> tuple[tuple[str, ...], tuple[float, ...], list[tuple[float, ...]], tuple[float, ...]] | None:
     """The lines with switches held, when they switch, how they stand between, and the leaves.
 
@@ -110,7 +120,7 @@ def _found(
         middles = 0.5 * (edges[1:] + edges[:-1])
         table = [values_of(switch, {"t": middles}) for switch in parts.switches]
         values = [tuple(row) for row in np.transpose(table).tolist()] or [()] * len(middles)
-        leaves = leaf_ends(parts.functions, names, edges, samples)
+        leaves = leaf_ends(parts.functions, names, edges, samples, small)
     return tuple(written), tuple(kinks), values, tuple(np.sort(np.abs(leaves)).tolist())
 
 

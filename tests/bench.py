@@ -17,6 +17,7 @@ import tempfile
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from timeit import timeit
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 import robodyn
 from robodyn.actuation import Actuation
 from robodyn.description import from_text
+from robodyn.engines import formula_rows, machine
 from robodyn.engines.formulas import inverse_formula
 from robodyn.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanism import build
@@ -41,6 +43,7 @@ from yardsticks import four_bar_rates, two_link_rates
 Array = NDArray[np.float64]
 Command = tuple[str | Path, ...]
 Pair = tuple[float, float]
+Limits = dict[str, float]  # bound and aim of a row
 Times = list[Pair]  # seconds of ours and of the yardstick, taken in turn
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -165,10 +168,23 @@ def one_process(bench: Bench) -> list[Row]:
     return [compared("torque, whole process", times, 1, "import numpy", bound=2.0, aim=1.5)]
 
 
-def batch(bench: Bench, what: str, function: Callable[[], object], **limits: float) -> Row:
-    """A batch of states against equation (27) in numpy for as many states of the 2R."""
-    times = in_turn(function, bench.torques_by_numpy, bench.repeats)
-    return compared(f"inverse dynamics, {what}", times, bench.states, "numpy (27)", **limits)
+def batch(
+    bench: Bench, what: str, function: Callable[[], object], extra: Limits, without: Limits
+) -> list[Row]:
+    """A batch of states against equation (27) in numpy for as many states of the 2R.
+
+    With the extra `fast`, whose machine code is made before, and without it.
+    """
+    rows = []
+    for name, limits, worth in (("machine code", extra, 0.0), ("numpy", without, math.inf)):
+        if not worth and not machine.available():
+            continue
+        usual, formula_rows.WORTH = formula_rows.WORTH, worth
+        times = in_turn(function, bench.torques_by_numpy, bench.repeats)
+        formula_rows.WORTH = usual
+        found = compared(f"{what}, {name}", times, bench.states, "numpy (27)", **limits)
+        rows.append(found)
+    return rows
 
 
 def two_link_batch(bench: Bench) -> list[Row]:
@@ -176,8 +192,9 @@ def two_link_batch(bench: Bench) -> list[Row]:
     output = bench.torques().nbytes
     extra = (tracemalloc.get_traced_memory()[1] - output) / 1e6
     tracemalloc.stop()
-    row = batch(bench, "2R", bench.torques, bound=0.7, aim=0.4)
-    return [row, Row("inverse dynamics, 2R, extra MB", extra, bound=64.0)]
+    limits = {"bound": 0.1, "aim": 0.05}, {"bound": 0.7, "aim": 0.4}
+    rows = batch(bench, "inverse dynamics, 2R", bench.torques, *limits)
+    return [*rows, Row("inverse dynamics, 2R, extra MB", extra, bound=64.0)]
 
 
 def table(bench: Bench) -> list[Row]:
@@ -202,7 +219,23 @@ def four_bar_batch(bench: Bench) -> list[Row]:
     q = robodyn.assemble(mechanism, crank)
     qd = loop_velocities(mechanism, q, rate)
     qdd = loop_accelerations(mechanism, q, qd, acceleration)
-    return [batch(bench, "four-bar", lambda: robodyn.inverse_dynamics(mechanism, q, qd, qdd))]
+    states = (mechanism, q, qd)
+    inverse = batch(
+        bench,
+        "inverse dynamics, four-bar",
+        lambda: robodyn.inverse_dynamics(*states, qdd),
+        {"bound": 0.3, "aim": 0.15},
+        {},
+    )
+    tau = np.cos(qd) * [1.0, 0.0, 0.0]
+    forward = batch(
+        bench,
+        "forward dynamics, four-bar",
+        lambda: robodyn.forward_dynamics(*states, tau),
+        {"bound": 0.4, "aim": 0.2},
+        {},
+    )
+    return inverse + forward
 
 
 def chain_text(n: int) -> str:
@@ -224,7 +257,8 @@ def n_four_bar_text(n: int) -> str:
 
 def chain_batch(bench: Bench) -> list[Row]:
     chain, motion = build(from_text(chain_text(6), "6R")), bench.random_motion(6)
-    return [batch(bench, "6R chain", lambda: robodyn.inverse_dynamics(chain, *motion))]
+    ours = partial(robodyn.inverse_dynamics, chain, *motion)
+    return batch(bench, "inverse dynamics, 6R chain", ours, {"bound": 0.35, "aim": 0.2}, {})
 
 
 def one_call(bench: Bench) -> list[Row]:

@@ -19,9 +19,9 @@ from oracles import n_four_bar_exact
 from robodyn.actuation import Actuation
 from robodyn.benchmark import benchmark
 from robodyn.description import from_text
+from robodyn.engines.step_text import step_text
 from robodyn.mechanism import build
 from robodyn.right_hand_side import right_hand_side
-from robodyn.taylor.code import compile_expansion
 from robodyn.taylor.run import compiled_engine, stepping_engine
 from robodyn.taylor.steps import ArrayEngine, StraightEngine
 
@@ -139,7 +139,8 @@ def series_engines(bench: Any) -> list[Any]:
         if mechanism.rows:
             q[n // 2 + 1 :] = -1.0
         y = np.concatenate([q, np.zeros(n)]).tolist()
-        arguments = (mechanism, None, 14, 1e-9, 1e-9, (0.0,) * n, False)
+        free = Actuation((0.0,) * n)
+        arguments = (mechanism, None, 14, 1e-9, 1e-9, free, False)
         kinds = [kind(*arguments) for kind in (StraightEngine, ArrayEngine)]
         steps = [partial(engine.expand, 0.0, y, 1.0, 1.0) for engine in kinds]
         times = in_turn(
@@ -148,7 +149,7 @@ def series_engines(bench: Any) -> list[Any]:
             bench.repeats,
         )
         made = min(
-            timeit(lambda m=mechanism, n=n: compile_expansion(m, 14, (0.0,) * n, False), number=1)
+            timeit(lambda m=mechanism, free=free: step_text(m, free, 14, False), number=1)
             for _ in range(3)
         )
         row = compared(f"step of the series, straight-line, {what}", times, 20, "arrays")

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import warnings
 from contextlib import suppress
 
 import numpy as np
@@ -200,6 +201,23 @@ class TestExpressions:
     def test_one_for_each_actuated_joint(self, text):
         message = refused(text)
         assert "expression" in message
+
+    @pytest.mark.parametrize(
+        "text",
+        ["\uff11", "\u0661", "q\uff11", "\uff51 1", "\u00b2", "\U0001d42c\U0001d422\U0001d427(t)"],
+    )
+    def test_characters_of_other_scripts(self, text):
+        """Python itself takes some for digits and letters of our own."""
+        assert "is no expression" in refused(f"{text}, 0")
+
+    @pytest.mark.parametrize(
+        "text", ["0if t else 1", "1or t", "0x1for x in t", "t is 1", "t(1)(2)"]
+    )
+    def test_what_python_warns_of_is_refused_without_a_warning(self, text):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            assert "expression" in refused(f"{text}, 0")
+        assert not told
 
     @pytest.mark.parametrize(
         "name", ["q0", "q3", "qd0", "qd3", "q", "qd", "q-1", "x", "T", "qdd1", "tau1", "nan", "inf"]

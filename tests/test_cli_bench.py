@@ -151,6 +151,7 @@ def test_evaluators_without_mpmath(robodyn, monkeypatch):
         (("--plot", "x.svg", "--out", "./x.svg"), ("--plot", "--out")),
         (("--evaluators", "--plot", "x.svg"), ("--evaluators and --plot",)),
         (("--tau", "1"), ("tau = 1 values",)),
+        (("--repeats", "90000000000000000000"), ("--repeats = 9", "<= 10000")),
     ],
 )
 def test_what_is_refused_before_the_work(robodyn, options, parts):

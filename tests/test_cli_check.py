@@ -28,6 +28,16 @@ def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
     assert (found["closing"] is None) == (found["loops"] == [])
 
 
+def test_a_long_chain_passes_at_few_states(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    link = "  - {{name: link{}, m: 1, l: 0.5, r: 0.2, I: 0.05}}\n"
+    path = scene("gravity: 9.81\nlinks:\n" + "".join(link.format(k) for k in range(400)))
+    given = robodyn("check", path)
+    assert given.code == 0, given.err
+    found = given.json
+    assert found["passed"] is True
+    assert 1 < found["states"] <= 10  # M has 160,000 entries a state
+
+
 @pytest.mark.parametrize(
     ("name", "mobility", "actuated", "loops"),
     [

@@ -247,6 +247,14 @@ def test_without_the_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_pa
     robodyn(*ARM, "--format", "text").succeeds()
 
 
+def test_no_folder_of_matplotlib_stays_behind(shell: Run, tmp_path: Path) -> None:
+    """Where it can keep nothing at home it makes one for temporary files, and warns."""
+    home = dict.fromkeys(("XDG_CONFIG_HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"), "")
+    home |= {"HOME": "/proc/none", "TMPDIR": str(tmp_path)}
+    shell(f"robodyn draw robots/2r.yaml --q 0,1 -o {tmp_path}/x.png", env=home).succeeds()
+    assert [path.name for path in tmp_path.iterdir()] == ["x.png"]
+
+
 def test_the_pictures_of_the_readme_are_there_and_small() -> None:
     from PIL import Image
 

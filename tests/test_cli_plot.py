@@ -208,6 +208,7 @@ def test_no_color(motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("options", "parts"),
     [
         ((), ("--out", ".png, .svg, .pdf", "--format text")),
+        (("--format", "text", "--size", "\uff18x5"), ("--size = \uff18x5", "8x5")),
         (("-o", "x.gif"), ("--out = x.gif", ".png, .svg, .pdf or .txt")),
         (("-o", "x"), ("--out = x",)),
         (("-o", ""), ("empty",)),
@@ -235,6 +236,9 @@ def test_what_is_refused(
         ("t,q1\n", ("stdin: no rows", "nothing to draw")),
         ("t\n1\n", ("stdin", "no column to draw")),
         ("t,q1\n0,1\n1,nan\n", ("stdin: line 3", "q1 = nan", "finite number")),
+        ("t,q1\n0,1\n1,-1e308\n", ("stdin: q1 = -1e+308", "beyond 1e+290")),
+        ("t,q1\n0,1\n1e308,1\n", ("stdin: t = 1e+308", "beyond 1e+290")),
+        ("t,q1\n0,1\n1,\u0661\n", ("stdin: line 3", "q1 = \u0661", "finite number")),
         ("t,q1\n0,1\n1,\n", ("stdin: line 3", "q1", "empty")),
         ("t,q1\n0,1\n1,inf\n", ("line 3",)),
         ("t,q1\n0,1\n1\n", ("line 3", "number of fields")),

@@ -266,7 +266,7 @@ def test_a_table_from_a_file_and_from_stdin(robodyn: Run, tmp_path: Path) -> Non
 
 
 def test_the_integrator_steps_onto_the_kinks_of_a_table(robodyn: Run, tmp_path: Path) -> None:
-    """A square wave costs no more than its steps; as an expression it costs more."""
+    """A square wave costs no more than its steps, as rows and as an expression."""
     rows = ["t,tau1"]
     for k in range(20):
         rows += [f"{k / 20},{5 * (-1) ** k}", f"{(k + 1) / 20 - 1e-9},{5 * (-1) ** k}"]
@@ -281,7 +281,7 @@ def test_the_integrator_steps_onto_the_kinks_of_a_table(robodyn: Run, tmp_path: 
         first, last = given.column("energy")
         assert facts["energy_drift"] < 1e-7
         assert facts["work"] == pytest.approx(last - first, abs=1e-6)
-    assert counts[0] < 0.7 * counts[1]
+    assert counts[1] < counts[0]  # without the ramps between the rows
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -584,7 +584,7 @@ def check_whole_lines(text: str) -> int:
     return len(t)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.Signals) -> None:
     rows, report = tmp_path / "rows.csv", tmp_path / "report.json"
     run = (*ARM, "--time", 3000, "--every", 0.01, "--report", report)
@@ -599,7 +599,7 @@ def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.
     assert count == math.floor(facts["t_reached"] / 0.01 + 1e-9) + 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal.Signals) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
@@ -653,6 +653,9 @@ def test_a_progress_bar_on_a_terminal(tmp_path: Path) -> None:
         ("--points 0", ["--points", "0", ">= 1"]),
         ("--points -3", ["--points", "-3", ">= 1"]),
         ("--points 1.5", ["--points", "1.5"]),
+        ("--points \uff11", ["--points", "\uff11", "not a valid int"]),
+        ("--points 1_0", ["--points", "1_0", "not a valid int"]),
+        ("--time \u0661", ["--time", "\u0661", "not a valid float"]),
         ("--points 10 --every 0.1", ["--points", "--every", "exclude"]),
         ("--rtol 0", ["--rtol", "0", "3e-14"]),
         ("--rtol -1e-9", ["--rtol", "-1e-09", "3e-14"]),

@@ -18,6 +18,7 @@ from conftest import ROOT, Outcome
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
 from robodyn.sweeps import sweep_plan
+from robodyn.sweeps.sweep import Rows, run_chunk
 
 Run = Callable[..., Outcome]
 ARM = ("sweep", "robots/2r.yaml")
@@ -146,6 +147,11 @@ def test_flip_of_a_link(robodyn: Run) -> None:
         (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
         (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
         (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
+        (["--vary", "q1=0", "--patience", "9"], ["--patience", "--scheduler"]),
+        (
+            ["--vary", "q1=0", "--patience", "nan", "--scheduler", "tcp://x"],
+            ["--patience = nan", ">= 0"],
+        ),
         (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
         (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
         (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),
@@ -194,44 +200,77 @@ def test_cut_off_anywhere_it_goes_on_to_the_same_bytes(robodyn: Run, tmp_path: P
     assert other.code == 0
     assert (tmp_path / "two.csv").read_bytes() == data
 
-    # what a run that was cut off leaves: the first lines, and what they are
-    facts = _facts_of(robodyn, tmp_path)
-    for part in (0.34, 0.78):
-        cut.with_name("cut.csv.partial").write_bytes(data[: int(part * len(data))])
-        cut.with_name("cut.csv.partial.json").write_bytes(facts)
-        resumed = robodyn(*ARM, *SMALL, "-o", cut, "--workers", 1)
-        assert "of 900 points: going on from there" in resumed.err
-        assert cut.read_bytes() == data
-        cut.unlink()
-    cut.with_name("cut.csv.partial").write_bytes(data)
-    cut.with_name("cut.csv.partial.json").write_bytes(facts)
+    _cut_off(robodyn, cut, 9)
+    kept = {end: cut.with_name(f"cut.csv.partial{end}") for end in ("", ".json", ".sums")}
+    rows = kept[""].read_bytes()
+    assert rows == data
+    facts = json.loads(kept[".json"].read_text())
+    assert facts["version"] == package.__version__
+    assert facts["variation"][0]["name"] == "q1"
     refused = robodyn(*ARM, *SMALL, "--rtol", 1e-8, "-o", cut)
     refused.fails(2, "cut.csv.partial", "there: rtol 1e-09; here: rtol 1e-08")
     assert "nothing was left to do" in robodyn(*ARM, *SMALL, "-o", cut).err
     assert cut.read_bytes() == data
+    cut.unlink()
+    for chunks in (0, 3, 7):
+        _cut_off(robodyn, cut, chunks)
+        resumed = robodyn(*ARM, *SMALL, "-o", cut, "--workers", 1)
+        assert ("of 900 points: going on from there" in resumed.err) == (chunks > 0)
+        assert "Warning" not in resumed.err
+        assert cut.read_bytes() == data
+        cut.unlink()
 
 
-def _facts_of(robodyn: Run, folder: Path) -> bytes:
-    """What FILE.partial.json holds of the small sweep: from a run that fails at its first chunk."""
-    path = folder / "facts.csv"
+@pytest.mark.usefixtures("_small_chunks")
+def test_rows_that_were_changed_are_computed_again_and_told(robodyn: Run, tmp_path: Path) -> None:
+    out, partial = tmp_path / "out.csv", tmp_path / "out.csv.partial"
+    data = robodyn(*ARM, *SMALL, "--quiet", "--workers", 1).succeeds().out.encode()
+    ends = [k for k, byte in enumerate(data) if byte == 10]
+    middle = ends[450]
+    for changed, points in (
+        (data[:middle] + b"0" + data[middle:], 400),  # a digit more
+        (data[: middle - 20], 400),
+        (data[: ends[300] + 1], 300),
+        (data + data[middle + 1 : ends[451] + 1], 900),
+        (data[: ends[100] + 1] + data[ends[200] + 1 :], 100),
+    ):
+        _cut_off(robodyn, out, 9)
+        partial.write_bytes(changed)
+        resumed = robodyn(*ARM, *SMALL, "-o", out, "--workers", 1, "--quiet")
+        assert resumed.code == 0
+        assert f"what follows the first {points} points in {partial} does not match" in resumed.err
+        assert out.read_bytes() == data
+        assert list(tmp_path.iterdir()) == [out]
+        out.unlink()
+
+
+@pytest.mark.usefixtures("_small_chunks")
+def test_facts_of_brackets_are_no_defect(robodyn: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    _cut_off(robodyn, out, 2)
+    (tmp_path / "out.csv.partial.json").write_text("[" * 100_000)
+    refused = robodyn(*ARM, *SMALL, "-o", out).fails(2, "out.csv.partial.json", "damaged")
+    assert "defect" not in refused.err
+
+
+def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
+    """The small sweep, cut off after so many chunks; after all nine before it takes its place."""
+
+    def limited(plan: sweep_plan.Plan, number: int) -> Rows:
+        if number >= chunks:
+            raise KeyboardInterrupt
+        return run_chunk(plan, number)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", _failing)
-        failed = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
-    assert failed.code == 130
-    assert "0 of 900 points are in" in failed.err
+        patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", limited)
+        patch.setattr("robodyn.sweeps.resumable_file.ResumableFile.finish", lambda file: None)
+        cut = robodyn(*ARM, *SMALL, "-o", path, "--workers", 1)
+    assert cut.code == (0 if chunks == 9 else 130)
+    assert chunks == 9 or f"{100 * chunks} of 900 points are in" in cut.err
     assert not path.exists()
-    facts = path.with_name("facts.csv.partial.json").read_bytes()
-    known = json.loads(facts)
-    assert known["version"] == package.__version__
-    assert known["variation"][0]["name"] == "q1"
-    return facts
 
 
-def _failing(plan: object, number: int) -> None:
-    raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:200", "--vary",
@@ -247,13 +286,32 @@ def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> No
     process.send_signal(number)
     assert process.stderr is not None
     _, told = process.communicate(timeout=60)
-    assert process.returncode == {signal.SIGINT: 130, signal.SIGTERM: 143}.get(number, -number)
+    ended = -number if number == signal.SIGKILL else 128 + number
+    assert process.returncode == ended
     if number != signal.SIGKILL:
         assert "the same command goes on" in told
         assert "Traceback" not in told
     assert not path.exists()
     assert partial.read_bytes().count(b"\n") % sweep_plan.CHUNKS["python"] == 1
     assert json.loads((tmp_path / "out.csv.partial.json").read_text())["kind"] == "motion"
+
+
+@pytest.mark.parametrize("later", [0.0, 0.1, 0.3, 0.6, 1.0, 1.5])
+def test_ctrl_c_is_quiet_while_processes_begin_and_work(later: float, tmp_path: Path) -> None:
+    """A terminal sends it to all processes: none has a traceback or a warning to show."""
+    command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:9000", "--time", "5"]
+    command += ["--engine", "python", "--workers", "2", "-o", str(tmp_path / "out.csv")]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    until = time.monotonic() + 60
+    while not (tmp_path / "out.csv.partial").exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    time.sleep(later)
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert [line for line in told.splitlines() if "the same command goes on" not in line] == []
 
 
 # Streams
@@ -277,6 +335,42 @@ def test_the_rows_of_a_cluster(robodyn: Run) -> None:
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     failed = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "nonsense://x:1")
     failed.fails(1, "nonsense", "no Dask scheduler")
+
+
+def test_a_scheduler_that_dies(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    at = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli.dask_"]
+    options = ["--scheduler-file", str(at), "--no-dashboard"]
+    begun = []
+
+    def begin(what: str, *more: str) -> None:
+        command = [*dask[:2], dask[2] + what, *options, *more]
+        begun.append(subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True))
+
+    def wait_for(process: subprocess.Popen[str], words: str) -> None:
+        assert process.stderr is not None
+        assert any(words in line for line in process.stderr)
+
+    try:
+        begin("scheduler", "--port", "0")
+        wait_for(begun[0], "Scheduler at")
+        begin("worker", "--nthreads", "1")
+        wait_for(begun[0], "Register worker")
+        address = json.loads(at.read_text())["address"]
+        command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:3000", "--time", "9"]
+        command += ["--engine", "python", "--scheduler", address]
+        sweep = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        wait_for(begun[0], "Receive client")
+        time.sleep(1.0)
+        begun[0].kill()
+        _, told = sweep.communicate(timeout=60)
+    finally:
+        for process in begun:
+            process.kill()
+            process.communicate()
+    assert sweep.returncode == 1
+    assert told == "Error: the scheduler was lost: it ended, or the way to it did\n"
 
 
 def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch) -> None:

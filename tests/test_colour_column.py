@@ -69,6 +69,12 @@ def test_a_logarithm_needs_positive_numbers(bad: str) -> None:
     assert len(read(["", "1e-300", bad]).values) == 3
 
 
+@pytest.mark.parametrize("text", ["\u0661\u0662", "\uff11", "1_0"])
+def test_digits_of_other_scripts_are_no_numbers(text: str) -> None:
+    with pytest.raises(InputError, match="must be a finite number or empty"):
+        read(["1", text])
+
+
 def test_too_many_words() -> None:
     words = [f"w{k}" for k in range(MOST_WORDS)]
     assert len(read(words).words) == MOST_WORDS

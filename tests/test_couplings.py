@@ -22,13 +22,13 @@ from robodyn import (
 )
 from robodyn.actuation import Actuation
 from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.engines.step_text import step_text
 from robodyn.errors import InputError
 from robodyn.evaluators import _accelerations
 from robodyn.extended import reference
 from robodyn.quantities import parse_coupling
 from robodyn.right_hand_side import right_hand_side
 from robodyn.taylor.arrays import ArraySeries
-from robodyn.taylor.code import compile_expansion
 
 FIVE_BAR = """
 gravity: 9.81
@@ -153,8 +153,8 @@ class TestEvaluators:
         q, qd = self.state(mech)
         torques = (0.4, 0.0, 0.0, 0.0)
         z, _ = ArraySeries(mech, 12, np.array(torques)).expand(q, qd)
-        expand = compile_expansion(mech, 12, torques, False)
-        _, _, series = expand([*q, *qd], 0.01, 1.0, 1e-9, 1e-9, None)
+        expand = step_text(mech, Actuation(torques), 12, False).expand
+        _, _, series = expand(0.0, [*q, *qd], (), (), 0.01, 1.0, 1e-9, 1e-9)
         size = np.abs(z).max(axis=0)
         assert np.abs(np.array(series[:4]) - z.real).max(axis=0) == pytest.approx(
             0, abs=1e-13 * size.max()

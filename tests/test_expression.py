@@ -267,7 +267,7 @@ class TestFloatSource:
         x, y, z = (graph.variable(name) for name in "xyz")
         assert float_source([2.0 * (0.5 * x - 0.5 * y + 3.0 * z)]) == ([], ["x - y + 6.0*z"])
         assert float_source([2.0 * (x + y)]) == ([], ["2.0*(x + y)"])
-        assert float_source([2.0 * (0.5 * x + y)]) == ([], ["2.0*(0.5*x + y)"])
+        assert float_source([2.0 * (0.5 * x + y)]) == ([], ["2.0*(y + 0.5*x)"])
 
 
 class TestArraySource:

@@ -41,7 +41,6 @@ from robodyn.right_hand_side import right_hand_side
 from robodyn.scene import Description, JointSpring, Load, Moment, Point
 from robodyn.straightline import compile_forces
 from robodyn.taylor.arrays import ArraySeries
-from robodyn.taylor.code import compile_expansion
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}
@@ -468,8 +467,6 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
 def test_no_series_forgets_them():
     """Constant torques alone are not what acts where there are springs."""
     mech = load(ROOT / "robots/balanced-arm.yaml")
-    with pytest.raises(ValueError, match="push"):
-        compile_expansion(mech, 8, (0.0, 0.0), False)
     with pytest.raises(ValueError, match="push"):
         ArraySeries(mech, 8, np.zeros(2))
 

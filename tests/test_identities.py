@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import oracles
 from random_mechanisms import (
     LOOPS,
+    Shape,
     assert_close,
     loops,
     oracle_tree,
@@ -432,3 +433,11 @@ class TestSelfTestDetects:
         opened = dataclasses.replace(sample, q=sample.q + 0.01)
         names = [one.name for one in selftest.identities(mech, opened) if not one.holds]
         assert "gap = 0" in names
+
+
+class TestLongChains:
+    def test_the_self_test_holds(self):
+        """Its differences step by the links' own turns, which add up along a chain."""
+        for n in (30, 100):
+            found = residuals(seeded_scene(0, Shape((None, *range(n - 1)))).mechanism, 5)
+            assert all(one.residual < 0.1 * selftest.BOUND for one in found), found

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -398,7 +399,72 @@ def test_out_into_a_pipe(shell: Run, tmp_path: Path) -> None:
     assert fifo.is_fifo()
 
 
+# A full disk: the shell's limit on the size of a file fails a write in the same way
+
+
+STATES = "(echo t,q1,q2; seq 3000 | sed 's/.*/&,1,2/')"
+FULL = {
+    "rows": f"{STATES} | robodyn torque robots/2r.yaml - -o FILE.csv",
+    "json": f"{STATES} | robodyn torque robots/2r.yaml - --format json -o FILE.json",
+    "text": "robodyn equations robots/four-bar.yaml --format c -o FILE.c",
+    "schema": "robodyn schema -o FILE.json",
+    "report": "robodyn simulate robots/2r.yaml --q 1,2 --points 9 -o FILE.csv --quiet",
+    "svg": "robodyn draw robots/2r.yaml --q 1,2 -o FILE.svg",
+    "png": "robodyn draw robots/2r.yaml --q 1,2 -o FILE.png",
+    "html": "printf 't,q1,q2\\n0,0,0\\n9,1,2\\n' | robodyn animate robots/2r.yaml - -o FILE.html",
+    "gif": "printf 't,q1,q2\\n0,0,0\\n1,1,2\\n' | robodyn animate robots/2r.yaml - -o FILE.gif",
+    "sweep": "robodyn sweep robots/2r.yaml --vary q1=0:1:99 --time 0.1 -o FILE.csv --quiet",
+}
+
+
+@pytest.mark.parametrize("line", FULL.values(), ids=FULL)
+def test_a_full_disk_is_told_with_the_files_name(shell: Run, tmp_path: Path, line: str) -> None:
+    if line.endswith(("svg", "png", "gif")):
+        pytest.importorskip("matplotlib", reason="the extra `plot` is not installed")
+    old = tmp_path / f"run.{line.split('FILE.')[1].split()[0]}"
+    old.write_text("precious\n")
+    given = shell(f"ulimit -f 1; {line.replace('FILE', str(tmp_path / 'run'))}")
+    assert given.code in (1, 2)
+    assert re.search(rf"^Error: {re.escape(str(old))}.*: file too large", given.err, re.I | re.M)
+    assert "Traceback" not in given.err
+    assert old.read_text() == "precious\n"
+    kept = {f"{old.name}.partial{end}" for end in ("", ".json", ".sums")}
+    assert {entry.name for entry in tmp_path.iterdir()} - kept == {old.name}
+    assert "simulate" in line or "sweep" in line or list(tmp_path.iterdir()) == [old]
+
+
+def test_a_full_device_is_named_and_a_full_stdout_told(shell: Run) -> None:
+    line = "robodyn torque robots/2r.yaml --q 1,2"
+    shell(f"{line} -o /dev/full").fails(1, "/dev/full: No space left")
+    shell(f"{line} >/dev/full").fails(1, "Error: No space left")
+    shell("robodyn schema >/dev/full").fails(1, "Error: No space left")
+
+
 # Signals
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU])
+def test_a_signal_leaves_no_file_behind(tmp_path: Path, number: signal.Signals) -> None:
+    with running("torque", "robots/2r.yaml", "-", "-o", str(tmp_path / "states.csv")) as child:
+        send(child, "q1,q2\n1,2\n")
+        deadline = time.monotonic() + PATIENCE
+        while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        child.send_signal(number)
+        assert child.wait(PATIENCE) in (128 + number, -number)
+        assert child.stderr is not None
+        assert child.stderr.read() == b""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_that_is_ignored_stays_ignored(shell: Run, tmp_path: Path) -> None:
+    file = tmp_path / "states.csv"
+    given = shell(
+        "trap '' HUP; (echo q1,q2; echo 1,2; sleep 2; echo 3,4) |"
+        f" robodyn torque robots/2r.yaml - -o '{file}' & sleep 1; kill -HUP $!; wait $!"
+    )
+    assert given.code == 0
+    assert len(file.read_text().splitlines()) == 3
 
 
 @pytest.mark.parametrize("out", [[], ["--out", "states.csv"]])

@@ -1,6 +1,9 @@
 """A file that goes on where it was cut off: at every byte."""
 
+import multiprocessing
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,6 +12,7 @@ from robodyn.sweeps.resumable_file import ResumableFile
 
 HEADER = b"a,b\n"
 LINES = [f"{k},{k * k}\n".encode() for k in range(7)]
+WHOLE = HEADER + b"".join(LINES)
 FACTS = {"seed": 1, "scene": "x" * 100}
 CHUNK = 3
 
@@ -17,10 +21,32 @@ def opened(path: Path, facts=FACTS) -> ResumableFile:
     return ResumableFile(str(path), HEADER, facts, len(LINES), CHUNK)
 
 
+def chunk(number: int) -> bytes:
+    return b"".join(LINES[number * CHUNK : (number + 1) * CHUNK])
+
+
 def write(file: ResumableFile) -> None:
-    for chunk in range(file.done, 3):
-        file.append(b"".join(LINES[chunk * CHUNK : (chunk + 1) * CHUNK]))
+    for number in range(file.done, 3):
+        file.append(chunk(number))
     file.finish()
+
+
+def cut_off(path: Path) -> tuple[Path, Path, Path]:
+    """All chunks are there, and the file has not taken its place: rows, facts, sums."""
+    with opened(path) as file:
+        for number in range(file.done, 3):
+            file.append(chunk(number))
+    rows, facts, sums = (path.with_name(f"out.csv.partial{end}") for end in ("", ".json", ".sums"))
+    assert rows.read_bytes() == WHOLE
+    return rows, facts, sums
+
+
+def ends_whole(path: Path, done: int, doubted: bool) -> None:
+    with opened(path) as file:
+        assert (file.done, file.doubted) == (done, doubted)
+        write(file)
+    assert path.read_bytes() == WHOLE
+    assert [entry.name for entry in path.parent.iterdir()] == ["out.csv"]
 
 
 def test_a_file_takes_its_place(tmp_path: Path) -> None:
@@ -34,20 +60,68 @@ def test_a_file_takes_its_place(tmp_path: Path) -> None:
 
 
 def test_it_goes_on_from_any_byte(tmp_path: Path) -> None:
-    path, whole = tmp_path / "out.csv", HEADER + b"".join(LINES)
-    for cut in range(len(whole) + 1):
-        with opened(path) as file:
-            file.append(whole[len(HEADER) : max(cut, len(HEADER))])
-        partial = path.with_name("out.csv.partial")
-        partial.write_bytes(whole[:cut])
-        with opened(path) as file:
-            lines = whole[:cut].count(b"\n") - 1
-            expected = 3 if lines == 7 else max(lines, 0) // CHUNK
-            assert file.done == expected
-            write(file)
-        assert path.read_bytes() == whole
-        assert not partial.exists()
-        path.unlink()
+    path = tmp_path / "out.csv"
+    ends = [len(HEADER + b"".join(LINES[:k])) for k in (3, 6, 7)]
+    for cut in range(len(WHOLE) + 1):
+        rows, _, _ = cut_off(path)
+        rows.write_bytes(WHOLE[:cut])
+        # an empty one begins anew, of one without a whole header nothing is known
+        ends_whole(path, sum(end <= cut for end in ends), 0 < cut < len(WHOLE))
+
+
+def test_changed_rows_are_written_again(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    for place in range(len(WHOLE)):
+        rows, _, _ = cut_off(path)
+        changed = bytearray(WHOLE)
+        changed[place] ^= 1
+        rows.write_bytes(changed)
+        lines = WHOLE[:place].count(b"\n") - 1
+        ends_whole(path, max(0, lines) // CHUNK, True)
+
+
+def test_rows_too_many_or_in_another_place_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    for text, done in (
+        (WHOLE + LINES[6], 3),
+        (WHOLE + b"x", 3),
+        (HEADER + LINES[0] + b"".join(LINES), 0),
+        (HEADER + chunk(1) + chunk(0) + chunk(2), 0),
+        (HEADER + chunk(0) + chunk(2), 1),
+    ):
+        rows, _, _ = cut_off(path)
+        rows.write_bytes(text)
+        ends_whole(path, done, True)
+
+
+def test_changed_digests_are_of_no_use(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    _, _, sums = cut_off(path)
+    good = sums.read_bytes()
+    size = len(good) // 3
+    for place in range(0, len(good), 5):
+        cut_off(path)
+        changed = bytearray(good)
+        changed[place] ^= 1
+        sums.write_bytes(changed)
+        ends_whole(path, place // size, True)
+    cut_off(path)
+    sums.write_bytes(good[size : 2 * size] + good[:size] + good[2 * size :])
+    ends_whole(path, 0, True)
+    cut_off(path)
+    sums.write_bytes(b"9" * 15 + good[15:])
+    ends_whole(path, 0, True)
+    cut_off(path)
+    sums.unlink()
+    ends_whole(path, 0, True)
+
+
+def test_digests_hold_for_these_facts_alone(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    _, facts, _ = cut_off(path)
+    facts.write_text(facts.read_text().replace('"seed": 1', '"seed": 2'))
+    with opened(path, FACTS | {"seed": 2}) as file:
+        assert (file.done, file.doubted) == (0, True)
 
 
 def test_other_facts_are_refused_and_shown(tmp_path: Path) -> None:
@@ -60,7 +134,7 @@ def test_other_facts_are_refused_and_shown(tmp_path: Path) -> None:
         assert part in str(caught.value)
     assert "scene" not in str(caught.value)
     with opened(path) as file:
-        assert file.done == 0
+        assert file.done == 1
 
 
 def test_rows_of_unknown_origin_are_refused(tmp_path: Path) -> None:
@@ -68,6 +142,35 @@ def test_rows_of_unknown_origin_are_refused(tmp_path: Path) -> None:
     path.with_name("out.csv.partial").write_bytes(HEADER + LINES[0])
     with pytest.raises(InputError, match="is missing"):
         opened(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"",
+        b"{",
+        b"\xff",
+        b"[]",
+        b"[" * 100_000,
+        b'{"seed":' * 100_000,
+        b'{"seed": ' + b"[" * 900 + b"]" * 900 + b"}",
+        b'{"seed": ' + b"9" * 10_000 + b"}",
+    ],
+    ids=["empty", "cut off", "no text", "list", "brackets", "braces", "deep", "long"],
+)
+def test_damaged_facts_are_refused_and_nothing_is_lost(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "out.csv"
+    rows, facts, sums = cut_off(path)
+    known, digests = facts.read_bytes(), sums.read_bytes()
+    facts.write_bytes(text)
+    with pytest.raises(InputError) as caught:
+        opened(path)
+    assert "out.csv.partial" in str(caught.value)
+    assert len(str(caught.value)) < 1000
+    assert rows.read_bytes() == WHOLE
+    assert sums.read_bytes() == digests
+    facts.write_bytes(known)
+    ends_whole(path, 3, False)
 
 
 def test_two_at_a_time_are_refused(tmp_path: Path) -> None:
@@ -92,3 +195,42 @@ def test_an_older_file_keeps_its_mode_and_stays_until_the_end(tmp_path: Path) ->
         write(file)
     assert path.stat().st_mode & 0o777 == 0o640
     assert path.read_bytes().startswith(HEADER)
+
+
+# Two at once
+
+
+def test_of_many_pairs_that_begin_at_once_all_files_are_whole(tmp_path: Path) -> None:
+    """The one of a pair is delayed against the other, so that they meet in every phase."""
+    pairs = 600
+    context = multiprocessing.get_context("spawn")
+    start, told = context.Barrier(2), context.Queue()
+    both = [
+        context.Process(target=_race, args=(tmp_path, pairs, 1e-4 * k, start, told)) for k in (0, 1)
+    ]
+    for process in both:
+        process.start()
+    ends = sorted(told.get(timeout=120) for _ in range(2 * pairs))
+    for process in both:
+        process.join(60)
+    assert {end for _, end in ends} <= {"done", "another process is writing it"}
+    for number in range(pairs):
+        assert "done" in [end for _, end in ends[2 * number : 2 * number + 2]]
+        assert (tmp_path / f"{number}.csv").read_bytes() == WHOLE
+    assert len(list(tmp_path.iterdir())) == pairs
+
+
+def _race(folder: Path, pairs: int, delay: float, start: Any, told: Any) -> None:
+    for number in range(pairs):
+        start.wait(60)
+        end = time.perf_counter() + delay * (number % 60)
+        while time.perf_counter() < end:
+            pass
+        try:
+            with opened(folder / f"{number}.csv") as file:
+                write(file)
+            told.put((number, "done"))
+        except InputError as error:
+            told.put((number, error.limit))
+        except OSError as error:
+            told.put((number, repr(error)))

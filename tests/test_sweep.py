@@ -2,9 +2,11 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 import pytest
@@ -255,6 +257,10 @@ def test_a_chunk_is_part_of_the_whole() -> None:
     assert whole(parts, workers=1).values == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
+def _late(plan: Plan, number: int) -> Rows:
+    raise TimeoutError("too late")
+
+
 class TestCluster:
     """A scheduler and workers of Dask in processes of their own."""
 
@@ -298,6 +304,70 @@ class TestCluster:
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
         with pytest.raises(RobodynError, match="no Dask scheduler answers"):
             whole(TestWorkers.SMALL, scheduler="nonsense://127.0.0.1:1")
+
+    @pytest.fixture
+    def fleeting(self) -> Iterator[Any]:
+        """A cluster whose one worker can be taken away."""
+        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+        import warnings
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from distributed import LocalCluster
+
+            cluster: Any = LocalCluster(
+                n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+            )
+        yield cluster
+        cluster.close()
+
+    @staticmethod
+    def leave(cluster: Any) -> None:
+        cluster.scale(0)
+        until = time.monotonic() + 60.0
+        while cluster.scheduler.workers:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_all_workers_lost_is_told_and_ends(self, fleeting) -> None:
+        told: list[str] = []
+        address = fleeting.scheduler_address
+        rows = results(TestWorkers.SMALL, scheduler=address, patience=2.0, tell=told.append)
+        next(rows)
+        self.leave(fleeting)
+        begun = time.monotonic()
+        with pytest.raises(RobodynError) as caught:
+            list(rows)
+        assert 2.0 <= time.monotonic() - begun < 30.0
+        assert "none came within 2 s" in str(caught.value)
+        assert address in str(caught.value)
+        assert told == ["the cluster has lost all its workers: waiting 2 s for another (patience)"]
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_workers_that_come_back_go_on(self, fleeting) -> None:
+        expected = whole(TestWorkers.SMALL, workers=1)
+        told: list[str] = []
+
+        def tell(text: str) -> None:
+            told.append(text)
+            if "lost" in text:
+                fleeting.scale(1)
+
+        found = results(
+            TestWorkers.SMALL, scheduler=fleeting.scheduler_address, patience=60.0, tell=tell
+        )
+        rows = [next(found)]
+        self.leave(fleeting)
+        rows += found
+        assert "lost all" in told[0]
+        assert np.concatenate([x.values for x in rows]).tobytes() == expected.values.tobytes()
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_a_timeout_of_a_chunk_is_no_lack_of_workers(self, address, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweeps.sweep_workers.run_chunk", _late)
+        with pytest.raises(RobodynError, match="TimeoutError: too late"):
+            whole(TestWorkers.SMALL, scheduler=address)
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setitem(__import__("sys").modules, "distributed", None)

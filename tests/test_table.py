@@ -333,6 +333,7 @@ def test_a_column_twice() -> None:
 
 
 BAD_FIELDS = ["nan", "-NaN", "inf", "-Infinity", "1e400", "1_0", "abc", "0x10", "1 2", "30deg"]
+BAD_FIELDS += ["\u0661\u0662", "\uff11", "-\u0967.5", "\u00b2"]  # digits of other scripts
 
 
 @pytest.mark.parametrize("text", BAD_FIELDS)

@@ -7,9 +7,9 @@ import pytest
 from test_simulation import SENSITIVITY, UNFORCED, reference
 
 from random_mechanisms import LOOPS, Shape, seeded_scene, seeded_tree
-from robodyn.actuation import constant
+from robodyn.actuation import Actuation, constant
+from robodyn.engines.step_text import step_text
 from robodyn.taylor.arrays import ArraySeries, _inverse, link_rates
-from robodyn.taylor.code import compile_expansion
 
 EXTENDED = pytest.mark.skipif(
     np.finfo(np.longdouble).eps > 1e-18, reason="longdouble is no wider than a double here"
@@ -51,8 +51,8 @@ class TestPrecision:
     def test_doubles_are_the_straight_lines(self, name):
         found = drawn(name)
         mech = found.mechanism
-        expand = compile_expansion(mech, 10, tuple(torques(mech).tolist()), False)
-        _, _, series = expand([*found.q, *found.qd], 1e-3, 1.0, 1e-9, 1e-9, None)
+        expand = step_text(mech, Actuation(tuple(torques(mech).tolist())), 10, False).expand
+        _, _, series = expand(0.0, [*found.q, *found.qd], (), (), 1e-3, 1.0, 1e-9, 1e-9)
         straight = np.array(series[: mech.n]) + 1j * np.array(series[mech.n : 2 * mech.n])
         z, _ = expansion(name, 10)
         assert (np.abs(z - straight) / growth(z) ** np.arange(12)).max() < 2e-12

@@ -12,7 +12,6 @@ from robodyn.actuation import Actuation, constant, expressions
 from robodyn.projection import float_closing
 from robodyn.taylor import Status, default_order, step_size
 from robodyn.taylor.steps import ArrayEngine, StraightEngine
-from robodyn.taylor.torques import TorqueSeries
 
 ENGINES = pytest.mark.parametrize("kind", [StraightEngine, ArrayEngine])
 EACH = pytest.mark.parametrize("name", SENSITIVITY)
@@ -22,11 +21,8 @@ NONE = np.zeros(0)
 
 def engine(kind, mech, tau="", rtol=1e-15, order=None, work=False):
     actuation = expressions(mech, tau, "test") if tau else Actuation((0.0,) * mech.n)
-    torques = actuation.constants
-    if torques is None:
-        torques = TorqueSeries(actuation, mech)
     closing = float_closing(mech) if mech.rows else None
-    return kind(mech, closing, order or default_order(rtol), rtol, rtol, torques, work)
+    return kind(mech, closing, order or default_order(rtol), rtol, rtol, actuation, work)
 
 
 def run(kind, name, times=NONE, **options):
@@ -233,6 +229,8 @@ def test_torques_of_any_float_type():
     mech = scene("2r")
     found = constant(mech, np.array([1.5, -0.25])).constants
     y = [0.1, 0.2, 0.3, 0.4]
-    plain = StraightEngine(mech, None, 8, 1e-9, 1e-9, found, False).expand(0.0, y, 1.0, 1.0)
-    numpy = StraightEngine(mech, None, 8, 1e-9, 1e-9, tuple(np.array(found)), False)
-    assert numpy.expand(0.0, y, 1.0, 1.0)[1] == plain[1]
+    plain, numpy = (
+        StraightEngine(mech, None, 8, 1e-9, 1e-9, Actuation(tau), False)
+        for tau in (found, tuple(np.array(found)))
+    )
+    assert numpy.expand(0.0, y, 1.0, 1.0)[1] == plain.expand(0.0, y, 1.0, 1.0)[1]

@@ -95,7 +95,7 @@ class TestFunctions:
 
 
 ROUGH = """
-abs(q1) | min(q1, q2) | max(q1, t) | floor(t) | sign(qd1) | t % 2 | 1 if t < 2 else 0 | q1 > 0
+abs(q1) | min(q1, q2) | max(q1, t) | floor(q1) | sign(qd1) | q1 % 2 | 1 if q1 < 2 else 0 | q1 > 0
 atan2(q1, q2) | 2 + sin(abs(qd1))
 """.replace("\n", "|").split("|")
 ROUGH = [text.strip() for text in ROUGH if text.strip()]

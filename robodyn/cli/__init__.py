@@ -6,20 +6,24 @@ data only.  A command's module is imported when it is called, and it imports onl
 
 from __future__ import annotations
 
+import atexit
 import functools
 import gc
 import os
 import signal
 import sys
 from collections.abc import Callable
+from copy import copy
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
 
 from robodyn import __version__
-from robodyn.errors import InputError, RobodynError
+from robodyn.csv_fields import plain_digits
+from robodyn.errors import RobodynError, printable_lines
 
+USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 COMMANDS = (
     *("torque", "accel", "reactions", "simulate", "trajectory"),
     *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
@@ -29,7 +33,8 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that open files are tidied up
+    for number in ending_signals():  # so that open files are tidied up
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     code = run(sys.argv[1:])
     try:
@@ -40,7 +45,15 @@ def main() -> NoReturn:
         code = _without_reader()
     if sys.gettrace() or sys.getprofile():
         sys.exit(code)
+    atexit._run_exitfuncs()  # matplotlib's folder, the semaphores of processes
     os._exit(code)  # nothing is left to do, and taking down scipy's modules takes 50 ms
+
+
+def ending_signals() -> list[int]:
+    """The signals that end this process, less those that it was started to ignore (nohup)."""
+    names = ("SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
+    known = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    return [number for number in known if signal.getsignal(number) != signal.SIG_IGN]
 
 
 def run(arguments: list[str]) -> int:
@@ -48,35 +61,47 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
     if sys.stdout is None:
-        print("Error: stdout is closed: results have no place to go", file=sys.stderr)
+        _tell("Error: stdout is closed: results have no place to go")
         return 1
     try:
-        _application(arguments)(arguments, prog_name="robodyn")
+        command = typer.main.get_command(_application(arguments))
+        _plain_numbers(command)
+        code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
         return 130
     except SystemExit as stop:
         if type(sys.stdout).__name__ == "PacifyFlushWrapper":  # typer's mark of a closed pipe
             return _without_reader()
         return stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
+    except USAGE_ERROR as error:
+        error.message = printable_lines(error.message)
+        error.show()
+        return int(error.exit_code)
     except RobodynError as error:
         if debug:
             raise
-        print(_prefixed(str(error)), file=sys.stderr)
+        _tell(_prefixed(str(error)))
         return error.exit_code
     except OSError as error:
         if debug:
             raise
-        named = f"{error.filename}: " if error.filename else ""
-        print(f"Error: {named}{error.strerror or error}", file=sys.stderr)
+        named = f"{error.filename}: " if error.filename else ""  # stdout has none
+        _tell(f"Error: {named}{error.strerror or error}")
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
         if debug:
             raise
         kind = type(error).__name__
         hint = "please report it with what `robodyn --debug ...` prints"
-        print(f"Error: a defect of robodyn's own ({kind}: {error}); {hint}", file=sys.stderr)
+        _tell(f"Error: a defect of robodyn's own ({kind}: {error}); {hint}")
         return 1
-    return 0
+    return code if isinstance(code, int) else 0
+
+
+def _tell(text: str) -> None:
+    from robodyn.cli.output import note  # here, as most commands tell nothing
+
+    note(text)
 
 
 def _prefixed(text: str) -> str:
@@ -102,13 +127,26 @@ def _application(arguments: list[str]) -> typer.Typer:
     return application
 
 
+def _plain_numbers(group: Any) -> None:
+    """Let the options of all commands take the digits that a scene or a table may have."""
+    for parameter in (x for command in group.commands.values() for x in command.params):
+        if parameter.type.name in ("float", "int", "integer"):
+            parameter.type = kind = copy(parameter.type)
+            kind.convert = functools.partial(_number, kind.convert, kind.name)
+
+
+def _number(convert: Callable[..., Any], kind: str, value: Any, *place: Any) -> Any:
+    if isinstance(value, str) and not plain_digits(value):
+        raise typer.BadParameter(f"{value!r} is not a valid {kind}.")
+    return convert(value, *place)
+
+
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     """The command with the manners of a pipe: a closed one ends it quietly."""
 
     @functools.wraps(function)
     def guarded(*args: Any, **kwargs: Any) -> None:
         try:
-            _keep_model(kwargs.get("model"), kwargs.get("out"))
             function(*args, **kwargs)
             sys.stdout.flush()
         except BrokenPipeError:
@@ -117,14 +155,6 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             raise typer.Exit(130) from None
 
     return guarded
-
-
-def _keep_model(model: object, out: object) -> None:
-    """Raise InputError where results would take the place of the scene that they come from."""
-    if model is None or out is None:
-        return
-    if os.path.realpath(str(model)) == os.path.realpath(str(out)) and os.path.isfile(str(model)):
-        raise InputError("--out", value=out, limit="is the scene itself: name another file")
 
 
 def _without_reader() -> int:

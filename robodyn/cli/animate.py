@@ -10,7 +10,8 @@ import numpy as np
 import typer
 
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
-from robodyn.cli.options import Model, Size, named
+from robodyn.cli.files import input_argument, output_file
+from robodyn.cli.options import Model, Size
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
 from robodyn.cli.watching import progress
 from robodyn.closed_form import phases
@@ -28,25 +29,9 @@ FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down fa
 
 def animate(
     model: Model,
-    states: Annotated[
-        str,
-        typer.Argument(
-            metavar="CSV",
-            help="Rows with t and q1..; - is stdin.",
-            show_default=False,
-            callback=named,
-        ),
-    ],
+    states: Annotated[str, input_argument("CSV", "Rows with t and q1..; - is stdin.")],
     out: Annotated[
-        str,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="Write here, all or nothing: .gif, .mp4 or .html.",
-            show_default=False,
-            callback=named,
-        ),
+        str, output_file("--out", "-o", help="Write here, all or nothing: .gif, .mp4 or .html.")
     ],
     trace: Annotated[
         Optional[str],  # noqa: UP045 (typer reads the annotation at run time)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import Any
@@ -82,16 +82,17 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
             watch(pose / film.count)
             yield film.image(pose).quantize(palette=palette, dither=0)
 
-    each = images()
+    each, drawn = images(), BytesIO()  # Pillow's own writing tells no reason where it fails
     with open_output(out) as stream:
         next(each).save(
-            stream,
+            drawn,
             format="GIF",
             save_all=True,
             append_images=each,
             duration=durations(film.count, rate),
             loop=0,
         )
+        stream.write(drawn.getbuffer())
 
 
 def _palette(film: Film) -> Any:
@@ -116,8 +117,6 @@ def _palette(film: Film) -> Any:
 def write_mp4(film: Film, rate: float, out: str, watch: Watch) -> None:
     """A film by the program ffmpeg."""
     from matplotlib.animation import FFMpegWriter
-
-    logging.getLogger("matplotlib.animation").setLevel(logging.CRITICAL)  # it is told below
 
     with tempfile.TemporaryDirectory() as directory, open_output(out) as stream:
         path = Path(directory) / "film.mp4"

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robodyn import assembly, loop_rates
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd
-from robodyn.cli.output import default_format, new_table, note, render, row_writer, write_structure
+from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
 from robodyn.cli.states import Quantity, complete_from, option_source, overflow
 from robodyn.closed_form import point_motion
 from robodyn.mechanism import Mechanism, load
-from robodyn.output_file import open_output
 from robodyn.scene import BRANCHES
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 PARTS = ("joint", "tip", "centre")
@@ -63,9 +58,7 @@ def assemble(
             for name, motion in found:
                 writer.write_row([name, *_row(mechanism, motion)])
     else:
-        with open_output(out) as stream:
-            tables = [table for item in found for table in _tables(mechanism, *item)]
-            stream.write(render(tables, out is None).encode())
+        write_structure(out, {}, [x for item in found for x in _tables(mechanism, *item)])
 
 
 def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, ...] | None]]:
@@ -128,7 +121,7 @@ def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[
     return {"branch": name, **vectors, "links": links}
 
 
-def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[Group]:
+def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[Grid]:
     columns = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
     rows = []
     for k, link in enumerate(mechanism.link_names):
@@ -140,4 +133,4 @@ def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[G
         for part, values in zip(PARTS, parts, strict=True)
     ]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
-    return [new_table(columns, rows, name), new_table(where, places)]
+    return [Grid(columns, rows, name), Grid(where, places)]

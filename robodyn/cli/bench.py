@@ -13,14 +13,15 @@ from robodyn import actuation
 from robodyn.actuation import Actuation
 from robodyn.benchmark import Benchmark, benchmark
 from robodyn.cli.figures import check_directory, check_plot, work_precision
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, named
+from robodyn.cli.files import output_file
+from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.cli.watching import progress
 from robodyn.errors import InputError
 from robodyn.mechanism import load
-from robodyn.output_file import same_file
 
+MOST_REPEATS = 10_000
 COLUMNS = (
     "method",
     "tolerance",
@@ -55,12 +56,8 @@ def bench(
     format: OutputFormat = None,
     plot: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
-            "--plot",
-            metavar="FILE",
-            help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`).",
-            show_default=False,
-            callback=named,
+        output_file(
+            "--plot", help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
         ),
     ] = None,
     out: Out = None,
@@ -78,15 +75,13 @@ def bench(
       robodyn bench robots/2r.yaml --evaluators
     """
     mechanism = load(model)
-    if repeats < 1:
-        raise InputError("--repeats", value=repeats, limit="must be >= 1")
+    if not 1 <= repeats <= MOST_REPEATS:
+        raise InputError("--repeats", value=repeats, limit=f"must be >= 1 and <= {MOST_REPEATS}")
     if evaluators and plot is not None:
         raise InputError("--evaluators and --plot", limit="exclude each other")
     if not (np.isfinite(duration) and duration > 0.0):
         raise InputError("--time", value=duration, limit="must be > 0 and finite")
     if plot is not None:
-        if same_file(plot, out):
-            raise InputError("--plot", value=plot, limit="must not be where the rows go (--out)")
         check_plot(plot)
     if out is not None:
         check_directory(out)

@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 
-from robodyn.output_file import open_output
+from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.character_drawing import drawing_lines
 from robodyn.pictures.character_map import DEEP, PALETTE, map_lines
 from robodyn.pictures.character_plot import chart_lines
@@ -16,6 +16,7 @@ from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.value_map import ValueMap
 
 WIDTH, HEIGHT = 80, 24  # where there is no terminal
+WIDEST, HIGHEST = 2_000, 1_000  # whatever a terminal, or the environment, tells
 ROWS = 12  # of a panel
 
 
@@ -46,7 +47,7 @@ def write_drawing(drawn: Drawing, names: Sequence[str], ascii: bool, out: str | 
 
 def _size() -> tuple[int, int]:
     size = shutil.get_terminal_size((WIDTH, HEIGHT))
-    return max(30, size.columns), max(10, size.lines)
+    return max(30, min(size.columns, WIDEST)), max(10, min(size.lines, HIGHEST))
 
 
 def _has_dots(out: str | None) -> bool:
@@ -61,11 +62,10 @@ def _has_dots(out: str | None) -> bool:
 
 
 def _colour(out: str | None) -> bool:
-    on_terminal = out in (None, "-") and sys.stdout.isatty()
-    return on_terminal and not os.environ.get("NO_COLOR")
+    return on_terminal(out) and not os.environ.get("NO_COLOR")
 
 
 def _write(lines: Sequence[str], out: str | None) -> None:
     encoding = "utf-8" if out not in (None, "-") else sys.stdout.encoding or "utf-8"
-    with open_output(out) as stream:
+    with open_output(out, styled=True) as stream:
         stream.write(("\n".join(lines) + "\n").encode(encoding, "replace"))

@@ -23,6 +23,7 @@ from robodyn.cli.options import (
 )
 from robodyn.cli.output import note
 from robodyn.cli.states import Quantity, complete, open_input, remarks, single_state, table_source
+from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, load
 from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
@@ -131,7 +132,7 @@ def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
     if labels is None:
         return []
     if labels is Labels.names:
-        return list(mechanism.link_names)
+        return list(map(shown, mechanism.link_names))
     return [str(k + 1) for k in range(mechanism.n)]
 
 

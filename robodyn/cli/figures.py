@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import logging
 import sys
 import warnings
 from collections.abc import Sequence
@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robodyn.cli.options import PictureFormat
+from robodyn.csv_fields import finite, shown
 from robodyn.errors import InputError, RobodynError
-from robodyn.output_file import open_output
+from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.chart import Chart, Panel, limits, spread
 from robodyn.pictures.colour_scale import COLOURS, Rgb
 
@@ -58,7 +59,7 @@ def picture_format(format: PictureFormat | None, out: str | None) -> PictureForm
         format = PictureFormat.text
     if out not in (None, "-"):
         check_directory(out or "")
-    elif format is not PictureFormat.text and sys.stdout.isatty():
+    elif format is not PictureFormat.text and on_terminal(out):
         raise InputError("--format", value=format.value, limit="is not for a terminal: give --out")
     if format is not PictureFormat.text:
         check_matplotlib(f"a picture ({format.value})")
@@ -69,14 +70,11 @@ def parse_size(size: str | None) -> tuple[float, float] | None:
     """Width and height of `8x5`, inches."""
     if size is None:
         return None
-    try:
-        width, height = map(float, size.lower().split("x"))
-    except ValueError:
-        width = height = math.nan
-    if not all(LEAST_SIZE <= side <= MOST_SIZE for side in (width, height)):
+    sides = [finite(side) or 0.0 for side in size.lower().split("x")]
+    if len(sides) != 2 or not all(LEAST_SIZE <= side <= MOST_SIZE for side in sides):
         limit = f"must be two numbers from {LEAST_SIZE:g} to {MOST_SIZE:g}, inches, such as 8x5"
         raise InputError("--size", value=size, limit=limit)
-    return width, height
+    return sides[0], sides[1]
 
 
 def check_directory(path: str) -> None:
@@ -89,7 +87,7 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
     """Milliseconds against error, log-log, each method's line labelled at its end."""
     import numpy as np
 
-    figure = new_figure((8.0, 5.5), layout="constrained")
+    figure = new_figure((8.0, 5.5), formulas=True, layout="constrained")
     axes = figure.add_subplot()
     labelled: list[tuple[float, float]] = []
     names = list(dict.fromkeys(x.method for x in result.measurements))
@@ -122,7 +120,7 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("largest error of q (rad) and qd (rad/s)")
     axes.set_ylabel("time of a run, ms")
-    axes.set_title(title)
+    axes.set_title(shown(title), parse_math=False)
     axes.grid(True, which="major", color="0.9")
     low, high = axes.get_xlim()
     axes.set_xlim(low / 30.0, min(high, 10.0))
@@ -142,14 +140,12 @@ def chart_figure(content: Chart, size: tuple[float, float] | None) -> Any:
     x_limits = limits([curve.x for curve in content.curves])
     for axes, panel in zip(stacked, panels, strict=True):
         columns = list(dict.fromkeys(curve.column for curve in panel.curves))
-        styles = []
         for curve in panel.curves:
             shade = columns.index(curve.column) if len(columns) > 1 else curve.file
             colour = COLOURS[shade % len(COLOURS)]
             style = LINE_STYLES[curve.file % len(LINE_STYLES)]
             single = {"marker": "o", "ms": 4} if len(curve.x) == 1 else {}
             axes.plot(curve.x, curve.y, color=colour, ls=style, lw=1.4, label=curve.label, **single)
-            styles.append(colour)
         if panel is panels[0] or not content.to_scale:
             axes.margins(x=0.0 if _rises(panel) else 0.04, y=0.06)
         axes.set_ylabel(panel.label)
@@ -181,7 +177,13 @@ def _name_curves(axes: Any, panel: Panel, inches: float) -> None:
     places = spread(heights, gap, low, high)
     if places is None:
         columns = 1 + len(lines) * gap // (high - low)
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=int(columns), frameon=False)
+        axes.legend(
+            *(lines, [curve.label for curve in panel.curves]),
+            loc="center left",
+            bbox_to_anchor=(1.0, 0.5),
+            ncols=int(columns),
+            frameon=False,
+        )
         return
     for line, curve, end, place in zip(lines, panel.curves, ends, places, strict=True):
         if not _rises(panel):
@@ -203,11 +205,19 @@ def _rises(panel: Panel) -> bool:
     return all((curve.x[1:] >= curve.x[:-1]).all() for curve in panel.curves)
 
 
-def new_figure(size: tuple[float, float], **options: Any) -> Any:
-    """A figure of this size, inches, that draws without a screen."""
+def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any) -> Any:
+    """A figure of this size, inches, that draws without a screen.
+
+    Unless it has `formulas`, a dollar in a text stands for itself: names may hold any.
+    """
+    logging.getLogger("matplotlib").setLevel(logging.CRITICAL)  # where it may keep its files
+    from matplotlib import rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    rcParams["text.parse_math"] = formulas
+    # a font without the letters of a name draws boxes
+    warnings.filterwarnings("ignore", "Glyph", UserWarning)
     figure = Figure(figsize=size, **options)
     FigureCanvasAgg(figure)
     return figure
@@ -228,7 +238,7 @@ def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()
     dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
     drawn = BytesIO()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
-        with warnings.catch_warnings():  # a font without the letters of a name draws boxes
+        with warnings.catch_warnings():  # long names may leave little room
             warnings.simplefilter("ignore", UserWarning)
             figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
         if format == "png":

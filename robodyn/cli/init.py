@@ -8,7 +8,8 @@ from typing import Annotated, Optional
 
 import typer
 
-from robodyn.cli.options import OutputFormat, named
+from robodyn.cli.files import output_file
+from robodyn.cli.options import OutputFormat
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
 from robodyn.example_scenes import example_options, scene_names, scene_text, summary
@@ -28,13 +29,8 @@ def init(
     names: Annotated[bool, typer.Option("--list", help="List the names, as without NAME.")] = False,
     out: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="Write here, - for stdout. Default: NAME.yaml in this directory.",
-            show_default=False,
-            callback=named,
+        output_file(
+            "--out", "-o", help="Write here, - for stdout. Default: NAME.yaml in this directory."
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,

@@ -13,7 +13,7 @@ from robodyn.errors import InputError
 
 NAMES = (  # what the numerics call --rtol, --max-evals, --control-rate, ...
     *("method", "rtol", "atol", "stabilize", "baumgarte_rate", "max_evals", "order", "engine"),
-    *("accuracy", "control", "control_rate", "control_model", "kp", "kd", "tau_max"),
+    *("max_step", "accuracy", "control", "control_rate", "control_model", "kp", "kd", "tau_max"),
 )
 
 
@@ -56,6 +56,12 @@ Rtol = Annotated[
 Atol = Annotated[
     Optional[float],  # noqa: UP045
     typer.Option("--atol", help="Absolute tolerance, rad, rad/s. Default: 1e-9."),
+]
+MaxStep = Annotated[
+    float,
+    typer.Option(
+        "--max-step", metavar="S", help="No step is longer, s. Default: none.", show_default=False
+    ),
 ]
 Accuracy = Annotated[
     Optional[float],  # noqa: UP045

@@ -9,6 +9,7 @@ import numpy as np
 
 from robodyn.cli.figures import DOTS, new_figure
 from robodyn.cli.output import with_unit
+from robodyn.csv_fields import shown
 from robodyn.pictures.colour_scale import (
     COLOURS,
     LEVELS,
@@ -49,7 +50,7 @@ def map_figure(content: ValueMap, size: tuple[float, float] | None) -> Any:
     axes.tick_params(color=INK, labelcolor=INK)
     axes.spines[:].set(color=INK, linewidth=0.8)
     for axis, name in ((axes.xaxis, content.x_name), (axes.yaxis, content.y_name)):
-        axis.set_label_text(with_unit(name), parse_math=False, color=INK)
+        axis.set_label_text(with_unit(shown(name)), color=INK)
         if unit_of(name) == "rad":
             low, high = axis.get_view_interval()
             values, texts = angle_ticks(low, high, 9)
@@ -154,13 +155,13 @@ def _colour_bar(axes: Any, content: ValueMap) -> None:
         fractions = np.linspace(0.0, 1.0, LEVELS)
         bar.imshow(viridis(fractions)[:, None], origin="lower", extent=(0, 1, 0, 1), aspect="auto")
         _bar_ticks(bar, content.scale)
-        bar.set_ylabel(with_unit(content.name), parse_math=False, color=INK)
+        bar.set_ylabel(with_unit(shown(content.name)), color=INK)
     if content.has_none:
         box = axes.inset_axes((1.03, 0.0, 0.045, 0.05))
         box.set_facecolor(NONE)
         box.set(xticks=[], yticks=[], xlim=(0, 1), ylim=(0, 1))
-        text = "none" if content.scale else f"{content.name}: none"
-        box.text(1.2, 0.5, text, ha="left", va="center", color=INK, parse_math=False)
+        text = "none" if content.scale else f"{shown(content.name)}: none"
+        box.text(1.2, 0.5, text, ha="left", va="center", color=INK)
         box.spines[:].set(color=INK, linewidth=0.8)
 
 
@@ -178,17 +179,17 @@ def _name_words(axes: Any, content: ValueMap) -> None:
     from matplotlib.patches import Patch
 
     colours = [*("#{:02x}{:02x}{:02x}".format(*c) for c in word_colours(len(content.words)))]
-    words = list(content.words)
+    words = list(map(shown, content.words))
     if content.has_none:
         colours, words = [*colours, NONE], [*words, "none"]
     legend = axes.legend(
         [Patch(color=colour) for colour in colours],
         words,
-        title=with_unit(content.name),
+        title=with_unit(shown(content.name)),
         loc="upper left",
         bbox_to_anchor=(1.01, 1.015),
         alignment="left",
         frameon=False,
     )
     for text in (legend.get_title(), *legend.get_texts()):
-        text.set(parse_math=False, color=INK)
+        text.set(color=INK)

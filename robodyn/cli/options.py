@@ -7,6 +7,8 @@ from typing import Annotated, Optional
 
 import typer
 
+from robodyn.cli.files import input_argument, output_file
+
 
 class Format(StrEnum):
     """How a result is written."""
@@ -32,24 +34,12 @@ class PictureFormat(StrEnum):
     pdf = "pdf"
 
 
-def named(value: str | None) -> str | None:
-    """A file's name as it is; an empty one is a usage error."""
-    if value == "":
-        raise typer.BadParameter("is empty: name a file")
-    return value
-
-
-Model = Annotated[
-    str,
-    typer.Argument(metavar="MODEL", help="Scene file (YAML).", show_default=False, callback=named),
-]
+Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
 States = Annotated[
     Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-    typer.Argument(
-        metavar="[STATES]",
-        help="CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through.",
-        show_default=False,
-        callback=named,
+    input_argument(
+        "[STATES]",
+        "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through.",
     ),
 ]
 
@@ -89,25 +79,11 @@ OutputStructured = Annotated[
 ]
 Out = Annotated[
     Optional[str],  # noqa: UP045
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="FILE",
-        help="Write here, all or nothing.",
-        show_default=False,
-        callback=named,
-    ),
+    output_file("--out", "-o", help="Write here, all or nothing."),
 ]
 PictureOut = Annotated[
     Optional[str],  # noqa: UP045
-    typer.Option(
-        "--out",
-        "-o",
-        metavar="FILE",
-        help="Write here, all or nothing: .png, .svg, .pdf, or .txt.",
-        show_default=False,
-        callback=named,
-    ),
+    output_file("--out", "-o", help="Write here, all or nothing: .png, .svg, .pdf, or .txt."),
 ]
 OutputPicture = Annotated[
     Optional[PictureFormat],  # noqa: UP045

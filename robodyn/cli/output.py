@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
-from robodyn.output_file import open_output
+from robodyn.csv_fields import finite
+from robodyn.errors import printable, printable_lines
+from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.column_units import unit_of
 from robodyn.table_writer import WRITERS
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from rich.console import Group
+    from rich.table import Table
 
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 
@@ -37,8 +39,8 @@ def row_writer(
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`."""
     format = default_format(format, out)
     if format is Format.table:
-        with open_output(out) as stream:
-            table = TableView(stream, out is None, columns, header)
+        with open_output(out, styled=True) as stream:
+            table = TableView(stream, on_terminal(out), columns, header)
             try:
                 yield table
             finally:
@@ -58,7 +60,7 @@ def default_format(format: Format | None, out: str | None) -> Format:
     """The format asked for; else a table on a terminal and CSV elsewhere."""
     if format is not None:
         return format
-    return Format.table if out is None and sys.stdout.isatty() else Format.csv
+    return Format.table if out is None and on_terminal(out) else Format.csv
 
 
 class TableView:
@@ -99,7 +101,7 @@ class TableView:
     def close(self) -> None:
         """Write the rows that wait, or the empty table that there is."""
         if self._rows or not self._tables:
-            table = new_table([with_unit(name) for name in self._names], self._rows)
+            table = Grid([with_unit(name) for name in self._names], self._rows)
             self._stream.write(render([table], self._on_terminal).encode())
             self._stream.flush()
             self._rows, self._tables = [], self._tables + 1
@@ -109,61 +111,71 @@ class TableView:
             self.close()
 
 
+class Grid(NamedTuple):
+    """A table for people: numbers to the right; every text stands as it is, brackets too."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+
+
 def write_structure(
-    out: str | None, content: Mapping[str, object], tables: Sequence[Group] | None
+    out: str | None, content: Mapping[str, object], tables: Sequence[Grid] | None
 ) -> None:
     """Write a result with parts: its `tables` where there are any, else `content` as JSON."""
-    with open_output(out) as stream:
+    with open_output(out, styled=tables is not None) as stream:
         if tables is None:
             stream.write(_json(content).encode())
         else:
-            stream.write(render(tables, out is None).encode())
+            stream.write(render(tables, on_terminal(out)).encode())
 
 
 def wants_tables(format: StructuredFormat | None, out: str | None) -> bool:
     """Whether a structured result is to be written as tables."""
     if format is None:
-        return out is None and sys.stdout.isatty()
+        return out is None and on_terminal(out)
     return format is StructuredFormat.table
 
 
-def new_table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> Group:
-    """A rich table, numbers to the right; every text stands as it is, brackets too."""
-    from rich import box
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_header=any(columns))
-    for k, name in enumerate(columns):
-        numeric = all(_is_number(row[k]) for row in rows)
-        table.add_column(Text(name), justify="right" if numeric else "left", no_wrap=True)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    return Group(Text(title, style="bold"), table) if title else Group(table)
-
-
-def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Group:
-    """A matrix, or a vector as one row, as a rich table."""
+def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Grid:
+    """A matrix, or a vector as one row, as a table."""
     width = len(matrix[0]) if matrix else 0
     rows = [[f"{value:.6g}" for value in row] for row in matrix]
     title = f"{title} [{unit}]" if unit else title
-    return new_table([str(k + 1) for k in range(width)], rows, title)
+    return Grid([str(k + 1) for k in range(width)], rows, title)
 
 
-def render(tables: Sequence[Group], on_terminal: bool) -> str:
-    """Tables as text; full width and no colours unless for a terminal."""
+def render(tables: Sequence[Grid], terminal: bool) -> str:
+    """Tables as text; for a terminal with styles, and with what it would obey written out."""
     from rich.console import Console
+    from rich.text import Text
 
+    fit: Callable[[str], str] = printable if terminal else str
     console = Console(
         width=10_000,  # a terminal breaks a line that is too long; a table would hide digits
-        no_color=not (on_terminal and sys.stdout.isatty()),
-        force_terminal=on_terminal and sys.stdout.isatty(),
+        no_color=not terminal,
+        force_terminal=terminal,
     )
     with console.capture() as capture:
         for table in tables:
-            console.print(table)
+            if table.title:
+                console.print(Text(fit(table.title), style="bold"))
+            console.print(_rich_table(table, fit))
     return "\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n"
+
+
+def _rich_table(grid: Grid, fit: Callable[[str], str]) -> Table:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, show_header=any(grid.columns))
+    for k, name in enumerate(grid.columns):
+        numeric = all(finite(row[k]) is not None for row in grid.rows)
+        table.add_column(Text(fit(name)), justify="right" if numeric else "left", no_wrap=True)
+    for row in grid.rows:
+        table.add_row(*(Text(fit(text)) for text in row))
+    return table
 
 
 def with_unit(name: str) -> str:
@@ -173,20 +185,13 @@ def with_unit(name: str) -> str:
 
 
 def note(text: str) -> None:
-    """A remark for the person at the terminal: stderr."""
-    print(text, file=sys.stderr)
+    """A remark for the person at the terminal: stderr, if there is one."""
+    if sys.stderr is not None:
+        print(printable_lines(text), file=sys.stderr)
 
 
 def _short(field: str) -> str:
-    return f"{float(field):.6g}" if _is_number(field) else field
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return f"{float(field):.6g}" if finite(field) is not None else field
 
 
 def _json(content: Mapping[str, object]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import typer
 
 from robodyn.cli.figures import parse_size, picture_format
+from robodyn.cli.files import input_argument
 from robodyn.cli.options import Ascii, OutputPicture, PictureFormat, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
@@ -24,7 +25,7 @@ ONE_Y = "a map has one column along y"
 def plot(
     files: Annotated[
         list[str],
-        typer.Argument(metavar="CSV...", help="Files of rows; - is stdin.", show_default=False),
+        input_argument("CSV...", "Files of rows; - is stdin."),
     ],
     x: Annotated[
         Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
@@ -76,8 +77,6 @@ def plot(
       robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
     extent = parse_size(size)
-    if "" in files:
-        raise InputError("CSV", value="''", limit="is empty: name a file")
     if files.count("-") > 1:
         raise InputError("CSV", value="-", limit="is given twice: stdin can be read once")
     patterns = None if y is None else [word for word in map(str.strip, y.split(",")) if word]

@@ -82,7 +82,7 @@ def reactions(
     offered = [Quantity("qdd", qdd), Quantity("tau", tau)]
 
     def quantities(header: Sequence[str]) -> list[Quantity]:
-        given = [x for x in offered if x.option or _has(mechanism, x, header)]
+        given = [x for x in offered if x.option is not None or _has(mechanism, x, header)]
         motion.given = [x.name for x in given] or ["qdd"]
         return [Quantity("q", q, True), Quantity("qd", qd), *(given or offered[:1])]
 

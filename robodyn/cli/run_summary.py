@@ -25,7 +25,7 @@ def tell(mechanism: Mechanism, facts: Report) -> None:
             f"({facts.stabilize})"
         )
     if facts.error_estimate is not None:
-        lines.append(f"error of q and qd: {facts.error_estimate:.2g} at most, by a tighter run")
+        lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")
     if facts.tracking:
         lines += _tracking(facts.tracking)
     if facts.hint:

@@ -14,6 +14,7 @@ import typer
 
 from robodyn import closed_form
 from robodyn.actuation import Actuation
+from robodyn.cli.files import output_file
 from robodyn.cli.integrator_options import (
     Accuracy,
     Atol,
@@ -22,6 +23,7 @@ from robodyn.cli.integrator_options import (
     EstimateError,
     Integrator,
     MaxEvals,
+    MaxStep,
     Method,
     Order,
     Rtol,
@@ -30,7 +32,7 @@ from robodyn.cli.integrator_options import (
     Stabilizer,
     named_options,
 )
-from robodyn.cli.options import Model, Out, Q, Qd, named
+from robodyn.cli.options import Model, Q, Qd
 from robodyn.cli.output import note
 from robodyn.cli.run_summary import tell
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
@@ -52,7 +54,7 @@ from robodyn.cli.watching import watching
 from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism, load
-from robodyn.output_file import open_output, same_file
+from robodyn.output_file import open_output
 from robodyn.recording import Outcome
 from robodyn.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
 from robodyn.table_writer import Writer
@@ -96,6 +98,7 @@ def simulate(
     method: Integrator = None,
     rtol: Rtol = None,
     atol: Atol = None,
+    max_step: MaxStep = math.inf,
     accuracy: Accuracy = None,
     estimate_error: EstimateError = False,
     order: Order = None,
@@ -109,9 +112,12 @@ def simulate(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")] = False,
     report: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option("--report", metavar="FILE", help="Write the summary as JSON.", callback=named),
+        output_file("--report", help="Write the summary as JSON."),
     ] = None,
-    out: Out = None,
+    out: Annotated[
+        Optional[str],  # noqa: UP045
+        output_file("--out", "-o", help="Write here, all or nothing.", kept=True),
+    ] = None,
 ) -> None:
     """The motion that torques cause, as CSV.
 
@@ -147,6 +153,7 @@ def simulate(
         max_evaluations=max_evals,
         order=order,
         engine=engine.value,
+        max_step=max_step,
     )
     with named_options():
         settings.check()
@@ -174,9 +181,6 @@ def simulate(
 
         with remarks():
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
-    if report is not None and same_file(report, out):
-        raise InputError("--report", value=report, limit="must not be where the rows go (--out)")
-
     with open_output(out, partial=lambda name: note(f"what was computed is in {name}")) as stream:
 
         @cache

@@ -12,16 +12,17 @@ from typing import Annotated, Optional
 
 import typer
 
-from robodyn.cli.options import Model, named
+from robodyn.cli.files import named, output_file
+from robodyn.cli.options import Model
 from robodyn.cli.output import note
 from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.csv_fields import quoted
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep import Rows
 from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
-from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.sweeps.variation import Variation
 from robodyn.yaml_tree import read_text
 
@@ -98,16 +99,23 @@ def sweep(
             callback=named,
         ),
     ] = None,
+    patience: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            "--patience",
+            metavar="S",
+            help="How long to wait for a worker where the scheduler has lost all. "
+            f"Default: {PATIENCE:g}.",
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")] = False,
     out: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
+        output_file(
             "--out",
             "-o",
-            metavar="FILE",
             help="Write here, by way of FILE.partial, from which a sweep cut off goes on.",
-            show_default=False,
-            callback=named,
+            kept=True,
         ),
     ] = None,
 ) -> None:
@@ -137,7 +145,12 @@ def sweep(
         raise InputError("--workers", value=workers, limit="must be >= 1")
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler", limit="exclude each other")
+    if patience is not None and scheduler is None:
+        raise InputError("--patience", value=patience, limit="is for --scheduler")
+    if patience is not None and not patience >= 0.0:
+        raise InputError("--patience", value=patience, limit="must be >= 0, s")
     check(plan)
+    place = workers, scheduler, PATIENCE if patience is None else patience, note
     header = (",".join(map(quoted, plan.columns())) + "\n").encode()
     outcomes: Counter[str] = Counter()
     begun = time.perf_counter()
@@ -147,7 +160,7 @@ def sweep(
 
         with open_output(out) as stream, _progress(plan, 0, quiet) as advance:
             stream.write(header)
-            with closing(_results(plan, 0, workers, scheduler)) as chunks:
+            with closing(_results(plan, 0, *place)) as chunks:
                 for rows in chunks:
                     stream.write(_lines(rows))
                     stream.flush()
@@ -158,12 +171,15 @@ def sweep(
         size = plan.variation.size
         with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
             done = min(file.done * plan.chunk, size)
+            if file.doubted:
+                text = f"what follows the first {done} points in {file.partial}"
+                note(f"Warning: {text} does not match its digests: computed again")
             if done and not quiet:
                 note(f"{file.partial} has {done} of {size} points: going on from there")
             try:
                 with (
                     _progress(plan, done, quiet) as advance,
-                    closing(_results(plan, file.done, workers, scheduler)) as chunks,
+                    closing(_results(plan, file.done, *place)) as chunks,
                 ):
                     for rows in chunks:
                         file.append(_lines(rows))
@@ -179,10 +195,17 @@ def sweep(
         _summary(plan, outcomes, time.perf_counter() - begun)
 
 
-def _results(plan: Plan, begin: int, workers: int | None, scheduler: str | None) -> Generator[Rows]:
+def _results(
+    plan: Plan,
+    begin: int,
+    workers: int | None,
+    scheduler: str | None,
+    patience: float,
+    tell: Callable[[str], object],
+) -> Generator[Rows]:
     try:
-        yield from results(plan, begin, workers, scheduler)
-    except InputError as error:
+        yield from results(plan, begin, workers, scheduler, patience, tell)
+    except RobodynError as error:
         if error.what == "scheduler":
             error.what = "--scheduler"
         raise

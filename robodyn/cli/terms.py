@@ -6,7 +6,7 @@ import numpy as np
 
 from robodyn import closed_form
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
-from robodyn.cli.output import matrix_table, new_table, wants_tables, write_structure
+from robodyn.cli.output import Grid, matrix_table, wants_tables, write_structure
 from robodyn.cli.states import Quantity, overflow, single_state
 from robodyn.mechanism import load
 
@@ -65,6 +65,6 @@ def terms(
             for name, value in content.items()
         ]
         row = [f"{value:.6g}" for value in energies.values()]
-        tables.append(new_table(["KE [J]", "PE [J]"], [row]))
+        tables.append(Grid(["KE [J]", "PE [J]"], [row]))
     plain = {name: value.tolist() for name, value in content.items()}
     write_structure(out, plain | energies, tables)

@@ -12,8 +12,8 @@ import typer
 
 from robodyn import actuation
 from robodyn.actuation import Actuation
+from robodyn.cli.files import input_file
 from robodyn.cli.integrator_options import named_options
-from robodyn.cli.options import named
 from robodyn.cli.states import open_input
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
@@ -39,10 +39,6 @@ def _text(flag: str, metavar: str, text: str) -> object:
     return typer.Option(flag, metavar=metavar, help=text, show_default=False)
 
 
-def _file(flag: str, text: str) -> object:
-    return typer.Option(flag, metavar="FILE", help=text, show_default=False, callback=named)
-
-
 Tau = Annotated[
     Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
     _text(
@@ -53,7 +49,7 @@ Tau = Annotated[
 ]
 TauFrom = Annotated[
     Optional[str],  # noqa: UP045
-    _text("--tau-from", "FILE", "CSV with t,tau1,.. (- for stdin), interpolated between its rows."),
+    input_file("--tau-from", "CSV with t,tau1,.. (- for stdin), interpolated between its rows."),
 ]
 Control = Annotated[
     Optional[Law],  # noqa: UP045
@@ -61,7 +57,9 @@ Control = Annotated[
 ]
 Track = Annotated[
     Optional[str],  # noqa: UP045
-    _file("--track", "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."),
+    input_file(
+        "--track", "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."
+    ),
 ]
 _EACH = "one value, or one an actuated joint"
 Kp = Annotated[
@@ -78,7 +76,7 @@ TauMax = Annotated[
 ]
 ControlModel = Annotated[
     Optional[str],  # noqa: UP045
-    _file("--control-model", "Scene that the controller believes. Default: MODEL."),
+    input_file("--control-model", "Scene that the controller believes. Default: MODEL."),
 ]
 ControlRate = Annotated[
     Optional[str],  # noqa: UP045

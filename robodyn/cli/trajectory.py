@@ -9,7 +9,8 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn.cli.options import Format, Model, Out, OutputFormat, named
+from robodyn.cli.files import input_file
+from robodyn.cli.options import Format, Model, Out, OutputFormat
 from robodyn.cli.output import note, row_writer
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import output_times
@@ -81,13 +82,10 @@ def trajectory(
     ] = None,
     via: Annotated[
         Optional[str],  # noqa: UP045
-        typer.Option(
+        input_file(
             "--via",
-            metavar="FILE",
-            help="CSV of points q1.. (rad) to go through, - for stdin; with a column t (s) at "
+            "CSV of points q1.. (rad) to go through, - for stdin; with a column t (s) at "
             "these times. Without t, --from and --to may add the ends.",
-            show_default=False,
-            callback=named,
         ),
     ] = None,
     time: Annotated[

@@ -1,4 +1,4 @@
-"""A run that is watched: a progress bar on a terminal, and an end at a whole step after Ctrl-C."""
+"""A run that is watched: a progress bar on a terminal, an end at a whole step after a signal."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from robodyn.cli import ending_signals
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -17,7 +19,7 @@ SILENT = 0.5  # s before a progress bar appears
 
 @contextmanager
 def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
-    """A watch for the run: moves a progress bar, and asks it to stop after Ctrl-C."""
+    """A watch for the run: moves a progress bar, and asks it to stop after Ctrl-C and the like."""
     stopped: list[int] = []
 
     def stop(number: int, _: object) -> None:
@@ -25,7 +27,8 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
             raise KeyboardInterrupt
         stopped.append(number)
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = (signal.SIGINT, *ending_signals())
+    before = {number: signal.signal(number, stop) for number in numbers}
     try:
         with progress("simulating", quiet or duration == 0.0) as advance:
 

@@ -15,7 +15,7 @@ from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
 from robodyn.expression import Graph, Value
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.program import Given, Slot
+from robodyn.mechanics.program import Given, Program, Slot
 from robodyn.planar_model import Mechanism
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
@@ -50,19 +50,23 @@ class Formula(NamedTuple):
 
 
 class Recorded:
-    """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name."""
+    """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name.
+
+    With `parameters` the mechanism's numbers are parameters of the graph, else they are folded.
+    One whose numbers are formulas has them on a `graph` that is given.
+    """
 
     def __init__(
         self,
         mechanism: Mechanism,
         rates: Sequence[str],
         by_direction: bool,
+        parameters: bool = False,
         graph: Graph | None = None,
         arithmetic: Arithmetic = RECORDED,
     ) -> None:
-        """On a graph of its own, or on that of a mechanism whose numbers are formulas."""
-        self.mechanism, self.by_direction, self.arithmetic = mechanism, by_direction, arithmetic
-        self.graph = graph or Graph()
+        self.mechanism, self.by_direction, self.parameters = mechanism, by_direction, parameters
+        self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
         n = mechanism.n
         names = ("q", *rates)
@@ -114,12 +118,22 @@ class Recorded:
         return Series(
             program,
             self.arithmetic,
-            program.numbers,
+            self.numbers(program),
             orders,
             state,
             slots=[x for name in ("gap", "load", "power") for x in program.named.get(name, [])],
             grounded=self.by_direction,
         )
+
+    def numbers(self, program: Program) -> list[Value]:
+        """The numbers of the program, as they are or as parameters."""
+        if not self.parameters:
+            return list(program.numbers)
+        return [self.graph.parameter(f"c{i}", x) for i, x in enumerate(program.numbers)]
+
+    def size(self, name: str, number: float) -> Value:
+        """What a pivot is compared with."""
+        return self.graph.parameter(name, number) if self.parameters else number
 
     def _turn(self, j: int, k: int) -> Planar:
         """conj(E_j) E_k by the angles between them."""
@@ -153,15 +167,16 @@ def cheapest(
 # -- inverse dynamics ----------------------------------------------------------------------------
 
 
-def inverse_formula(mechanism: Mechanism) -> Formula | None:
+def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula | None:
     """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
 
-    None where the solve for lambda is no 1x1 or 2x2 system, as where `cheapest` gives none.
+    None where the solve for lambda is no 1x1 or 2x2 system, as where `cheapest` gives none.  With
+    `parameters` the mechanism's numbers are parameters.
     """
     rows, passive = len(mechanism.rows), mechanism.passive
     if len(passive) != rows or rows > 2:
         return None
-    return cheapest(lambda way: inverse_of(Recorded(mechanism, ("qd", "qdd"), way)))
+    return cheapest(lambda way: inverse_of(Recorded(mechanism, ("qd", "qdd"), way, parameters)))
 
 
 def inverse_of(state: Recorded) -> Formula:
@@ -178,7 +193,7 @@ def inverse_of(state: Recorded) -> Formula:
     if len(Psi) == 1:
         det = columns[0][0]
         multipliers = [right[0] / det]
-        pivot = det / mechanism.rows[0].size
+        pivot = det / state.size("size0", mechanism.rows[0].size)
         pivots: tuple[Value, ...] = (pivot * pivot,)
     else:
         (a, b), (c, d) = columns
@@ -221,6 +236,7 @@ def forward_formula(
     torques: Sequence[float] | None = None,
     baumgarte: float = 0.0,
     power: bool = False,
+    parameters: bool = False,
 ) -> Formula | None:
     """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
 
@@ -231,7 +247,9 @@ def forward_formula(
 
     def write(by_direction: bool) -> Formula:
         rates = ("qd", "tau") if torques is None else ("qd",)
-        return _forward(Recorded(mechanism, rates, by_direction), torques, baumgarte, power)
+        return _forward(
+            Recorded(mechanism, rates, by_direction, parameters), torques, baumgarte, power
+        )
 
     return cheapest(write)
 
@@ -254,9 +272,13 @@ def _forward(
         for k, above in enumerate(mechanism.parent)
     ]
     diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
+    sizes = [
+        -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
+        for row in mechanism.rows
+    ]
     pivots = tuple(
-        pivot / -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
-        for pivot, row in zip(factors.pivots[n:], mechanism.rows, strict=True)
+        pivot / state.size(f"size{r}", size)
+        for r, (pivot, size) in enumerate(zip(factors.pivots[n:], sizes, strict=True))
     )
     own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
     if power and not own_power:

@@ -11,8 +11,9 @@ from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
-_CALLS |= {"pow": "power", "abs": "absolute", "atan2": "arctan2"}
+_CALLS |= {"pow": "power", "rough": "power", "abs": "absolute", "atan2": "arctan2"}
 _CALLS |= {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}
+_NAMES = {"rough": "pow"}  # of Python's functions of floats
 # what numpy code calls
 ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
@@ -58,7 +59,7 @@ def float_source(
             assert isinstance(kept, Expression)
             return text[kept.index]
         if op not in _PRECEDENCE:
-            return f"{op}({', '.join(written(arg, 0) for arg in args)})", 9
+            return f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})", 9
         if op == "neg":
             return f"-{written(args[0], 2)}", 2
         precedence = _PRECEDENCE[op]

@@ -43,7 +43,7 @@ def step_text(
     x = found.graph.variable("x")
     n = mechanism.n
     turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
-    ways = [expression.atan2(t, r) for (r, t), _ in turns]
+    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
     q, qd = [], []
     for j, above in enumerate(mechanism.parent):
         way, rate = ways[j], turns[j][1]

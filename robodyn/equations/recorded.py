@@ -129,7 +129,8 @@ class _Parts:
     def _series(self, **parts: Any) -> Series:
         """The rows of a mechanism that has these parts and nothing else."""
         part = replace(self.bare, **parts)
-        self._state = Recorded(part, ("qd",), self.by_direction, self.graph, SHORT)
+        way = self.by_direction
+        self._state = Recorded(part, ("qd",), way, graph=self.graph, arithmetic=SHORT)
         return self._state.series([0.0] * part.n)
 
     def _load(self, **parts: Any) -> Matrix:

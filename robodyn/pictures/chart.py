@@ -23,6 +23,7 @@ USUAL = ("q*", "tau*")  # what is drawn where nothing is asked for
 ROW = "row"  # the name of x where there is no t
 MOST_POINTS = 20_000  # of a curve, before it is thinned
 BINS = 4_000
+LARGEST = 1e290
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +126,17 @@ def chart(
             limit = "the header is followed by no row: nothing to draw"
             raise InputError("no rows", where=sources[file], limit=limit)
         for name in columns:
-            y = table[name]
-            along = np.arange(1.0, len(y) + 1.0) if x is None else table[x]
-            label = f"{name} {labels[file]}".rstrip()
+            y = drawable(name, table[name], sources[file])
+            rows = np.arange(1.0, len(y) + 1.0)
+            along = rows if x is None else drawable(x, table[x], sources[file])
+            label = shown(f"{name} {labels[file]}".rstrip())
             curve = Curve(name, file, label, *thinned(along, y))
             grouped.setdefault(unit_of(name), []).append(curve)
     x_name = xs[0] or ROW
     unit = unit_of(x_name)
     panels = tuple(Panel(_label(unit, curves), tuple(curves)) for unit, curves in grouped.items())
     to_scale = unit == "m" and len(panels) == 1 and "m" in grouped
-    return Chart(f"{x_name} [{unit}]" if unit else x_name, panels, to_scale)
+    return Chart(shown(f"{x_name} [{unit}]" if unit else x_name), panels, to_scale)
 
 
 def _label(unit: str, curves: Sequence[Curve]) -> str:
@@ -142,7 +144,7 @@ def _label(unit: str, curves: Sequence[Curve]) -> str:
     if len(names) > 1:
         names = list(dict.fromkeys(map(quantity_of, names)))
     named = ", ".join(names) if len(names) <= 3 else ""
-    return f"{named} [{unit}]".strip() if unit else named
+    return shown(f"{named} [{unit}]".strip() if unit else named)
 
 
 def short_names(sources: Sequence[str]) -> list[str]:
@@ -151,6 +153,16 @@ def short_names(sources: Sequence[str]) -> list[str]:
         return [""]
     short = [re.sub(r"^.*[/\\]|\.csv$", "", source) for source in sources]
     return short if len(set(short)) == len(short) else list(sources)
+
+
+def drawable(name: str, values: Array, where: str = "", flush: bool = True) -> Array:
+    """Values whose sums and differences are numbers; with `flush` those next to 0 are 0."""
+    size = np.abs(values)
+    if (size > LARGEST).any():
+        value = float(values[size > LARGEST][0])
+        limit = f"beyond {LARGEST:g} nothing can be drawn"
+        raise InputError(name, where=where, value=value, limit=limit)
+    return np.where(size < 1.0 / LARGEST, 0.0, values) if flush else values
 
 
 def thinned(x: Array, y: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.csv_fields import finite, shown, split_fields, unquoted
+from robodyn.csv_fields import finite, plain_digits, shown, split_fields, unquoted
 from robodyn.errors import InputError
 from robodyn.table import Chunk
 
@@ -103,7 +103,7 @@ def _is_word(text: str) -> bool:
 
 def _numbers(texts: Sequence[str]) -> Array | None:
     """The numbers, nan where a text is empty; None where one is not as `finite` takes them."""
-    if any("_" in text for text in texts):
+    if not all(map(plain_digits, texts)):
         return None
     try:
         values = np.array([float(text) if text else math.nan for text in texts])

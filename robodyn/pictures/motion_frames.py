@@ -87,7 +87,7 @@ def traced_point(mechanism: Mechanism, name: str) -> PlanarPoint:
     links = joint_index(mechanism)
     if name in links:
         return mechanism.tips[links[name]]
-    match = re.fullmatch(rf"({'|'.join(PARTS)})(\d{{1,6}})", name)
+    match = re.fullmatch(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", name)
     if match is None or not 1 <= int(match[2]) <= mechanism.n:
         limit = f"must be a link ({', '.join(links)}) or one of tip1, centre1, joint1, ..."
         raise InputError("--trace", value=shown(name), limit=f"{limit} to {mechanism.n}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.pictures.chart import limits
+from robodyn.pictures.chart import drawable, limits
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import unit_of
 
@@ -20,7 +20,6 @@ ALIKE = 1e-9  # of the span: values of x this close are one line of the grid
 EVEN = 0.1  # of a step, by which a line of an even grid may be off its place
 MOST_LINES = 1.25  # times those with points has an even grid
 LEAST_FILLED = 0.5  # of the cells of a grid have more than this share a row
-LARGEST = 1e290
 MOST_FLAT = 5.0  # width to height, or height to width, of a map to scale
 
 
@@ -112,20 +111,11 @@ def value_map(
     """
     if not len(x):
         raise InputError("no rows", limit="the header is followed by no row: nothing to draw")
-    x, y = _drawable(names[0], x), _drawable(names[1], y)
+    x, y = drawable(names[0], x), drawable(names[1], y)
     if not words:
-        values = _drawable(names[2], values, flush=not log)
+        values = drawable(names[2], values, flush=not log)
     scale = None if words else colour_scale(values, log)
     return ValueMap(*names, x, y, values, tuple(words), scale, find_grid(x, y))
-
-
-def _drawable(name: str, values: Array, flush: bool = True) -> Array:
-    """Values whose sums and differences are numbers; with `flush` those next to 0 are 0."""
-    size = np.abs(values)
-    if (size > LARGEST).any():
-        value = float(values[size > LARGEST][0])
-        raise InputError(name, value=value, limit=f"beyond {LARGEST:g} nothing can be drawn")
-    return np.where(size < 1.0 / LARGEST, 0.0, values) if flush else values
 
 
 def find_grid(x: Array, y: Array) -> Grid | None:

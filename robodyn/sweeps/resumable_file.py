@@ -1,30 +1,39 @@
 """A file that is written chunk by chunk, and goes on where it was cut off.
 
-Until it is whole, FILE's rows are in FILE.partial, and what they depend on is in
-FILE.partial.json.  Each chunk is on the disk before the next begins; what was cut off in the middle
-of a chunk is left out when the file goes on.
+Until it is whole, FILE's rows are in FILE.partial, what they depend on in FILE.partial.json, and a
+digest of each chunk in FILE.partial.sums.  Each chunk is on the disk before the next begins; what
+does not match its digest, as what was cut off in the middle of a chunk, is left out when the file
+goes on.  FILE.partial.json is locked by whoever touches any of them.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
+import re
 import shutil
 from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from types import TracebackType
-from typing import BinaryIO
 
 from robodyn.errors import InputError
+from robodyn.output_file import NamedFile, close_quietly
 
 BLOCK = 1 << 20
+MOST_FACTS = 1 << 26  # bytes
 MOST_SHOWN = 60  # characters of a value in a message
+RECORD = re.compile(rb"([0-9]{15}) ([0-9a-f]{64})\n")  # a chunk's length and digest
+RECORD_SIZE = 81
 
 
 class ResumableFile:
     """Lines under a header; to be used in a `with` block, which leaves the partial file behind.
 
     `facts` are what the lines depend on; a partial file of other facts is refused with InputError.
-    `lines` are wanted in all, in chunks of `chunk`; `done` chunks are there already.
+    `lines` are wanted in all, in chunks of `chunk`; `done` chunks are there already.  `doubted`
+    tells whether more was there, which does not match its digests and is left out.
     """
 
     def __init__(
@@ -33,45 +42,57 @@ class ResumableFile:
         self.path = path
         self._target = os.path.realpath(path)
         self.partial = f"{path}.partial"
-        self._rows, self._facts = f"{self._target}.partial", f"{self._target}.partial.json"
-        self.done = 0
-        text = json.dumps(facts, indent=2) + "\n"
-        try:
-            if os.path.exists(self._target):
-                os.close(os.open(self._target, os.O_WRONLY))  # a read-only file stays
-            there = os.path.exists(self._rows) and os.path.getsize(self._rows) > 0
-            if there:
-                self._check(json.loads(text))
-            self._stream: BinaryIO = open(self._rows, "r+b" if there else "w+b")  # noqa: SIM115
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise InputError("cannot be written", where=path, limit=reason) from error
-        try:
-            self._lock()
-            if there:
-                self._keep(header, lines, chunk)
-            else:
-                with open(self._facts, "w", encoding="utf-8") as stream:
-                    stream.write(text)
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                self.append(header)
-        except BaseException:
-            self._stream.close()
-            raise
+        self._rows_name = f"{self._target}.partial"
+        self._facts_name, self._sums_name = f"{self._rows_name}.json", f"{self._rows_name}.sums"
+        self.done, self.doubted = 0, False
+        text = (json.dumps(facts, indent=2) + "\n").encode()
+        self._seed = hashlib.sha256(text + header)
+        with ExitStack() as opened, ExitStack() as made:
+            try:
+                if os.path.exists(self._target):
+                    os.close(os.open(self._target, os.O_WRONLY))  # a read-only file stays
+                lock = self._locked()
+                opened.callback(close_quietly, lock)
+                known = lock.read(MOST_FACTS)
+                there = os.path.exists(self._rows_name) and os.path.getsize(self._rows_name) > 0
+                if there:
+                    if not known:  # made just now
+                        made.callback(os.unlink, self._facts_name)
+                    self._check(known, json.loads(text))
+                else:
+                    made.callback(self._remove)
+                    lock.truncate(0)
+                    lock.seek(0)
+                    self._write(lock, text)
+                self._rows, self._sums = (
+                    io.BufferedRandom(NamedFile(name, "a+b", f"{path}{name[len(self._target) :]}"))
+                    for name in (self._rows_name, self._sums_name)
+                )
+                for stream in (self._rows, self._sums):
+                    opened.callback(close_quietly, stream)
+                    stream.seek(0)
+                self._keep(header, -(-lines // chunk))
+                self.doubted &= there
+            except OSError as error:
+                reason = (error.strerror or str(error)).lower()
+                raise InputError("cannot be written", where=path, limit=reason) from error
+            made.pop_all()
+            self._opened = opened.pop_all()
 
     def append(self, lines: bytes) -> None:
-        """Write lines, onto the disk."""
-        self._stream.write(lines)
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
+        """Write the lines of the next chunk, and their digest, onto the disk."""
+        self._write(self._rows, lines)
+        digest = self._digest()
+        digest.update(lines)
+        self._write(self._sums, b"%015d %s\n" % (len(lines), digest.hexdigest().encode()))
+        self.done += 1
 
     def finish(self) -> None:
         """The file is whole: it takes its place."""
         if os.path.exists(self._target):
-            shutil.copymode(self._target, self._rows)
-        os.replace(self._rows, self._target)
-        os.unlink(self._facts)
+            shutil.copymode(self._target, self._rows_name)
+        os.replace(self._rows_name, self._target)
+        self._remove()
 
     def __enter__(self) -> ResumableFile:
         return self
@@ -82,53 +103,94 @@ class ResumableFile:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._stream.close()
+        self._opened.close()
 
-    def _check(self, facts: Mapping[str, object]) -> None:
-        """Refuse to go on with the lines of another computation."""
-        try:
-            with open(self._facts, encoding="utf-8") as stream:
-                known = json.load(stream)
-        except (FileNotFoundError, ValueError):
-            known = None
-        if not isinstance(known, dict):
-            limit = f"{self.partial}.json, which tells what they are, is missing: "
-            raise InputError("rows", where=self.partial, limit=limit + "remove or rename it")
-        other = [name for name in {**known, **facts} if known.get(name) != facts.get(name)]
-        if other:
-            there = ", ".join(_shown(name, known.get(name)) for name in other)
-            here = ", ".join(_shown(name, facts.get(name)) for name in other)
-            limit = f"there: {there}; here: {here}; remove it, or name another file"
-            raise InputError("holds rows of another computation", where=self.partial, limit=limit)
+    def _locked(self) -> io.BufferedRandom:
+        """The file of facts, locked, and still the one of this name."""
+        while True:
+            descriptor = os.open(self._facts_name, os.O_RDWR | os.O_CREAT, 0o666)
+            stream = open(descriptor, "r+b")  # noqa: SIM115
+            try:
+                self._lock(stream)
+                with suppress(FileNotFoundError):
+                    if os.path.samestat(os.fstat(descriptor), os.stat(self._facts_name)):
+                        return stream
+            except BaseException:
+                stream.close()
+                raise
+            stream.close()  # who had it locked has come to the end, and removed it
 
-    def _lock(self) -> None:
+    def _lock(self, stream: io.BufferedRandom) -> None:
         try:
             import fcntl
         except ImportError:  # not a Unix: two runs into one file are not told apart
             return
         try:
-            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             limit = "another process is writing it"
             raise InputError("cannot be written", where=self.partial, limit=limit) from None
 
-    def _keep(self, header: bytes, lines: int, chunk: int) -> None:
-        """Find the whole chunks, and cut off what follows them."""
-        count, kept, place = -1, 0, 0  # the header counts for none
-        self._stream.seek(0)
-        while block := self._stream.read(BLOCK):
-            begin = 0
-            while (end := block.find(b"\n", begin)) >= 0:
-                count, begin = count + 1, end + 1
-                if count % chunk == 0 or count == lines:
-                    kept, self.done = place + begin, -(-count // chunk)
-            place += len(block)
-        self._stream.truncate(kept)
-        self._stream.seek(kept)
+    def _remove(self) -> None:
+        """Remove all but FILE; the file that is locked goes last."""
+        for name in (self._rows_name, self._sums_name, self._facts_name):
+            with suppress(FileNotFoundError):
+                os.unlink(name)
+
+    def _check(self, text: bytes, facts: Mapping[str, object]) -> None:
+        """Refuse to go on with the lines of another computation."""
+        limit = f"{self.partial}.json, which tells what they are, is missing or damaged: "
+        unknown = InputError("rows", where=self.partial, limit=limit + "remove or rename them")
+        try:
+            known = json.loads(text)
+            if not isinstance(known, dict):
+                raise unknown
+            other = [name for name in {**known, **facts} if known.get(name) != facts.get(name)]
+            there = ", ".join(_shown(name, known.get(name)) for name in other)
+        except (ValueError, RecursionError):  # of brackets within brackets
+            raise unknown from None
+        if other:
+            here = ", ".join(_shown(name, facts.get(name)) for name in other)
+            limit = f"there: {there}; here: {here}; remove it, or name another file"
+            raise InputError("holds rows of another computation", where=self.partial, limit=limit)
+
+    def _keep(self, header: bytes, most: int) -> None:
+        """Find the chunks that match their digests, and cut off what follows them."""
+        kept = len(header) if self._rows.read(len(header)) == header else 0
+        while kept and self.done < most:
+            record = RECORD.fullmatch(self._sums.read(RECORD_SIZE))
+            if record is None or self._digest_of(int(record[1])) != record[2].decode():
+                break
+            kept += int(record[1])
+            self.done += 1
+        ends = ((self._rows, kept), (self._sums, self.done * RECORD_SIZE))
+        for stream, end in ends:
+            self.doubted |= stream.seek(0, os.SEEK_END) > end
+            stream.seek(end)
+            stream.truncate()
         if not kept:
-            self.append(header)
+            self._write(self._rows, header)
+
+    def _digest(self) -> hashlib._Hash:
+        """The digest of the next chunk, of nothing yet but of what it belongs to."""
+        digest = self._seed.copy()
+        digest.update(b"%d\n" % self.done)
+        return digest
+
+    def _digest_of(self, length: int) -> str:
+        """The digest of as many bytes of the rows."""
+        digest = self._digest()
+        while length > 0 and (block := self._rows.read(min(length, BLOCK))):
+            digest.update(block)
+            length -= len(block)
+        return "" if length else digest.hexdigest()
+
+    def _write(self, stream: io.BufferedRandom, data: bytes) -> None:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def _shown(name: str, value: object) -> str:
-    text = json.dumps(value)
-    return f"{name} {text if len(text) <= MOST_SHOWN else text[:MOST_SHOWN] + '...'}"
+    text = f"{name} {json.dumps(value)}"
+    return text if len(text) <= MOST_SHOWN else text[:MOST_SHOWN] + "..."

@@ -7,14 +7,15 @@ with their number.
 
 from __future__ import annotations
 
-import gc
+import logging
 import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -25,6 +26,9 @@ from robodyn.sweeps.sweep_plan import Plan, base_mechanism
 
 MANY_SCENES = 1000  # from so many on reading them is what takes the time
 AHEAD = 2  # chunks under way for each worker
+PATIENCE = 60.0  # s without a worker of the cluster
+POLL = 1.0  # s between looks whether there is one
+ANSWER = 5.0  # s in which a scheduler must answer
 
 
 class _Future(Protocol):
@@ -32,18 +36,22 @@ class _Future(Protocol):
 
 
 def results(
-    plan: Plan, begin: int = 0, workers: int | None = None, scheduler: str | None = None
+    plan: Plan,
+    begin: int = 0,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    patience: float = PATIENCE,
+    tell: Callable[[str], object] = lambda text: None,
 ) -> Iterator[Rows]:
     """The rows of the chunks from `begin` on, in order.
 
     `workers` is the number of threads or processes (None: one a processor), `scheduler` the address
-    of a Dask scheduler that takes their place.  Raises RobodynError where a worker is lost.
+    of a Dask scheduler that takes their place.  Raises RobodynError where a worker is lost, or, of
+    a cluster, where all are and none comes for `patience` seconds, which `tell` is told of.
     """
-    if plan.engine == "compiled" and scheduler is None:
-        pass
     left = plan.chunks - begin
     if scheduler is not None:
-        with _cluster(scheduler) as (submit, width):
+        with _cluster(scheduler, patience, tell) as (submit, width):
             yield from _ordered(submit, plan, begin, AHEAD * width)
         return
     count = min(processors() if workers is None else workers, left)
@@ -53,18 +61,20 @@ def results(
         return
     executor, before = _executor(plan, count), set(multiprocessing.active_children())
     try:
-        yield from _ordered(executor.submit, plan, begin, AHEAD * count)
+
+        def submit(*work: Any) -> _Future:
+            with _deaf_children():
+                return executor.submit(*work)
+
+        yield from _ordered(submit, plan, begin, AHEAD * count)
     except BrokenProcessPool:
         raise RobodynError("a worker process ended", limit="was it out of memory?") from None
     except BaseException:  # what is under way is of no use any more
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
-        executor.shutdown(wait=False, cancel_futures=True)
         raise
     finally:
         executor.shutdown(wait=isinstance(executor, ProcessPoolExecutor), cancel_futures=True)
-        del executor
-        gc.collect()  # a pool's semaphores are freed with it
 
 
 def processors() -> int:
@@ -99,8 +109,29 @@ def _executor(plan: Plan, count: int) -> Executor:
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 
 
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Ctrl-C is the parent's to see, after a process is begun, and never by that process."""
+    here = threading.current_thread() is threading.main_thread()
+    if not (here and hasattr(signal, "pthread_sigmask")):
+        yield
+        return
+    heard: list[int] = []
+    ends = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.signal(number, lambda k, _: heard.append(k)) for number in ends]
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in zip(ends, handlers, strict=True):
+            signal.signal(number, handler)
+        if heard:
+            signal.raise_signal(heard[0])
+
+
 def _begin_worker() -> None:
-    """Ctrl-C is the parent's to see; a worker ends with it, however it ends."""
+    """A worker ends with its parent, however that ends; where it can hear Ctrl-C it does not."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -113,13 +144,17 @@ def _begin_worker() -> None:
 
 
 @contextmanager
-def _cluster(address: str) -> Iterator[tuple[Callable[..., _Future], int]]:
+def _cluster(
+    address: str, patience: float, tell: Callable[[str], object]
+) -> Iterator[tuple[Callable[..., _Future], int]]:
     """A function that submits to the cluster, and how many chunks it computes at once."""
     try:
         import distributed
     except ImportError:
         limit = "needs the extra `cluster` (pip install 'robodyn[cluster]')"
         raise InputError("scheduler", value=address, limit=limit) from None
+    for name in ("distributed", "distributed.client", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what fails is told by an error
     connect: Any = distributed.Client
     try:
         client: Any = connect(address, timeout=10, set_as_default=False)
@@ -130,26 +165,70 @@ def _cluster(address: str) -> Iterator[tuple[Callable[..., _Future], int]]:
         threads = sum(client.nthreads().values())
         if not threads:
             raise RobodynError("scheduler", value=address, limit="it has no workers")
+        watch = _Watch(client, address, patience, tell)
 
         def submit(function: Callable[..., Rows], *arguments: Any) -> _Future:
-            return _Remote(client.submit(function, *arguments, pure=False))
+            return _Remote(client.submit(function, *arguments, pure=False), watch)
 
         yield submit, threads
     finally:
         client.close()
 
 
+class _Watch:
+    """Looks whether a cluster that lets wait has workers; after so long without one it is lost."""
+
+    def __init__(
+        self, client: Any, address: str, patience: float, tell: Callable[[str], object]
+    ) -> None:
+        self._client, self._address = client, address
+        self._patience, self._tell = patience, tell
+        self.lost: float | None = None  # since when
+
+    def look(self) -> None:
+        """Raise RobodynError where patience is at its end."""
+        asked = time.monotonic()
+        try:  # a scheduler that does not answer has no workers for us
+            there = self._client.sync(self._client.scheduler.ncores, callback_timeout=ANSWER)
+        except (TimeoutError, OSError):
+            there = {}
+        if there:
+            if self.lost is not None:
+                self._tell("the cluster has workers again")
+            self.lost = None
+            return
+        if self.lost is None:
+            self.lost = asked
+            wait = f"waiting {self._patience:g} s for another (patience)"
+            self._tell(f"the cluster has lost all its workers: {wait}")
+        if time.monotonic() - self.lost >= self._patience:
+            limit = f"all its workers are lost, and none came within {self._patience:g} s"
+            raise RobodynError("scheduler", value=self._address, limit=limit)
+
+
 class _Remote:
     """A future of the cluster, whose failures are told as errors of robodyn."""
 
-    def __init__(self, future: Any) -> None:
-        self._future = future
+    def __init__(self, future: Any, watch: _Watch) -> None:
+        self._future, self._watch = future, watch
 
     def result(self) -> Any:
         try:
-            return self._future.result()
+            while True:
+                try:
+                    found = self._future.result(timeout=POLL)
+                except TimeoutError:
+                    if self._future.status == "error":  # it is the chunk's own
+                        raise
+                    self._watch.look()
+                else:
+                    self._watch.lost = None
+                    return found
         except RobodynError:
             raise
+        except CancelledError:
+            limit = "it ended, or the way to it did"
+            raise RobodynError("the scheduler was lost", limit=limit) from None
         except ModuleNotFoundError as error:
             limit = f"a worker has no module {error.name}: install there what is installed here"
             raise RobodynError("scheduler", limit=limit) from None

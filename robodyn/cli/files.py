@@ -1,0 +1,111 @@
+"""The options and arguments that name files: each is declared here as read or as written.
+
+One guard holds for all of them: nothing that a command writes takes the place of what it reads, or
+of what else it writes, by whatever name.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import typer
+
+from robodyn.errors import InputError
+
+KEPT = (".partial", ".partial.json", ".partial.sums")  # beside a file that is not whole
+_DECLARED = "robodyn.files"
+
+
+def input_argument(metavar: str, help: str) -> Any:
+    """An argument that is a file to read."""
+    return typer.Argument(metavar=metavar, help=help, show_default=False, callback=_reads)
+
+
+def input_file(flag: str, help: str) -> Any:
+    """An option that is a file to read."""
+    return typer.Option(flag, metavar="FILE", help=help, show_default=False, callback=_reads)
+
+
+def output_file(*flags: str, help: str, kept: bool = False) -> Any:
+    """An option that is a file to write, and the files that are `kept` beside it."""
+    callback = _writes_and_keeps if kept else _writes
+    return typer.Option(*flags, metavar="FILE", help=help, show_default=False, callback=callback)
+
+
+def named(value: str | None) -> str | None:
+    """A name as it is; an empty one is a usage error."""
+    if value == "":
+        raise typer.BadParameter("is empty: name a file")
+    return value
+
+
+class _File(NamedTuple):
+    option: str  # --out, or MODEL
+    name: str
+    written: bool
+    places: frozenset[object]
+
+
+def _reads(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+    for name in value if isinstance(value, list | tuple) else [value]:
+        if named(name) is not None:
+            _declare(ctx, _File(_option(param), name, False, _places(name, 0)))
+    return value
+
+
+def _writes(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+    return _written(ctx, param, value, ())
+
+
+def _writes_and_keeps(ctx: typer.Context, param: typer.CallbackParam, value: Any) -> Any:
+    return _written(ctx, param, value, KEPT)
+
+
+def _written(
+    ctx: typer.Context, param: typer.CallbackParam, value: str | None, suffixes: Sequence[str]
+) -> str | None:
+    if named(value) is not None or param.name == "out":  # which is stdout where it is left out
+        name = value or "-"
+        places = _places(name, 1)
+        if suffixes and name != "-" and places:
+            places = places.union(*(_places(os.path.realpath(name) + end, 1) for end in suffixes))
+        _declare(ctx, _File(_option(param), name, True, places))
+    return value
+
+
+def _option(param: typer.CallbackParam) -> str:
+    flag = param.opts[0]
+    return flag if flag.startswith("-") else param.human_readable_name.strip("[].")
+
+
+def _places(name: str, standard: int) -> frozenset[object]:
+    """What nobody else may write: a path, and the file that is there, under whatever name.
+
+    A device has none.  "-" is the stream `standard`.
+    """
+    try:
+        path = f"stream {standard}" if name == "-" else os.path.realpath(name)
+        status = os.fstat(standard) if name == "-" else os.stat(path)
+    except FileNotFoundError:
+        return frozenset([path])
+    except (OSError, ValueError):  # which is told when it is opened
+        return frozenset()
+    if stat.S_ISREG(status.st_mode):
+        return frozenset([path, (status.st_dev, status.st_ino)])
+    return frozenset([path] if name == "-" else [])
+
+
+def _declare(ctx: typer.Context, file: _File) -> None:
+    """Raise InputError where this file and one before it exclude each other."""
+    known: list[_File] = ctx.meta.setdefault(_DECLARED, [])
+    for other in known:
+        if (file.written or other.written) and file.places & other.places:
+            first, second = (file, other) if file.written else (other, file)
+            if first.option == "--out" and second.written:
+                first, second = second, first
+            limit = f"would write over {second.option} ({second.name}): name another file"
+            raise InputError(first.option, value=first.name, limit=limit)
+    known.append(file)

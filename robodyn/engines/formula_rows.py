@@ -1,0 +1,90 @@
+"""A recorded formula over many states: by machine code where that is the faster, else by numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn import blocks, expression, straightline
+from robodyn.engines.formulas import Formula
+from robodyn.engines.machine_rows import Evaluate, Rows
+
+Array = NDArray[np.float64]
+Found = tuple[list[Array], NDArray[np.int64]]
+
+# States times additions of a formula after which machine code has paid for loading llvmlite and
+# making it, which take as long as numpy needs for these.
+WORTH = 2e7
+
+
+class FormulaRows:
+    """One kind of formula of one mechanism, for batches.
+
+    `record(parameters)` records it again.  The outputs are split into `widths`, such as joint
+    values and multipliers; states are doubtful where a pivot does not exceed `least`, or the first
+    outputs are not finite.
+    """
+
+    def __init__(
+        self,
+        formula: Formula,
+        record: Callable[[bool], Formula | None],
+        widths: Sequence[int],
+        least: float,
+    ) -> None:
+        self.formula = formula
+        self.record, self.widths, self.least = record, widths, least
+        self.cost = expression.cost(self.formula.outputs + self.formula.pivots)
+        self.seen = 0  # states
+        self._array: tuple[straightline.ArrayFunction, int] | None = None
+        self._machine: dict[int, Evaluate | None] = {}
+
+    def run(self, states: Sequence[Array], wanted: int, check: Callable[[], object]) -> Found:
+        """The first `wanted` arrays of outputs, and the indices of doubtful states.
+
+        States are (T, n).  `check` raises where one is not finite; machine code sees that itself.
+        """
+        total = len(states[0])
+        self.seen += total
+        if self.seen * self.cost >= WORTH:
+            function = self.machine(wanted)
+            if function is not None:
+                outputs = [np.empty((total, width)) for width in self.widths[:wanted]]
+                doubtful = function(states, outputs)
+                if doubtful.size:
+                    check()
+                return outputs, doubtful
+        check()
+        return self.by_numpy(states, wanted)
+
+    def machine(self, wanted: int) -> Evaluate | None:
+        """Machine code for the first `wanted` arrays of outputs; None where there is none."""
+        if wanted not in self._machine:
+            formula = self.record(True)
+            assert formula is not None
+            inputs = np.reshape(formula.inputs, (3, -1)).tolist()
+            ends = np.cumsum((0, *self.widths[:wanted]))
+            pairs = pairwise(ends)
+            outputs = [formula.outputs[a:b] for a, b in pairs]
+            rows = Rows(inputs, outputs, formula.pivots, self.least)
+            self._machine[wanted] = rows.compile()
+        return self._machine[wanted]
+
+    def by_numpy(self, states: Sequence[Array], wanted: int) -> Found:
+        """The same by blocks of numpy calls."""
+        if self._array is None:
+            self._array = straightline.compile_arrays(self.formula, "formula")
+        function, buffers = self._array
+        total, pivots = len(states[0]), len(self.formula.pivots)
+        outputs = [np.empty((total, width)) for width in (*self.widths, pivots)]
+        blocks.evaluate(function, buffers, states, outputs)
+        first, quality = outputs[0], outputs[-1]
+        with np.errstate(all="ignore"):
+            finite = np.isfinite(first.sum())
+        if not pivots and finite:  # one pass over a large batch, not four
+            return outputs[:wanted], np.zeros(0, np.int64)
+        sound = (quality > self.least).all(axis=-1) & np.isfinite(first).all(axis=-1)
+        return outputs[:wanted], np.flatnonzero(~sound)

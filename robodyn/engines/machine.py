@@ -1,0 +1,202 @@
+"""Text of kernels made native by llvmlite, where it is there and allowed; else None, silently.
+
+What llvmlite makes is an object file; it is kept on disk (`object_cache.py`) and loaded into an
+engine of an empty module, which takes a tenth of the time that making it does.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import hashlib
+import mmap
+import os
+import sys
+import threading
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from robodyn.engines import object_cache
+
+# Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
+# with 8 lanes, 20 to 30 % with one
+LARGE = 2000
+LEAST_LLVM = 17  # the first in which an address has no other type
+LIBRARY = ("sin", "cos", "tanh", "exp", "log", "pow", "fma")  # of C, that kernels may call
+PLAIN = "plain"  # the processor's family without what is optional: for tests
+
+
+class Processor(NamedTuple):
+    """What code is made for."""
+
+    name: str
+    features: str
+    lanes: int  # doubles in a vector
+    fused: bool  # multiply-add in one instruction
+
+
+class Code:
+    """Loaded machine code.  It lives as long as this object, and so does what calls it."""
+
+    def __init__(self, engine: Any, processor: Processor) -> None:
+        self._engine, self.processor = engine, processor
+
+    def function(self, name: str, *types: Any, result: Any = ctypes.c_int64) -> Callable[..., Any]:
+        """The kernel of this name as a function; other threads run while it does."""
+        address = self._engine.get_function_address(name)
+        call = ctypes.CFUNCTYPE(result, *types)(address)
+        call.code = self  # type: ignore[attr-defined]  # keeps the machine code
+        return call
+
+
+_lock = threading.RLock()
+
+
+def _renew_lock() -> None:
+    global _lock
+    _lock = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):  # a child does not wait for a thread that it does not have
+    os.register_at_fork(after_in_child=_renew_lock)
+
+
+def make(
+    write: Callable[[Processor], str],
+    key: str = "",
+    level: int | None = None,
+    family: str = "",
+    lanes: int = 0,
+) -> Code | None:
+    """The code of the text that `write(processor)` gives; None where there can be none.
+
+    `key`, where given, is all that decides the text besides the processor and the engines' own
+    sources: with it a text whose object is on disk is not written.  The `level` of code generation
+    is 0 to 3, and depends on the text's length where it is not said.  `family` "plain" leaves out
+    what is optional in processors; `lanes` are as many as its vectors hold, where not said.
+    """
+    if not available():
+        return None
+    with _lock:
+        try:
+            processor = this_processor(family)
+            return _made(write, key, level, processor._replace(lanes=lanes or processor.lanes))
+        except Exception:  # whatever code generation may meet: the other engines serve
+            return None
+
+
+def _made(
+    write: Callable[[Processor], str], key: str, level: int | None, processor: Processor
+) -> Code:
+    import llvmlite
+    from llvmlite import binding as llvm
+
+    text = "" if key else write(processor)
+    parts = (key or text, key and generator(), level, processor, llvm.get_process_triple())
+    name = hashlib.sha256(repr((*parts, llvmlite.__version__, llvm.llvm_version_info)).encode())
+    folder = object_cache.folder()
+    content = object_cache.load(folder, name.hexdigest())
+    if content is not None:
+        try:
+            return _loaded(content, processor)
+        except Exception:  # made anew below
+            content = None
+    text = text or write(processor)
+    module = llvm.parse_assembly(text)
+    module.verify()
+    if level is None:
+        level = 2 if text.count("\n") < LARGE else 0
+    content = _machine(processor, level).emit_object(module)
+    object_cache.store(folder, name.hexdigest(), content)
+    return _loaded(content, processor)
+
+
+def _machine(processor: Processor, level: int) -> Any:
+    from llvmlite import binding as llvm
+
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    return target.create_target_machine(
+        cpu=processor.name, features=processor.features, opt=level, codemodel="jitdefault", jit=True
+    )
+
+
+def _loaded(content: bytes, processor: Processor) -> Code:
+    from llvmlite import binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    engine.finalize_object()
+    return Code(engine, processor)
+
+
+@lru_cache(maxsize=1)
+def available() -> bool:
+    """Whether machine code can be made and run here."""
+    if find_spec("llvmlite") is None or not executable_memory():
+        return False
+    with _lock:
+        try:
+            from llvmlite import binding as llvm
+
+            if llvm.llvm_version_info[0] < LEAST_LLVM:
+                return False
+            llvm.initialize_native_target()
+            llvm.initialize_native_asmprinter()
+            library = _c_library()
+            for name in LIBRARY:
+                address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+                llvm.add_symbol(name, address)
+        except Exception:
+            return False
+        return True
+
+
+def _c_library() -> ctypes.CDLL:
+    if sys.platform == "win32":
+        return ctypes.CDLL("ucrtbase")
+    return ctypes.CDLL(ctypes.util.find_library("m") if sys.platform == "darwin" else "libm.so.6")
+
+
+def executable_memory() -> bool:
+    """Whether the system lets this process write code and run it; some forbid it."""
+    if sys.platform != "linux":
+        return True
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        kind = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
+        with mmap.mmap(-1, mmap.PAGESIZE, flags=kind) as page:
+            held = ctypes.c_char.from_buffer(page)
+            read_and_run = 1 | 4
+            address = ctypes.c_void_p(ctypes.addressof(held))
+            refused = libc.mprotect(address, ctypes.c_size_t(mmap.PAGESIZE), read_and_run)
+            del held
+    except (OSError, AttributeError, ValueError):
+        return False
+    return not refused
+
+
+@lru_cache(maxsize=2)
+def this_processor(family: str = "") -> Processor:
+    """The processor, and as many lanes as its vectors hold."""
+    from llvmlite import binding as llvm
+
+    triple = llvm.get_process_triple()
+    features = {} if family == PLAIN else dict(llvm.get_host_cpu_features())
+    name = "" if family == PLAIN else llvm.get_host_cpu_name()
+    arm = triple.startswith(("aarch64", "arm64"))
+    lanes = 8 if features.get("avx512f") else 4 if features.get("avx2") else 2
+    listed = ",".join(f"{'+' if on else '-'}{f}" for f, on in sorted(features.items()))
+    return Processor(name, listed, lanes, arm or bool(features.get("fma")))
+
+
+@lru_cache(maxsize=1)
+def generator() -> str:
+    """What tells these sources, and those of the graph, from other versions of them."""
+    digest = hashlib.sha256()
+    here = Path(__file__).parent
+    for path in (*sorted(here.glob("*.py")), here.parent / "expression.py"):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,207 @@
+"""Sine, cosine and arctangent in machine code, lane by lane without branches.
+
+An angle x up to 1e5 rad is reduced by n quarter turns, n = round(x 2/pi) < 2^16.  pi/2 is the sum
+of two numbers of 37 bits and a rest, so n times either is exact, and the reduced angle is known as
+y + tail to 2^-110.  The polynomials are those of fdlibm (degree 13 and 14), which are good to an
+ulp with the tail.  Larger angles, infinities and nan go to the C library, those lanes alone: what
+a lane gets does not depend on its neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+
+LARGEST = 1e5  # rad
+
+_HALF_PI = Fraction(0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C8, 2**253)
+_FIRST = Fraction(int(_HALF_PI * 2**36), 2**36)
+_SECOND = Fraction(int((_HALF_PI - _FIRST) * 2**73), 2**73)
+_PARTS = (float(_FIRST), float(_SECOND), float(_HALF_PI - _FIRST - _SECOND))
+_ROUND = 1.5 * 2.0**52  # added and taken away, it rounds to a whole number, kept in the last bits
+_SIN = (
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+_COS = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
+# arctangent to 0.66: x + x z P(z)/Q(z) with z = x^2, of Cephes
+_ATAN_P = (
+    -6.485021904942025371773e1,
+    -1.228866684490136173410e2,
+    -7.500855792314704667340e1,
+    -1.615753718733365076637e1,
+    -8.750608600031904122785e-1,
+)
+_ATAN_Q = (
+    1.945506571482613964425e2,
+    4.853903996359136964868e2,
+    4.328810604912902668951e2,
+    1.650270098316988542046e2,
+    2.485846490142306297962e1,
+    1.0,
+)
+
+
+class Circular(NamedTuple):
+    """An angle, and which of its functions are wanted."""
+
+    angle: Word
+    sine: bool
+    cosine: bool
+
+
+def circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
+    """(sine, cosine) of each angle; what is not wanted is any word."""
+    found = [_reduced(kernel, *item) for item in wanted]
+    limit = kernel.number(LARGEST)
+    beyond = kernel.all_lanes(False)
+    for item in wanted:
+        size = kernel.intrinsic("fabs", item.angle)
+        beyond = kernel.either(beyond, kernel.compare("uge", size, limit))
+    flat = [word for pair in found for word in pair]
+    return _repaired(kernel, [item.angle for item in wanted], flat, kernel.any(beyond))
+
+
+def _reduced(kernel: Kernel, x: Word, sine: bool, cosine: bool) -> tuple[Word, Word]:
+    k, number = kernel, kernel.number
+    shifted = k.add(k.multiply(x, number(float(1 / _HALF_PI))), number(_ROUND))
+    n = k.subtract(shifted, number(_ROUND))
+    rest = k.subtract(x, k.multiply(n, number(_PARTS[0])))  # exact
+    step = number(_PARTS[1])
+    y = k.subtract(rest, k.multiply(n, step))
+    tail = k.subtract(k.subtract(rest, y), k.multiply(n, step))
+    tail = k.subtract(tail, k.multiply(n, number(_PARTS[2])))
+
+    z = k.multiply(y, y)
+    v = k.multiply(z, y)
+    curve = polynomial(k, z, _SIN[1:])
+    bent = k.subtract(k.multiply(number(0.5), tail), k.multiply(v, curve))
+    inner = k.subtract(k.multiply(z, bent), tail)
+    own_sine = k.subtract(y, k.subtract(inner, k.multiply(v, number(_SIN[0]))))
+
+    half = k.multiply(number(0.5), z)
+    most = k.subtract(number(1.0), half)
+    lost = k.subtract(k.subtract(number(1.0), most), half)
+    curve = k.multiply(z, polynomial(k, z, _COS))
+    small = k.subtract(k.multiply(z, curve), k.multiply(y, tail))
+    own_cosine = k.add(most, k.add(lost, small))
+
+    quarter = k.convert("bitcast", shifted, k.wholes)
+    odd = k.compare("ne", k.binary("and", quarter, k.whole_lanes(1)), k.whole_lanes(0))
+    sin = cos = own_sine
+    if sine:
+        sin = _signed(k, k.select(odd, own_cosine, own_sine), quarter)
+    if cosine:
+        ahead = k.add(quarter, k.whole_lanes(1))
+        cos = _signed(k, k.select(odd, own_sine, own_cosine), ahead)
+    return sin, cos
+
+
+def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
+    """Negated where the second bit of the count of quarter turns is set."""
+    bit = kernel.binary("and", quarter, kernel.whole_lanes(2))
+    sign = kernel.binary("shl", bit, kernel.whole_lanes(62))
+    turned = kernel.binary("xor", kernel.convert("bitcast", value, kernel.wholes), sign)
+    return kernel.convert("bitcast", turned, kernel.numbers)
+
+
+def _repaired(
+    kernel: Kernel, angles: Sequence[Word], found: list[Word], beyond: Word
+) -> list[tuple[Word, Word]]:
+    """`found` (sine, cosine, sine, ...), by the C library where an angle is large."""
+    k, count = kernel, len(angles)
+    rooms = [k.room(k.numbers, n) for n in (count, 2 * count)]
+    before, name = k.block, k.fresh()
+    k.branch(beyond, f"large{name}", f"usual{name}")
+    k.start(f"large{name}")
+    for words, room in zip((angles, found), rooms, strict=True):
+        for i, word in enumerate(words):
+            k.store(word, k.at(room, i, k.numbers))
+    _define_large(k.module)
+    k.line(f"call void @large_sines({rooms[0]}, {rooms[1]}, i64 {count})")
+    again = [k.load(k.at(rooms[1], i, k.numbers)) for i in range(2 * count)]
+    k.jump(f"usual{name}")
+    k.start(f"usual{name}")
+    joined = [
+        k.joined(word, before, other, f"large{name}")
+        for word, other in zip(found, again, strict=True)
+    ]
+    return list(zip(joined[::2], joined[1::2], strict=True))
+
+
+def _define_large(module: Module) -> None:
+    """large_sines(angles, pairs, count): each sine and cosine beyond LARGEST, W lanes each."""
+    if "large_sines" in module.functions:
+        return
+    module.functions["large_sines"] = ""  # keeps its place
+    k = Kernel(module, "large_sines", (ADDRESS, ADDRESS, WHOLE), "void")
+    angles, pairs, count = k.arguments
+    lanes = k.whole(k.lanes)
+    with k.loop(count) as i, k.loop(lanes) as lane:
+        row = k.multiply(i, lanes)
+        x = k.load(k.at(angles, k.add(row, lane)), SCALAR)
+        large = k.compare("uge", k.intrinsic("fabs", x), Word("1.0e5", SCALAR))
+        with k.when(large):
+            place = k.add(k.multiply(row, k.whole(2)), lane)
+            for name, offset in (("sin", 0), ("cos", k.lanes)):
+                value = call_library(k, name, x)
+                k.store(value, k.at(pairs, k.add(place, k.whole(offset))))
+    k.done()
+
+
+def call_library(kernel: Kernel, name: str, *args: Word) -> Word:
+    """A function of the C library on scalars."""
+    kernel.module.declare(name, SCALAR, *[SCALAR] * len(args))
+    return kernel.op(SCALAR, f"call double @{name}({', '.join(map(str, args))})")
+
+
+def each_lane(kernel: Kernel, name: str, *args: Word) -> Word:
+    """A function of the C library, lane by lane."""
+    lanes = range(kernel.lanes)
+    return kernel.gathered(
+        [call_library(kernel, name, *(kernel.lane(a, i) for a in args)) for i in lanes]
+    )
+
+
+def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
+    """By Horner's rule, the constant term first."""
+    total = kernel.number(coefficients[-1])
+    for value in reversed(coefficients[:-1]):
+        total = kernel.add(kernel.multiply(total, x), kernel.number(value))
+    return total
+
+
+def arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
+    """atan2(y, x) within 3 ulp; 0 of (0, 0), nan of nan or two infinities."""
+    k, number = kernel, kernel.number
+    across, up = k.intrinsic("fabs", x), k.intrinsic("fabs", y)
+    steep = k.less(across, up)
+    low, high = k.select(steep, across, up), k.select(steep, up, across)
+    nothing = k.compare("oeq", high, number(0.0))
+    slope = k.divide(low, k.select(nothing, number(1.0), high))
+    far = k.less(number(0.66), slope)
+    turned = k.divide(k.subtract(slope, number(1.0)), k.add(slope, number(1.0)))
+    t = k.select(far, turned, slope)
+    z = k.multiply(t, t)
+    ratio = k.divide(polynomial(k, z, _ATAN_P), polynomial(k, z, _ATAN_Q))
+    angle = k.add(t, k.multiply(k.multiply(t, z), ratio))
+    eighth = float(_HALF_PI / 2)
+    angle = k.add(angle, k.select(far, number(eighth), number(0.0)))
+    angle = k.select(steep, k.subtract(number(float(_HALF_PI)), angle), angle)
+    back = k.compare("slt", k.convert("bitcast", x, k.wholes), k.whole_lanes(0))
+    angle = k.select(back, k.subtract(number(float(2 * _HALF_PI)), angle), angle)
+    return k.intrinsic("copysign", angle, y)

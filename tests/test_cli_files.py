@@ -1,0 +1,144 @@
+"""Nothing that a command writes takes the place of what it reads, or of what else it writes."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from conftest import ROOT, Outcome
+
+from robodyn import cli
+from robodyn.cli import files
+
+Run = Callable[..., Outcome]
+ARM = (ROOT / "robots/2r.yaml").read_text()
+NO_FILES = ("force", "names", "poses")  # options that speak of files
+OTHERS = {"trajectory": ["--time", "1"], "sweep": ["--vary", "q1=0,1"]}
+
+
+def declared(command: str) -> list[tuple[Any, str]]:
+    """The options and arguments of a command, and what it does with the files that they name."""
+    roles = {files._reads: "reads", files._writes: "writes", files._writes_and_keeps: "writes"}
+    group: Any = typer.main.get_command(cli._application([command]))
+    return [
+        (param, roles.get(getattr(param.callback, "__wrapped__", None), ""))
+        for param in group.commands[command].params
+    ]
+
+
+def clashes(command: str) -> list[tuple[Any, Any]]:
+    """Each output of a command beside each of its inputs and further outputs."""
+    named = [(param, role) for param, role in declared(command) if role]
+    return [
+        (first, second)
+        for (first, one), (second, other) in itertools.combinations(named, 2)
+        if "writes" in (one, other)
+    ]
+
+
+def words(param: Any, name: object) -> list[object]:
+    return [param.opts[0], name] if param.opts[0].startswith("-") else [name]
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_option_that_names_a_file_says_what_is_done_with_it(command: str) -> None:
+    for param, role in declared(command):
+        text = f"{param.metavar} {getattr(param, 'help', '')}"
+        looks = any(word in text for word in ("FILE", "CSV", "MODEL", "STATES", "PATH", "Write "))
+        if param.name not in NO_FILES:
+            assert bool(role) == looks, param.name
+        if param.name in ("model", "out"):
+            assert role == {"model": "reads", "out": "writes"}[param.name]
+
+
+def test_the_walk_finds_what_is_there() -> None:
+    found = {(c, a.name, b.name) for c in cli.COMMANDS for a, b in clashes(c)}
+    assert len(found) > 30
+    for known in (
+        *("simulate model report", "simulate control_model out", "simulate track out"),
+        *("simulate tau_from out", "simulate report out", "trajectory via out"),
+        *("plot files out", "draw model out", "draw states out", "animate states out"),
+        *("bench plot out", "sweep model out", "export model out", "torque states out"),
+    ):
+        assert tuple(known.split()) in found
+
+
+@pytest.mark.parametrize("kind", ["name", "detour", "symbolic link", "hard link"])
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_no_two_name_one_file(robodyn: Run, tmp_path: Path, command: str, kind: str) -> None:
+    path, alias = tmp_path / "one.html", tmp_path / "two.html"
+    path.write_text(ARM)
+    if kind == "name":
+        alias = path
+    elif kind == "detour":
+        (tmp_path / "folder").mkdir()
+        alias = tmp_path / "folder" / ".." / "one.html"
+    elif kind == "symbolic link":
+        alias.symlink_to(path)
+    else:
+        os.link(path, alias)
+    before = sorted(tmp_path.iterdir())
+    for first, second in clashes(command):
+        for one, other in ((path, alias), (alias, path)):
+            given = [*words(first, one), *words(second, other), *OTHERS.get(command, [])]
+            if command != "plot" and first.name != "model":
+                given = ["robots/2r.yaml", *given]
+            robodyn(command, *given).fails(2, "would write over", str(one), str(other))
+            assert path.read_text() == ARM
+            assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("end", [".partial", ".partial.json", ".partial.sums"])
+@pytest.mark.parametrize("command", ["sweep", "simulate"])
+def test_what_is_kept_beside_an_output_is_no_input_either(
+    robodyn: Run, tmp_path: Path, command: str, end: str
+) -> None:
+    path, link = tmp_path / f"out.csv{end}", tmp_path / "scene.yaml"
+    path.write_text(ARM)
+    link.symlink_to(path)
+    for model in (path, link):
+        options = OTHERS.get(command, ["--q", "0,0"])
+        given = robodyn(command, model, *options, "-o", tmp_path / "out.csv")
+        given.fails(2, "--out", "would write over MODEL")
+        assert path.read_text() == ARM
+
+
+def test_streams_are_files_too(shell: Run, tmp_path: Path) -> None:
+    rows = tmp_path / "rows.csv"
+    rows.write_text("q1,q2\n1,2\n")
+    torque = "robodyn torque robots/2r.yaml"
+    for line in (
+        f"{torque} - -o {rows} <{rows}",
+        f"{torque} {rows} >>{rows}",
+        f"{torque} - <{rows} >>{rows}",
+        f"robodyn simulate robots/2r.yaml --q 0,0 --report {rows} >>{rows}",
+        "robodyn simulate robots/2r.yaml --q 0,0 --report -",
+    ):
+        shell(line).fails(2, "would write over")
+        assert rows.read_text() == "q1,q2\n1,2\n"
+    shell(f"{torque} - <{rows} | {torque} - -o {rows}.new").succeeds()
+
+
+def test_a_device_takes_all(robodyn: Run) -> None:
+    run = ("simulate", "robots/2r.yaml", "--q", "0,0", "--time", "0.1", "--quiet")
+    robodyn(*run, "--report", os.devnull, "-o", os.devnull).succeeds()
+
+
+def test_rows_that_a_failed_run_kept_can_be_read(robodyn: Run, tmp_path: Path) -> None:
+    rows = tmp_path / "run.csv.partial"
+    rows.write_text("q1,q2\n1,2\n")
+    robodyn("torque", "robots/2r.yaml", rows, "-o", tmp_path / "run.csv").succeeds()
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_an_empty_name_is_a_usage_error(robodyn: Run, command: str) -> None:
+    for param, role in declared(command):
+        if role:
+            given = [] if param.name in ("model", "files") else ["robots/2r.yaml"]
+            shown = robodyn(command, *given, *words(param, "")).err
+            assert "is empty: name a file" in shown, param.name

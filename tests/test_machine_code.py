@@ -1,0 +1,598 @@
+"""Machine code: sines, recorded graphs, batches, the cache on disk, and what stands in its way."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import mpmath
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import robodyn as api
+from machine_sines import hard_angles, run, sine_and_cosine
+from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
+from robodyn import dense_dynamics, dynamics, expression, formulas
+from robodyn.engines import bits, formula_rows, machine, object_cache, sines
+from robodyn.engines.assembler import Kernel, Module
+from robodyn.engines.lane_driver import LaneDriver
+from robodyn.engines.machine_rows import Rows
+from robodyn.engines.source_text import float_source
+from robodyn.expression import Expression, Graph
+from robodyn.straightline import define
+
+FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "plain"])
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch):
+    """Machine code is worth it for any number of states, and nothing is kept in this process."""
+    monkeypatch.setattr(formula_rows, "WORTH", 0.0)
+    caches = (machine.available, machine.this_processor, dynamics._generated)
+    for cache in caches:
+        cache.cache_clear()
+    yield
+    for cache in caches:
+        cache.cache_clear()
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty folder for objects."""
+    folder = tmp_path / "objects"
+    monkeypatch.setenv("ROBODYN_CACHE", str(folder))
+    return folder
+
+
+class TestSines:
+    @FAMILIES
+    def test_within_an_ulp_of_the_exact_ones(self, family):
+        x = hard_angles(10_000)
+        found = sine_and_cosine(x, family)
+        with mpmath.workdps(40):
+            for values, exact in zip(found, (mpmath.sin, mpmath.cos), strict=True):
+                for angle, value in zip(x.tolist(), values.tolist(), strict=True):
+                    error = abs(mpmath.mpf(value) - exact(mpmath.mpf(angle)))
+                    assert error <= math.ulp(value), (angle, value)
+
+    @FAMILIES
+    def test_what_is_no_usual_angle_is_as_in_numpy(self, family):
+        x = np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 1e5, -1e5, 1e22, -1.7e308, 5e-324, 0.5])
+        found = sine_and_cosine(x, family)
+        with np.errstate(all="ignore"):
+            expected = np.array([np.sin(x), np.cos(x)])
+        assert np.array_equal(np.isnan(found), np.isnan(expected))
+        np.testing.assert_array_max_ulp(found[:, np.isfinite(x)], expected[:, np.isfinite(x)])
+        assert math.copysign(1.0, found[0, 1]) == -1.0
+
+    def test_a_lane_does_not_depend_on_its_neighbours(self):
+        x = np.linspace(-3.0, 3.0, 64)
+        alone = sine_and_cosine(x)
+        beside = x.copy()
+        beside[::3] = np.tile([np.nan, 1e300], 11)
+        kept = np.arange(64) % 3 != 0
+        assert np.array_equal(alone[:, kept], sine_and_cosine(beside)[:, kept])
+
+    @FAMILIES
+    def test_arctangent(self, family):
+        rng = np.random.default_rng(2)
+        size = 10.0 ** rng.uniform(-8, 8, (2, 4000))
+        y, x = size * rng.choice([-1.0, 1.0], size.shape)
+        x[:6], y[:6] = (0.0, 0.0, 1.0, -1.0, -1.0, 2.0), (1.0, -1.0, 0.0, 0.0, -0.0, 2.0)
+        found, _ = run(lambda k, w: [sines.arctangent(k, w[0], w[1])], y, x, family=family)
+        np.testing.assert_array_max_ulp(found, np.arctan2(y, x), maxulp=3)
+
+
+class TestGraphs:
+    def test_every_operation(self):
+        graph = Graph()
+        x, y, p = graph.variable("x"), graph.variable("y"), graph.parameter("p", 0.7)
+        outputs = [
+            expression.exp(x) - expression.log(y * y + 1.5) * p,
+            expression.power(y * y, 1.25) / (expression.tanh(x) + 2.0) + expression.sqrt(y * y),
+            expression.least(x, y) - p * expression.greatest(x, 0.25),
+            expression.choose(x, y, abs(x), -y)
+            + (p * p - 3.0 * p) * expression.sin(expression.cos(x)),
+        ]
+        rng = np.random.default_rng(0)
+        a, b = rng.normal(size=(2, 50))
+        expected = [
+            np.exp(a) - np.log(b * b + 1.5) * 0.7,
+            (b * b) ** 1.25 / (np.tanh(a) + 2.0) + np.abs(b),
+            np.minimum(a, b) - 0.7 * np.maximum(a, 0.25),
+            np.where(a < b, abs(a), -b) + (0.49 - 2.1) * np.sin(np.cos(a)),
+        ]
+        rows = Rows([["x", "y"]], [outputs])
+        found = np.empty((50, 4))
+        assert rows.compile()([np.column_stack([a, b])], [found]).size == 0
+        np.testing.assert_allclose(found.T, expected, rtol=1e-14, atol=1e-14)
+
+    def test_parameters_are_as_good_as_constants(self):
+        """What is computed of parameters alone stands before the loop, and folds as numbers do."""
+        for mech in (
+            api.load(ROOT / "robots/2r.yaml"),
+            seeded_scene(0, LOOPS["four-bar"]).mechanism,
+        ):
+            for record in (formulas.inverse_formula, formulas.forward_formula):
+                folded, open_ = record(mech), record(mech, parameters=True)
+                costs = [expression.cost(f.outputs + f.pivots) for f in (folded, open_)]
+                assert costs[1] <= 1.03 * costs[0]
+
+    def test_scenes_of_one_shape_share_their_code(self):
+        """And zeros belong to the shape."""
+        text = (ROOT / "robots/2r.yaml").read_text()
+        other = text.replace("1.5", "2.25").replace("0.36", "0.41").replace("9.81", "1.62")
+        flat = text.replace("9.81", "0")
+        written = []
+        for scene in (text, other, flat):
+            formula = formulas.inverse_formula(mechanism(scene), parameters=True)
+            inputs = np.reshape(formula.inputs, (3, -1)).tolist()
+            rows = Rows(inputs, [formula.outputs])
+            written.append(rows.text(machine.this_processor()))
+        assert written[0] == written[1] != written[2]
+
+    def test_zeros_of_the_moment_are_told(self):
+        graph = Graph()
+        a, b, x = graph.parameter("a", 2.0), graph.parameter("b", 2.0), graph.variable("x")
+        assert (a - b) * x == 0.0
+        assert [node.op for node in graph.zeros] == ["-"]
+        assert graph.parameter("none", 0.0) == 0.0
+        assert not isinstance(graph.parameter("one", 1.0), Expression)
+
+
+SCENES = [
+    *(seeded_tree(seed, n) for seed, n in ((0, 1), (1, 2), (2, 3), (3, 6), (4, 12))),
+    *(seeded_scene(seed, LOOPS[name]) for seed, name in enumerate(sorted(LOOPS))),
+    *(forced(7 + seed, seeded_scene(seed, LOOPS[name])) for seed, name in enumerate(["four-bar"])),
+    forced(3, seeded_tree(3, 4)),
+]
+
+
+class TestBatches:
+    @FAMILIES
+    def test_as_dense_algebra(self, family, monkeypatch):
+        """Inverse and forward dynamics of trees and loops, springs and friction among them."""
+        compiled = Rows.compile
+        made = []
+
+        def compile(self):
+            made.append(compiled(self, 0 if family else None, family))
+            return made[-1]
+
+        monkeypatch.setattr(Rows, "compile", compile)
+        for scene in SCENES if not family else SCENES[::3]:
+            mech = scene.mechanism
+            states = [np.tile(state, (201, 1)) for state in scene.states]
+            for kind, dense in (
+                ("inverse", dense_dynamics.inverse),
+                ("forward", dense_dynamics.forward),
+            ):
+                call = getattr(dynamics, f"{kind}_dynamics_and_forces")
+                found, expected = call(mech, *states), dense(mech, *scene.states)
+                for values, known in zip(found[:2], expected[:2], strict=True):
+                    size = max(1.0, np.abs(known).max(initial=0.0))
+                    assert np.abs(values - known).max(initial=0.0) < 1e-9 * size
+                only = getattr(dynamics, f"{kind}_dynamics")(mech, *states)
+                assert np.array_equal(only, found[0])
+        assert made
+        assert None not in made
+
+    def test_any_number_of_rows_wherever_they_stand(self):
+        """Tails, columns of one table, rows that are one row, and no rows."""
+        mech = api.load(ROOT / "robots/2r.yaml")
+        table = np.random.default_rng(1).normal(size=(40, 6))
+        rows = dynamics._generated("inverse", mech)
+        function = rows.machine(1)
+        expected = dense_dynamics.inverse(mech, table[:, :2], table[:, 2:4], table[:, 4:]).tau
+        for total in range(20):
+            states = [table[:total, :2], table[:total, 2:4], table[:total, 4:]]
+            for arrays in (
+                states,
+                [np.array(x) for x in states],
+                [np.asfortranarray(x) for x in states],
+            ):
+                found = np.full((total, 2), np.nan)
+                assert function(arrays, [found]).size == 0
+                np.testing.assert_allclose(found, expected[:total], rtol=1e-13, atol=1e-13)
+        one = np.broadcast_to(table[0, :2], (9, 2))
+        found = np.empty((9, 2))
+        function([one, one, one], [found])
+        assert np.ptp(found, axis=0).max() == 0.0
+
+    def test_no_digit_depends_on_threads_or_place(self, monkeypatch):
+        mech = api.load(ROOT / "robots/four-bar.yaml")
+        rng = np.random.default_rng(1)
+        states = rng.normal(size=(3, 1003, 3))
+        whole = dynamics.forward_dynamics(mech, *states)
+        monkeypatch.setattr("robodyn.engines.machine_rows.SHARE", 300)
+        monkeypatch.setattr("robodyn.engines.machine_rows.PIECE", 77)
+        assert np.array_equal(whole, dynamics.forward_dynamics(mech, *states))
+        assert np.array_equal(whole[501:], dynamics.forward_dynamics(mech, *states[:, 501:]))
+
+    def test_doubtful_states_are_told(self):
+        mech = api.load(ROOT / "robots/four-bar.yaml")
+        states = np.random.default_rng(1).normal(size=(3, 50, 3))
+        states[0, 7] = 0.0  # stretched: the closures lose rank
+        states[1, 20] = 1e200
+        rows = dynamics._generated("inverse", mech)
+        outputs = [np.empty((50, 3))]
+        found = rows.machine(1)(list(states), outputs)
+        assert {7, 20} <= set(found.tolist())
+        _, by_numpy = rows.by_numpy(list(states), 1)
+        assert np.array_equal(found, by_numpy)
+
+    def test_what_is_not_finite_is_refused_by_its_place(self):
+        mech = api.load(ROOT / "robots/2r.yaml")
+        q, qd, qdd = np.zeros((3, 500, 2))
+        qd[300, 1] = np.nan
+        with pytest.raises(api.InputError, match=r"qd\[300, 1\]"):
+            api.inverse_dynamics(mech, q, qd, qdd)
+
+    def test_few_states_do_not_load_llvmlite(self, monkeypatch):
+        monkeypatch.setattr(formula_rows, "WORTH", 2e7)
+        monkeypatch.setattr(machine, "make", lambda *_, **__: pytest.fail("made machine code"))
+        api.inverse_dynamics(api.load(ROOT / "robots/2r.yaml"), *np.zeros((3, 5000, 2)))
+
+
+def torques(mech=None):
+    """Torques of 400 states of the 2R, and whether machine code gave them."""
+    mech = mech or api.load(ROOT / "robots/2r.yaml")
+    states = np.random.default_rng(4).normal(size=(3, 400, 2))
+    tau = api.inverse_dynamics(mech, *states)
+    np.testing.assert_allclose(
+        tau, dense_dynamics.inverse(mech, *states).tau, rtol=1e-12, atol=1e-12
+    )
+    return dynamics._generated("inverse", mech).machine(1) is not None
+
+
+class TestCache:
+    def test_an_object_is_made_once_for_its_owner_alone(self, cache, monkeypatch):
+        assert torques()
+        (path,) = cache.iterdir()
+        assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        monkeypatch.setattr(object_cache, "store", lambda *_: pytest.fail("made again"))
+        assert torques()
+
+    @pytest.mark.parametrize("content", [b"", b"no object", bytes(5000)])
+    def test_a_damaged_object_is_made_anew(self, cache, content):
+        assert torques()
+        (path,) = cache.iterdir()
+        good = path.read_bytes()
+        for damaged in (content, good[:-1], good[:-1] + b"\1"):
+            path.write_bytes(damaged)
+            assert torques()
+            assert path.read_bytes() == good
+
+    def test_what_others_can_write_or_own_is_not_read(self, cache, monkeypatch):
+        assert torques()
+        (path,) = cache.iterdir()
+        name = path.name
+        assert object_cache.load(cache, name) is not None
+        path.chmod(0o666)
+        assert object_cache.load(cache, name) is None
+        path.chmod(0o600)
+        cache.chmod(0o777)
+        assert object_cache.load(cache, name) is None
+        cache.chmod(0o700)
+        monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+        assert object_cache.load(cache, name) is None
+        assert torques()
+
+    def test_a_link_is_not_followed(self, cache):
+        assert torques()
+        (path,) = cache.iterdir()
+        path.rename(cache / "elsewhere")
+        path.symlink_to(cache / "elsewhere")
+        assert object_cache.load(cache, path.name) is None
+
+    def test_no_folder_and_no_room(self, tmp_path, monkeypatch):
+        (tmp_path / "file").write_text("")
+        monkeypatch.setenv("ROBODYN_CACHE", str(tmp_path / "file" / "below"))
+        assert torques()
+        monkeypatch.setenv("ROBODYN_CACHE", str(tmp_path / "full"))
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", full)
+        assert torques()
+        assert list((tmp_path / "full").iterdir()) == []
+
+    def test_empty_turns_it_off(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("ROBODYN_CACHE", "")
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        assert torques()
+        assert list(tmp_path.iterdir()) == []
+        monkeypatch.delenv("ROBODYN_CACHE")
+        assert object_cache.folder() == tmp_path / "robodyn" or sys.platform != "linux"
+
+    def test_old_objects_go(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(object_cache, "KEPT", 10)
+        for k in range(30):
+            object_cache.store(tmp_path, f"{k}", b"object")
+        assert len(list(tmp_path.iterdir())) <= 11
+        assert object_cache.load(tmp_path, "29") == b"object"
+
+    def test_a_key_spares_the_text(self, cache):
+        def write(processor):
+            return "define i64 @f() {\n  ret i64 7\n}\n"
+
+        for text in (write, lambda _: pytest.fail("written again")):
+            assert machine.make(text, key="seven").function("f")() == 7
+
+
+class TestWithout:
+    """Python or numpy, silently, and right."""
+
+    def test_llvmlite(self, monkeypatch):
+        monkeypatch.setattr(machine, "find_spec", lambda name: None)
+        assert not torques()
+
+    def test_code_generation(self, monkeypatch):
+        monkeypatch.setenv("ROBODYN_CACHE", "")
+        monkeypatch.setattr(Rows, "text", lambda self, processor: "no text of LLVM")
+        assert not torques()
+
+    def test_llvmlite_that_does_not_load(self, monkeypatch):
+        monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+        monkeypatch.setitem(sys.modules, "llvmlite", None)
+        monkeypatch.setattr(machine, "find_spec", lambda name: object())
+        assert not torques()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux to forbid it")
+    def test_permission_to_run_what_was_written(self):
+        """A process that may not make memory executable."""
+        script = """
+import ctypes, sys
+sys.path[:0] = ["tests"]
+import numpy as np
+import robodyn
+from robodyn import dynamics
+from robodyn.engines import formula_rows, machine
+formula_rows.WORTH = 0.0
+if ctypes.CDLL(None).prctl(65, 1, 0, 0, 0):  # PR_SET_MDWE, since Linux 6.3
+    sys.exit(77)
+mech = robodyn.load("robots/2r.yaml")
+states = np.random.default_rng(4).normal(size=(3, 400, 2))
+tau = robodyn.inverse_dynamics(mech, *states)
+assert not machine.available()
+assert abs(tau[0] - robodyn.inverse_dynamics(mech, *states[:, 0])).max() < 1e-12
+"""
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True
+        )
+        if done.returncode == 77:
+            pytest.skip("this kernel cannot forbid it")
+        assert (done.returncode, done.stderr) == (0, "")
+
+    def test_permission_is_asked_for(self, monkeypatch):
+        monkeypatch.setattr(machine, "executable_memory", lambda: False)
+        assert not torques()
+
+
+class TestTogether:
+    def test_threads_make_and_run_it_at_once(self, cache):
+        found = []
+        threads = [threading.Thread(target=lambda: found.append(torques())) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert found == [True] * 6
+
+    @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+    def test_a_forked_process_runs_and_makes_it(self):
+        script = """
+import os, sys
+sys.path[:0] = ["tests"]
+import numpy as np
+import robodyn
+from robodyn.engines import formula_rows, machine
+formula_rows.WORTH = 0.0
+states = np.random.default_rng(4).normal(size=(3, 400, 2))
+arm, bar = (robodyn.load(f"robots/{name}.yaml") for name in ("2r", "pendulum"))
+tau = robodyn.inverse_dynamics(arm, *states)
+machine._lock.acquire()  # as if another thread held it
+child = os.fork()
+if not child:
+    same = np.array_equal(tau, robodyn.inverse_dynamics(arm, *states))
+    robodyn.inverse_dynamics(bar, *states[:, :, :1])
+    os._exit(0 if same else 1)
+_, status = os.waitpid(child, 0)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", script],
+            cwd=ROOT, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def pendulum_step(order=12):
+    """A Taylor step of q'' = -k sin q: the graph's q and w after it, and its length."""
+    graph = Graph()
+    k, tol = graph.parameter("k", 9.81), graph.parameter("tol", 1e-12)
+    left = graph.variable("left")
+    q, w = [graph.variable("q")], [graph.variable("w")]
+    s, c = [expression.sin(q[0])], [expression.cos(q[0])]
+    for n in range(order):
+        q.append(w[n] / float(n + 1))
+        w.append(-k * s[n] / float(n + 1))
+        ds = dc = 0.0
+        for j in range(n + 1):
+            ds, dc = ds + c[n - j] * w[j], dc + s[n - j] * w[j]
+        s.append(ds / float(n + 1))
+        c.append(-dc / float(n + 1))
+    last = expression.greatest(abs(q[-1]), abs(q[-2]))
+    h = expression.least(tol ** (1 / order) * expression.rough_power(last, -1 / order), left)
+    ends = []
+    for series in (q, w):
+        total = series[-1]
+        for x in reversed(series[:-1]):
+            total = total * h + x
+        ends.append(total)
+    return ends, h, graph
+
+
+def pendulum_in_python(q, w, left):
+    """The same step on floats, until the time is up."""
+    ends, h, graph = pendulum_step()
+    lines, outputs = float_source([*ends, h])
+    body = "\n    ".join([*lines, f"return {', '.join(outputs)}"])
+    step = define(f"def step(q, w, left, k, tol):\n    {body}\n", "step")
+    steps = 0
+    while left > 0.0:
+        q, w, h = step(q, w, left, *graph.parameters.values())
+        left, steps = left - h, steps + 1
+    return q, w, steps
+
+
+class TestLaneDriver:
+    TIMES = np.array([1.0, 2.5, 0.0, 3.0, 0.01, 2.0, 2.2, 0.7, 1.9, 3.3, 0.4])
+
+    def columns(self, rows, *more):
+        q = np.linspace(-2.5, 2.5, self.TIMES.size)
+        columns = np.zeros((rows, self.TIMES.size))
+        columns[: 3 + len(more)] = [q, 0.3 * q, *more, self.TIMES]
+        return columns
+
+    @FAMILIES
+    def test_a_pendulum_as_in_python(self, family):
+        """Each lane until its own end, those without time at all left alone."""
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile(0 if family else 2, family)
+        columns = self.columns(4)
+        start = columns.copy()
+        assert run(columns, 10_000) == 0
+        for (q, w, left, _), found in zip(start.T.tolist(), columns.T.tolist(), strict=True):
+            expected = pendulum_in_python(q, w, left)
+            assert found[2] == 0.0
+            assert found[:2] == pytest.approx(expected[:2], rel=1e-10, abs=1e-10)
+            assert abs(found[3] - expected[2]) <= 0.1 * expected[2] + 1
+        q, w = columns[:2]
+        energy, before = w**2 / 2 - 9.81 * np.cos(q), start[1] ** 2 / 2 - 9.81 * np.cos(start[0])
+        assert np.abs(energy - before).max() < 1e-10
+
+    def test_one_lane_as_many(self):
+        ends, h, _ = pendulum_step()
+        driver = LaneDriver(("q", "w"), ends, h)
+        found = [self.columns(4) for _ in range(3)]
+        for columns, lanes in zip(found, (1, 2, 4), strict=True):
+            assert driver.compile(lanes=lanes)(columns, 10_000) == 0
+        assert np.array_equal(found[0], found[1])
+        assert np.array_equal(found[0], found[2])
+
+    def test_it_goes_on_where_a_budget_ended(self):
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile()
+        whole, pieces = self.columns(4), self.columns(4)
+        assert run(whole, 10_000) == 0
+        left = [run(pieces, 3) for _ in range(60)]
+        assert left[0] > 0
+        assert left[-1] == 0
+        assert np.array_equal(whole, pieces)
+
+    def test_numbers_may_vary_from_lane_to_lane_and_an_observer_looks_on(self):
+        """k of each lane; the largest |w| of each lane, and the length of each of its steps."""
+        ends, h, _ = pendulum_step()
+
+        def observe(k, words, places):
+            speed = k.intrinsic("fabs", words["after_w"])
+            more = k.both(words["active"], k.less(k.load(places["fastest"]), speed))
+            k.store(k.select(more, speed, k.load(places["fastest"])), places["fastest"])
+            row = k.multiply(words["step"], k.whole(16))
+            k.store(words["h"], k.at(words["work"], k.add(row, words["motion"])))
+
+        driver = LaneDriver(("q", "w"), ends, h, ("k",), ("fastest",), observe)
+        assert driver.columns == ("q", "w", "k", "left", "steps", "fastest")
+        stiffness = np.linspace(1.0, 20.0, self.TIMES.size)
+        columns = self.columns(6, stiffness)
+        q, w = columns[:2].copy()
+        lengths = np.zeros((1000, 16))
+        assert driver.compile()(columns, 1000, lengths) == 0
+        np.testing.assert_allclose(lengths.sum(axis=0)[: self.TIMES.size], self.TIMES, rtol=1e-14)
+        assert np.array_equal((lengths > 0).sum(axis=0)[: self.TIMES.size], columns[4])
+        energy = columns[1] ** 2 / 2 - stiffness * np.cos(columns[0])
+        np.testing.assert_allclose(energy, w**2 / 2 - stiffness * np.cos(q), rtol=1e-10, atol=1e-9)
+        moved = self.TIMES > 0
+        assert (columns[5] >= np.abs(columns[1]))[moved].all()
+
+    def test_a_step_of_no_length_ends_its_lane_alone(self):
+        ends, h, _ = pendulum_step()
+        run = LaneDriver(("q", "w"), ends, h).compile()
+        columns = self.columns(4)
+        alone = columns.copy()
+        columns[0, 3] = np.nan
+        assert run(columns, 10_000) == 0
+        assert columns[2, 3] == -self.TIMES[3]
+        run(alone, 10_000)
+        others = np.arange(self.TIMES.size) != 3
+        assert np.array_equal(columns[:, others], alone[:, others])
+
+
+class TestKernelLanguage:
+    @FAMILIES
+    def test_bits(self, family):
+        x = 10.0 ** np.random.default_rng(0).uniform(-200, 200, 800)
+
+        def write(k, words):
+            n = bits.exponent(k, words[0])
+            return [
+                bits.scaled(k, words[0], k.subtract(k.whole_lanes(0), n)),
+                bits.rough_power(k, words[0], -1 / 12),
+            ]
+
+        fraction, power = run(write, x, family=family)
+        assert np.array_equal(fraction, 2.0 * np.frexp(x)[0])
+        np.testing.assert_allclose(power, x ** (-1 / 12), rtol=0.07)
+        assert np.isfinite(run(write, np.zeros(8), family=family)[1]).all()
+
+    @FAMILIES
+    def test_series_with_the_order_as_a_loop(self, family):
+        """The product of two series of order 9 in each lane, from and to work arrays."""
+        order = 9
+
+        def write(processor):
+            module = Module(processor.lanes)
+            k = Kernel(module, "product", ("ptr", "ptr", "ptr"))
+            x, y, z = k.arguments
+            with k.loop(k.whole(order + 1)) as n:
+                total = k.slot(k.number(0.0))
+                with k.loop(k.add(n, k.whole(1))) as j:
+                    factors = (x, j), (y, k.subtract(n, j))
+                    a, b = (k.load(k.at(base, i, k.numbers)) for base, i in factors)
+                    k.set(total, k.fused(a, b, k.get(total)))
+                k.store(k.get(total), k.at(z, n, k.numbers))
+            k.done(k.whole(0))
+            return module.text
+
+        code = machine.make(write, family=family)
+        x, y = np.random.default_rng(0).normal(size=(2, order + 1, code.processor.lanes))
+        z = np.full_like(x, np.nan)
+        function = code.function("product", *[ctypes.c_void_p] * 3)
+        function(*(array.ctypes.data for array in (x, y, z)))
+        expected = [sum(x[j] * y[n - j] for j in range(n + 1)) for n in range(order + 1)]
+        np.testing.assert_allclose(z, expected, rtol=1e-13, atol=1e-13)
+
+    def test_control(self):
+        """Loops in loops, slots and a branch: the sum of i j over pairs with i < j < 30."""
+
+        def write(processor):
+            module = Module(processor.lanes)
+            k = Kernel(module, "pairs", ("i64",))
+            total = k.slot(k.whole(0))
+            count = k.arguments[0]
+            with k.loop(count) as i, k.loop(count) as j, k.when(k.compare("slt", i, j)):
+                k.set(total, k.add(k.get(total, "i64"), k.multiply(i, j)))
+            k.done(k.get(total, "i64"))
+            return module.text
+
+        function = machine.make(write).function("pairs", ctypes.c_int64)
+        assert function(30) == sum(i * j for j in range(30) for i in range(j))

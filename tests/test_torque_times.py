@@ -1,0 +1,280 @@
+"""When the torques of expressions switch, what narrow features they have, and what sees them."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from robodyn import actuation, load, simulate
+from robodyn.accuracy import AUTO, settings_for
+from robodyn.errors import InputError
+from robodyn.extended import reference
+from robodyn.kinks import next_stop
+from robodyn.recording import Outcome
+from robodyn.simulation import METHODS, Settings
+from robodyn.torque_times import over_a_run
+
+PENDULUM = load(ROOT / "robots/pendulum.yaml")
+ARM = load(ROOT / "robots/2r.yaml")
+START = ([-1.5], [0.0])
+BOX = "(20 if t<5.02 else 0) if t>5 else 0"
+BELL = "20*exp(-((t-5)/0.01)**2)"
+TIGHT = {"rtol": 1e-12, "atol": 1e-12}
+
+
+def over(text, t_end=10.0, mech=PENDULUM):
+    source = actuation.expressions(mech, text, "--tau")
+    return over_a_run(source, [0.3, -0.2, 0.5, 0.1][: 2 * mech.n], t_end)
+
+
+def box():
+    """The state after 10 s under BOX, each part of the run on its own."""
+    q, qd = START
+    for span, tau in ((5.0, 0.0), (0.02, 20.0), (4.98, 0.0)):
+        motion = simulate(PENDULUM, q, qd, span, [tau], **TIGHT)
+        q, qd = motion.q[-1], motion.qd[-1]
+    return np.concatenate([q, qd])
+
+
+def bell(text=BELL):
+    motion = simulate(PENDULUM, *START, 10.0, text, max_step=1e-3, **TIGHT)
+    return np.concatenate([motion.q[-1], motion.qd[-1]])
+
+
+@pytest.mark.parametrize(
+    ("text", "kinks"),
+    [
+        (BOX, (5.0, 5.02)),
+        ("20 if t>=5 else 0", (5.0,)),
+        ("20*(t>5)*(t<=5.02)", (5.0, 5.02)),
+        ("1 if (t>1)*(t<2) else q1 if t<7 else 0", (1.0, 2.0, 7.0)),
+        ("20 if abs(t-5)<1e-9 else 0", (4.999999999, 5.0, 5.000000001)),
+        ("20 if exp(-((t-5)/1e-7)**2) > 0.5 else 0", None),
+        ("q1*sign(t-3)", (3.0,)),
+        ("floor(t/4)", (4.0, 8.0)),
+        ("t % 2.5", (2.5, 5.0, 7.5)),
+        ("min(t, 3) + max(t, q1)", (3.0,)),
+        ("abs(cos(t))", tuple((k + 0.5) * math.pi for k in range(3))),
+        ("1 if sin(3*t) > 0.2 else 0", None),
+        ("1 if cos(t) > 1 - 1e-12 else 0", None),
+        ("(1 if sqrt(t-5) > 1 else 2) if t > 5 else 0", (5.0, 6.0)),
+        ("1 if t > 0 else 2", ()),
+        ("1 if t < 10 else 2", ()),
+        ("1 if q1 > 0 else t", ()),
+        ("abs(q1*t)", ()),
+        ("-0.5*qd1", ()),
+    ],
+)
+def test_switching_times(text, kinks):
+    found = over(text).kinks
+    if kinks is not None:
+        assert found == pytest.approx(kinks, rel=1e-15)
+        return
+    plain = actuation.expressions(PENDULUM, text, "").function(1)
+    assert len(found) in (2, 3, 10)
+    for t in found:
+        before, after = (plain(t + d, [0.0, 0.0])[0] for d in (-1e-12, 1e-12))
+        assert before != after
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_torques_are_those_of_the_expression(way):
+    """Between switching times, whatever is nested in what."""
+    rng = np.random.default_rng(5)
+
+    def grow(depth):
+        leaf = ["t", "q1", f"{rng.uniform(-3, 3):.2f}", f"sin({rng.uniform(1, 9):.2f}*t)"]
+        kind = int(rng.integers(0, 9)) if depth else 9
+        a, b, c = (grow(depth - 1) for _ in range(3)) if kind < 9 else ("", "", "")
+        forms = [f"({a} + {b})", f"({a} - {b})", f"{a}*{b}", f"({a} if {b} > {c} else {c})"]
+        forms += [f"abs({a})", f"min({a}, {b}, {c})", f"max({a}, {b})", f"sign({a})*{b}"]
+        forms += [f"({a} % 0.7 + floor({b}) + ({a} < {c}))"]
+        return forms[kind] if kind < 9 else leaf[rng.integers(0, 4)]
+
+    for _ in range(60):
+        text = grow(3)
+        plain = actuation.expressions(PENDULUM, f"0*t + {text}", "")
+        found = over_a_run(plain, [0.3, 0.5], 2.0 * way)
+        if found.told is not None:
+            found.told.begin([], way)
+        edges = [0.0, *sorted(found.kinks, key=abs), 2.0 * way]
+        assert all(0.0 < way * t < 2.0 for t in found.kinks)
+        for before, after in pairwise(edges):
+            if found.told is not None:
+                found.told.reach(before, [])
+            for part in (1e-6, 0.3, 1.0 - 1e-6):
+                t = before + part * (after - before)
+                known = plain.function(1)(t, [0.7, 0.1])
+                assert found.function(1)(t, [0.7, 0.1]) == pytest.approx(known, abs=1e-9), text
+
+
+def test_at_a_switching_time_the_side_that_was_reached():
+    found = over("20 if t>5 else 1")
+    torque = found.function(1)
+    found.told.begin([], 10.0)
+    assert [torque(t, [0, 0]) for t in (4.9, 5.0, 5.0000001)] == [[1.0]] * 3  # not reached
+    found.told.reach(5.0, [])
+    assert [torque(t, [0, 0]) for t in (4.9, 5.0, 5.1)] == [[1.0], [20.0], [20.0]]
+    found.told.begin([], -10.0)
+
+
+def test_what_cannot_be_told_stays_as_it_is():
+    for text in ("0.5*q1", "2*t + q1", "1 if sin(1e9*t) > 0 else 0", "1 if q1 > 0 else 0"):
+        source = actuation.expressions(PENDULUM, text, "")
+        found = over_a_run(source, [0.1, 0.2], 10.0)
+        assert (found.lines, found.kinks) == (source.lines, ())
+    source = actuation.callback(PENDULUM, lambda t, q, qd: [0.0])
+    assert over_a_run(source, [0.1, 0.2], 10.0) is source
+
+
+@pytest.mark.parametrize("width", [1.0, 1e-2, 1e-4, 1e-7])
+@pytest.mark.parametrize("form", ["exp(-(({t}-7.1)/{w})**2)", "1/(1 + (({t}-7.1)/{w})**2)",
+                                  "tanh(({t}-7.1)/{w})", "q1*exp(-abs({t}-7.1)/{w})",
+                                  "exp(q1 - (({t}-7.1)/{w})**2)"])  # fmt: skip
+def test_leaves_are_as_narrow_as_the_torque(form, width):
+    for way in (1.0, -1.0):
+        text = form.format(t="t" if way > 0 else "(-t)", w=width)
+        leaves = np.array(over(text, 10.0 * way).leaves)
+        assert (np.diff(leaves) > 0.0).all()
+        assert leaves[[0, -1]].tolist() == [0.0, 10.0]
+        near = np.abs(leaves - 7.1).min()
+        narrow = np.diff(leaves)[np.searchsorted(leaves, 7.1 + 1e-12) - 1]
+        assert narrow < 30.0 * width or near < 1e-15
+        assert len(leaves) < 200
+
+
+def test_a_smooth_torque_has_wide_leaves():
+    assert np.diff(over("2*sin(3*t)").leaves).min() > 1.0
+    assert len(over("t**3 + 5").leaves) == 2
+
+
+def test_the_next_stop():
+    leaves = (0.0, 4.0, 5.0, 5.1, 5.2, 7.0, 10.0)
+    for way in (1.0, -1.0):
+        for t, stop in ((0.0, 4.0), (3.0, 4.0), (3.95, 4.95), (4.5, 5.0), (5.0, 5.1), (7.0, 10.0)):
+            assert next_stop((), leaves, way * t, way * 10.0) == pytest.approx(way * stop)
+    assert next_stop((3.5,), leaves, 3.0, 10.0) == 3.5
+    assert next_stop((), (), 3.0, 10.0) == 10.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_short_pulses_are_seen_by_every_method(method):
+    loose = {"method": method, "rtol": 1e-7, "atol": 1e-7}
+    for tau, known in ((BOX, box()), (BELL, bell())):
+        motion = simulate(PENDULUM, *START, 10.0, tau, **loose)
+        assert motion.outcome is Outcome.FINISHED
+        error = np.abs(np.concatenate([motion.q[-1], motion.qd[-1]]) - known).max()
+        assert error < (2e-2 if method == "BDF" else 2e-3)
+        assert motion.report.energy_drift < 1e-4
+
+
+@pytest.mark.parametrize("tau", [BOX, "20*(t>5)*(t<5.02)", "20*(abs(t-5.01)<0.01)"])
+def test_steps_end_where_an_expression_jumps(tau):
+    for method in METHODS:
+        t = simulate(PENDULUM, *START, 6.0, tau, method=method).t
+        assert np.abs(t - 5.0).min() < 1e-14
+        assert np.abs(t - 5.02).min() < 1e-14
+    motion = simulate(PENDULUM, *START, 10.0, tau, method="taylor", **TIGHT)
+    assert np.abs([motion.q[-1, 0], motion.qd[-1, 0]] - box()).max() < 1e-8
+
+
+def test_backwards():
+    for method in ("DOP853", "LSODA", "taylor"):
+        forth = simulate(PENDULUM, *START, 6.0, BOX, method=method, **TIGHT)
+        tau = BOX.replace("t", "(6+t)")
+        back = simulate(PENDULUM, forth.q[-1], forth.qd[-1], -6.0, tau, method=method, **TIGHT)
+        assert np.abs(back.q[-1] - START[0]).max() < 1e-6
+
+
+def test_the_reference_steps_onto_jumps():
+    times = np.array([4.0, 5.0, 5.01, 6.0])
+    exact = reference(PENDULUM, np.concatenate(START), times, over(BOX))
+    assert exact.uncertainty < 1e-13
+    found = simulate(PENDULUM, *START, 6.0, BOX, method="taylor", t_eval=times, **TIGHT)
+    assert np.abs(found.q[:, 0] - exact.y[:, 0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("tau", [BOX, BELL, "20*exp(-((t-5)/0.01)**2)*cos(q1)"])
+@pytest.mark.parametrize("method", [AUTO, "DOP853", "LSODA"])
+def test_an_accuracy_is_kept_on_short_pulses(tau, method):
+    torques = actuation.expressions(PENDULUM, tau, "")
+    start = np.concatenate(START)
+    settings, estimate = settings_for(PENDULUM, start, 10.0, torques, Settings(method), 1e-6)
+    assert estimate <= 1e-6
+    options = {"method": settings.method, "rtol": settings.rtol, "atol": settings.atol}
+    motion = simulate(PENDULUM, *START, 10.0, tau, **options)
+    known = box() if tau is BOX else bell(tau)
+    assert np.abs([motion.q[-1, 0], motion.qd[-1, 0]] - known).max() <= 1e-6
+
+
+def test_a_root_that_begins_falls_back_to_dop853():
+    torques = actuation.expressions(PENDULUM, "sqrt(abs(t-0.5))", "")
+    start = np.concatenate(START)
+    settings, _ = settings_for(PENDULUM, start, 1.0, torques, Settings(AUTO), 1e-6)
+    assert settings.method == "DOP853"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_step_is_longer_than_the_longest(method):
+    for way in (1.0, -1.0):
+        t = simulate(PENDULUM, *START, way, None, method, 1e-5, 1e-5, max_step=0.004).t
+        assert np.abs(np.diff(t)).max() <= 0.004 * (1 + 1e-9)
+        assert len(t) < 600
+    free = simulate(PENDULUM, *START, 1.0, method=method)
+    same = simulate(PENDULUM, *START, 1.0, method=method, max_step=math.inf)
+    assert free.t.tolist() == same.t.tolist()
+
+
+@pytest.mark.parametrize("given", [0.0, -1.0, math.nan])
+def test_a_longest_step_that_is_none(given, robodyn):
+    with pytest.raises(InputError, match="max_step"):
+        simulate(PENDULUM, *START, 1.0, max_step=given)
+    found = robodyn("simulate", "robots/pendulum.yaml", "--q", 1, f"--max-step={given}")
+    found.fails(2, "--max-step")
+
+
+def test_missed_work_shows_in_the_drift():
+    """A function of Python hides what it does between the steps."""
+
+    def law(t, q, qd):
+        return [20.0 if 5.0 < t < 5.02 else 0.0]
+
+    q, qd = [-1.57], [0.1]
+    for method in ("DOP853", "RK45"):
+        missed = simulate(PENDULUM, q, qd, 10.0, law, method=method, rtol=1e-5, atol=1e-5)
+        assert missed.report.energy_drift > 1e-2
+        assert missed.report.work_missed > 1e-2
+        seen = simulate(PENDULUM, q, qd, 10.0, law, method=method, max_step=0.005)
+        assert seen.report.energy_drift < 1e-3
+        assert seen.report.work_missed == 0.0
+    narrow = "20*exp(-((q1+1.55)/1e-3)**2)*(qd1>0)"
+    missed = simulate(PENDULUM, q, qd, 2.0, narrow, "RK45").report
+    assert missed.energy_drift > 1e-2  # at 1e-9 as well
+    assert simulate(PENDULUM, q, qd, 2.0, narrow, "RK45", max_step=5e-4).report.energy_drift < 1e-6
+
+
+@pytest.mark.parametrize("tau", ["2*sin(3*t)", "0.5*sin(7*q1)*cos(t)", "-0.3*qd1", BOX])
+@pytest.mark.parametrize("method", ["DOP853", "taylor", "RK45"])
+def test_nothing_is_missed_of_a_smooth_torque(tau, method):
+    for tolerance in (1e-4, 1e-10):
+        motion = simulate(PENDULUM, *START, 3.0, tau, method, tolerance, tolerance)
+        assert motion.report.work_missed <= 10.0 * tolerance
+
+
+def test_the_options_in_a_process(robodyn, tmp_path):
+    path = tmp_path / "report.json"
+    for method in METHODS:
+        given = robodyn(
+            *("simulate", "robots/pendulum.yaml", "--q=-1.5", "--tau", BOX, "--time", 6),
+            *("--points", 13, "--method", method, "--max-step", "10ms", "--quiet"),
+        )
+        given.fails(2, "--max-step")
+    given = robodyn(
+        *("simulate", "robots/pendulum.yaml", "--q=-1.5", "--tau", BOX, "--time", 6),
+        *("--points", 13, "--max-step", 0.01, "--quiet", "--report", path),
+    ).succeeds()
+    assert json.loads(path.read_text())["steps"] >= 600
+    assert set(given.column("tau1")) == {0.0}  # at 5 s the comparison is not yet true
