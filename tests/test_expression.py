@@ -260,7 +260,6 @@ class TestFloatSource:
             exec(line, values)
         assert eval(shown[0], values) == 37.0
 
-
     def test_a_factor_two_moves_into_a_sum_with_factors(self):
         """Where that is exact and saves work: in 2 (0.5 x - 0.5 y + 3 z), not in 2 (x + y)."""
         graph = Graph()
