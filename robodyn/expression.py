@@ -199,7 +199,19 @@ def _scaled(a: Value, b: Expression) -> Value:
         return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
     if b.op == "neg":
         return multiply(negate(a), _value(b.args[0]))
+    if a in (0.5, 2.0) and _factored(b):  # exact
+        x, y = (multiply(a, _value(term)) for term in b.args)
+        return x + y if b.op == "+" else x - y
     return b.graph.node("*", (a, b))
+
+
+def _factored(a: Value | str, depth: int = 8) -> bool:
+    """Whether numbers stand in front of it, or of each term of a sum of few."""
+    if not isinstance(a, Expression) or not depth:
+        return False
+    if a.op == "*":
+        return isinstance(a.args[0], float)
+    return a.op in ("+", "-") and all(_factored(x, depth - 1) for x in a.args)
 
 
 def divide(a: Value, b: Value) -> Value:

@@ -151,13 +151,17 @@ def _stretched(mechanism: Mechanism, x: _Constants, E: Complex) -> tuple[Complex
     s = np.abs(d)
     lost = (s < COINCIDE) & x.directed
     if lost.any():
-        p = int(np.argwhere(lost)[0][-1])
-        raise SingularError(
-            f"the ends of spring {p + 1} between two points coincide",
-            where=mechanism.source,
-            limit="its force has no direction there; only length 0 without damping allows that",
-        )
+        raise no_direction(mechanism, int(np.argwhere(lost)[0][-1]))
     return d, np.where(x.directed, s, 1.0)
+
+
+def no_direction(mechanism: Mechanism, spring: int) -> SingularError:
+    """The error of a spring between points whose ends coincide."""
+    return SingularError(
+        f"the ends of spring {spring + 1} between two points coincide",
+        where=mechanism.source,
+        limit="its force has no direction there; only length 0 without damping allows that",
+    )
 
 
 def _stretching(x: _Constants, E: Complex, rates: Array, d: Complex, s: Array) -> Array:

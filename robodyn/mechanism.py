@@ -52,7 +52,7 @@ def build(description: Description) -> Mechanism:
     try:
         return _build(description)
     except OverflowError:
-        raise _too_large(description) from None
+        raise too_large(description) from None
 
 
 def _build(description: Description) -> Mechanism:
@@ -99,7 +99,7 @@ def _build(description: Description) -> Mechanism:
     numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
     numbers += weights
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
-        raise _too_large(description)
+        raise too_large(description)
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -130,7 +130,8 @@ def _build(description: Description) -> Mechanism:
     )
 
 
-def _too_large(description: Description) -> InputError:
+def too_large(description: Description) -> InputError:
+    """The error of a scene whose numbers leave the range of floats."""
     limit = "masses, lengths or gravity are too large: their products overflow"
     return InputError("links", where=description.source, limit=limit)
 

@@ -53,6 +53,7 @@ class Recorded:
     """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name.
 
     With `parameters` the mechanism's numbers are parameters of the graph, else they are folded.
+    One whose numbers are formulas has them on a `graph` that is given.
     """
 
     def __init__(
@@ -61,9 +62,11 @@ class Recorded:
         rates: Sequence[str],
         by_direction: bool,
         parameters: bool = False,
+        graph: Graph | None = None,
+        arithmetic: Arithmetic = RECORDED,
     ) -> None:
         self.mechanism, self.by_direction, self.parameters = mechanism, by_direction, parameters
-        self.graph = Graph()
+        self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
         n = mechanism.n
         names = ("q", *rates)
@@ -114,7 +117,7 @@ class Recorded:
         state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
         return Series(
             program,
-            RECORDED,
+            self.arithmetic,
             self.numbers(program),
             orders,
             state,

@@ -18,11 +18,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import chain, combinations
 
-from robodyn.equations.blocks import BY_GRAVITY, BY_LINE, Block, Definition, written_rows
+from robodyn.equations.blocks import BY_GRAVITY, BY_LINE, Rows, column
 from robodyn.equations.factoring import Product, Root, Written
+from robodyn.equations.outline import Definition
 from robodyn.equations.scene_symbols import SymbolicScene
 from robodyn.equations.symbolic import (
-    NOWHERE,
     ONE,
     ZERO,
     Angle,
@@ -38,33 +38,29 @@ from robodyn.equations.symbolic import (
 from robodyn.scene import JointSpring, Load, Moment
 
 
-def gravity_vector(scene: SymbolicScene) -> Block | None:
-    """G, dPE/dq, if anything has a potential."""
+def gravity_vector(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:
+    """G, dPE/dq, and the names that it uses."""
     torques = [ZERO] * scene.n  # in alpha
     joints = [ZERO] * scene.n
-    acting = []
     if scene.description.gravity != 0.0:
-        acting.append("gravity")
         pull = scene.parameters.gravity().conjugate
         for body in chain.from_iterable(scene.bodies):
             for k, rho in body.rho.items():
                 weight = (pull * rho.turned(scene.direction(k))).y * body.mass
                 torques[k] = torques[k] + weight
-    constant = False
     for i, load in enumerate(scene.description.loads):
         if isinstance(load, Load) and load.turns:
             continue
-        constant = True
         if isinstance(load, Moment):
             torques[load.link] = torques[load.link] - scene.parameters.torque(i)
             continue
         pull = scene.parameters.force(i).conjugate
-        for k, c in _point_of(scene, i).items():
+        for k, c in scene.load(i).items():
             torques[k] = torques[k] + (pull * c.turned(scene.direction(k))).y
     where: list[Definition] = []
-    stiff = [i for i, spring in enumerate(scene.description.springs) if spring.stiffness]
-    for i in stiff:
-        spring = scene.description.springs[i]
+    for i, spring in enumerate(scene.description.springs):
+        if not spring.stiffness:
+            continue
         if isinstance(spring, JointSpring):
             turned = of(Angle(spring.joint)) - scene.parameters.free_angle(i)
             pulled = scene.parameters.stiffness(i) * turned
@@ -74,64 +70,43 @@ def gravity_vector(scene: SymbolicScene) -> Block | None:
         where += [] if found.expanded else found.pull()
         for k, slope in (found.expanded or found.slopes).items():
             torques[k] = torques[k] + found.pulling * slope
-    acting += ["springs"] if stiff else []
-    acting += ["loads"] if constant else []
-    if not acting:
-        return None
-    sums = [
-        [total([*(x for k, x in enumerate(torques) if a in scene.path[k]), joints[a]])]
-        for a in range(scene.n)
-    ]
-    rows = written_rows(scene, sums, BY_GRAVITY)
-    meaning = "gravity vector"
-    if acting != ["gravity"]:
-        meaning = f"gradient of the potential energy ({', '.join(acting)})"
-    return Block("G", meaning, "N m", "vector", rows, where=tuple(where))
+    return _in_joints(scene, torques, joints), tuple(where)
 
 
-def other_forces(scene: SymbolicScene) -> Block | None:
-    """Q, what has no potential, if there is any."""
+def other_forces(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:
+    """Q, what has no potential, and the names that it uses."""
     torques, joints = [ZERO] * scene.n, [ZERO] * scene.n
     where: list[Definition] = []
-    acting = False
     for i, load in enumerate(scene.description.loads):
         if isinstance(load, Moment) or not load.turns:
             continue
         assert load.point.link is not None
-        acting, force = True, scene.parameters.force(i)
-        for k, c in _point_of(scene, i).items():
+        force = scene.parameters.force(i)
+        for k, c in scene.load(i).items():
             arm = force * c.conjugate
             angle = scene.angle(k, load.point.link)
             torques[k] = torques[k] + (arm.turned(angle) if angle else arm).y
     for k in range(scene.n):
         friction = scene.parameters.friction(k)
         if friction is not None:
-            acting = True
             joints[k] = -(friction[0] * of(Smooth("tanh", k, friction[1])))
     for i, spring in enumerate(scene.description.springs):
         if isinstance(spring, JointSpring) or not spring.damping:
             continue
-        acting, found = True, _Spring(scene, i)
+        found = _Spring(scene, i)
         where += found.damper()
         for k, slope in found.slopes.items():
             torques[k] = torques[k] - found.damping * slope
-    if not acting:
-        return None
-    sums = [
-        [total([*(x for k, x in enumerate(torques) if a in scene.path[k]), joints[a]])]
+    return _in_joints(scene, torques, joints), tuple(where)
+
+
+def _in_joints(scene: SymbolicScene, torques: list[Sum], joints: list[Sum]) -> Rows:
+    """Torques in alpha, and those of joints, as the entries of a vector."""
+    sums = (
+        total([*(x for k, x in enumerate(torques) if a in scene.path[k]), joints[a]])
         for a in range(scene.n)
-    ]
-    rows = written_rows(scene, sums, BY_GRAVITY)
-    meaning = "torques of what has no potential"
-    return Block("Q", meaning, "N m", "vector", rows, ("q", "qd"), where=tuple(where))
-
-
-def _point_of(scene: SymbolicScene, i: int) -> dict[int, Planar]:
-    """The coefficients of E of the point of load i."""
-    load = scene.description.loads[i]
-    assert isinstance(load, Load)
-    assert load.point.link is not None
-    return scene.terms(load.point.link, scene.parameters.load_point(i))
+    )
+    return column(scene, sums, BY_GRAVITY)
 
 
 class _Spring:
@@ -143,14 +118,9 @@ class _Spring:
         assert not isinstance(spring, JointSpring)
         self.told = f"spring {i + 1}"
         self.free = bool(spring.length)
-        first, second = scene.parameters.ends(i)
-        constant, d = scene.place(spring.first, first)
-        other, terms = scene.place(spring.second, second)
-        for k, x in terms.items():
-            d[k] = d.get(k, NOWHERE) - x
-        d = {k: x for k, x in d.items() if x != NOWHERE}
+        constant, d = scene.spring(i)
         self.d = {k: x.turned(scene.direction(k)) for k, x in d.items()}
-        self.S = total_planar([*self.d.values(), constant - other])
+        self.S = total_planar([*self.d.values(), constant])
         self.x, self.y = (self._name(f"S{i + 1}{axis}", Role.stretch) for axis in "xy")
         self.length = Symbol(f"S{i + 1}", Role.stretch, (i, ""))
         # Re(conj(S) i d_k E_k)
@@ -160,7 +130,7 @@ class _Spring:
         self.expanded: dict[int, Sum] = {}
         if not self.free:
             self.pulling = scene.parameters.stiffness(i)
-            self.expanded = self._products(d, constant - other)
+            self.expanded = self._products(d, constant)
 
     def _products(self, d: dict[int, Planar], constant: Planar) -> dict[int, Sum]:
         """The slopes with S multiplied out; nothing where links of two branches would mix.

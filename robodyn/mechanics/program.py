@@ -218,10 +218,13 @@ class Program:
     # -- building ----------------------------------------------------------------------------------
 
     def number(self, value: float) -> Coefficient:
-        """A coefficient of the scene; zero is part of the program's shape."""
+        """A coefficient of the scene; zero is part of the program's shape.
+
+        It is kept as it is: formulas take numbers that are formulas of parameters themselves.
+        """
         if value == 0.0:
             return 0.0
-        self.numbers.append(float(value))
+        self.numbers.append(value)
         return Number(len(self.numbers) - 1)
 
     def planar_number(self, value: complex) -> PlanarCoefficient:
