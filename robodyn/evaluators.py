@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import dynamics, identities, straightline
+from robodyn.actuation import Actuation
 from robodyn.engines import formulas
+from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import RobodynError
-from robodyn.expression import FUNCTIONS
 from robodyn.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -86,49 +88,23 @@ def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
 
 
 def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> list[Any]:
-    """qdd by M qdd = tau + Q - C qd - D qd - G + Psi^T lambda, Psi qdd = -Psidot qd; DIGITS."""
+    """qdd of equation (1), by the rows of the program in numbers of DIGITS digits."""
     from mpmath import mp
 
-    n, rows = mechanism.n, mechanism.rows
+    numbers = Arithmetic(
+        cos=mp.cos,
+        sin=mp.sin,
+        power=lambda x, exponent: x**exponent,
+        functions={name: getattr(mp, name) for name in FLOATS.functions},
+    )
     with mp.workdps(DIGITS):
-        alpha, w = [mp.mpf(0)] * n, [mp.mpf(0)] * n
-        for k in mechanism.order:
-            above = mechanism.parent[k]
-            alpha[k] = mp.mpf(float(q[k])) + (0 if above is None else alpha[above])
-            w[k] = mp.mpf(float(qd[k])) + (0 if above is None else w[above])
-        E = [mp.expj(angle) for angle in alpha]
-        own = [mp.mpf(0)] * (2 * n)  # of springs, and of the scene's other forces
-        if mechanism.has_state_forces:
-            function = straightline.compile_forces(
-                mechanism, {name: getattr(mp, name) for name in FUNCTIONS}
-            )
-            own = list(function(*(mp.mpf(float(x)) for x in (*q, *qd))))
-        system = mp.zeros(n + len(rows))
-        right = mp.zeros(n + len(rows), 1)
-        for j, k, value in mechanism.A:
-            turned = mp.conj(E[j]) * mp.mpc(value) * E[k]
-            system[j, k] = system[k, j] = turned.real
-            if j != k:
-                right[j] += turned.imag * w[k] ** 2
-                right[k] -= turned.imag * w[j] ** 2
-        for k in range(n):
-            right[k] += mechanism.moments[k] - (mp.mpc(mechanism.weights[k]) * E[k]).imag
-            joint = mp.mpf(float(tau[k])) - mp.mpf(mechanism.damping[k]) * mp.mpf(float(qd[k]))
-            joint += own[k] + own[n + k]
-            right[k] += joint
-            above = mechanism.parent[k]
-            if above is not None:
-                right[above] -= joint
-        for r, row in enumerate(rows):
-            for k, p in row.P:
-                turned = mp.mpc(p) * E[k]
-                system[n + r, k] = system[k, n + r] = -turned.imag
-                right[n + r] += turned.real * w[k] ** 2
-            for k, turn in row.angles:
-                system[n + r, k] = system[k, n + r] = mp.mpf(turn)
-        solution = mp.lu_solve(system, right)
-        parents = mechanism.parent
+        motion = MotionProgram(mechanism, Actuation(tuple(map(float, tau))), False)
+        y = [mp.mpf(float(x)) for x in (*q, *qd)]
+        start = motion.state(numbers, mp.mpf(0), y, ((), ()))
+        constants = [mp.mpf(x) for x in motion.program.numbers]
+        theta = motion.expand(numbers, constants, 1, start).theta
+        alphadd = [2 * each[2] for each in theta]
         return [
-            +(solution[k] - (0 if above is None else solution[above]))
-            for k, above in enumerate(parents)
+            +(alphadd[k] - (0 if above is None else alphadd[above]))
+            for k, above in enumerate(mechanism.parent)
         ]

@@ -1,10 +1,10 @@
 """Motions in extended precision: what errors are measured against.
 
 Two computations that share the mechanism's constants and torques, and nothing else, run in numpy's
-longdouble (64 bits of mantissa where the platform has them): the Taylor series, and extrapolation
-of the midpoint rule on (33).  Torques that change, those of springs among them, have series in
-doubles.  What the two differ by is the uncertainty of the reference: no error below it can be
-claimed.  Rounding of the constants themselves, which every run shares, is no part of it.
+longdouble (64 bits of mantissa where the platform has them): the Taylor series of the program's
+rows, and extrapolation of the midpoint rule on (33).  What the two differ by is the uncertainty of
+the reference: no error below it can be claimed.  Rounding of the constants themselves, which every
+run shares, is no part of it.
 """
 
 from __future__ import annotations
@@ -15,23 +15,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn import forces
 from robodyn.actuation import Actuation
 from robodyn.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
+from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
+from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import InputError, RobodynError
-from robodyn.expression import FUNCTIONS
 from robodyn.kinks import next_stop
+from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanism import Mechanism
-from robodyn.straightline import compile_forces
-from robodyn.taylor import step_size
-from robodyn.taylor.arrays import ArraySeries, solve_columns
 from robodyn.taylor.run import reach
-from robodyn.taylor.torques import TorqueSeries
+from robodyn.taylor.steps import relative_matrix
 from robodyn.torque_times import over_a_run
 
 Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble
 
 LONG, COMPLEX = np.longdouble, np.clongdouble
+NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
 ORDER = 30
 TOLERANCE = 0.1  # of the series, in units of rounding
 SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
@@ -89,6 +90,61 @@ def _lost(mechanism: Mechanism, why: str) -> RobodynError:
 # -- the Taylor series ---------------------------------------------------------------------------
 
 
+def _convolve(x: Long, y: Long, m: int, first: int, last: int) -> Any:
+    """Sum of x_j y_{m-j} for j from first to last."""
+    return np.dot(x[first : last + 1], y[m - last : m - first + 1][::-1])
+
+
+LONGS = Arithmetic(
+    cos=np.cos,
+    sin=np.sin,
+    power=lambda x, exponent: x ** LONG(exponent),
+    functions={name: getattr(np, NUMPY.get(name, name)) for name in FLOATS.functions},
+    convolve=_convolve,
+    room=lambda orders: np.zeros(orders, LONG),
+)
+
+
+class _Motion:
+    """The series of a motion in extended precision, by how the switches of its torques stand."""
+
+    def __init__(self, mechanism: Mechanism, actuation: Actuation) -> None:
+        self.mechanism, self.actuation = mechanism, actuation
+        self.torques = actuation.function(mechanism.n)
+        self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
+        MotionProgram(mechanism, actuation, False)  # every branch must have a series
+
+    def expand(self, t: Any, y: Long, order: int) -> tuple[Coefficients, list[Any], list[float]]:
+        """The series from y at t, the links' rates, and the arms of what is watched."""
+        held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
+        if held not in self.made:
+            self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
+        return self._expanded(self.made[held], t, y, order)
+
+    def _expanded(
+        self, motion: MotionProgram, t: Any, y: Long, order: int
+    ) -> tuple[Coefficients, list[Any], list[float]]:
+        given: tuple[Sequence[float], Sequence[float]] = ((), ())
+        if self.actuation.constants is None and self.actuation.linear:
+            floats = y.astype(float).tolist()
+            given = linear_piece(self.actuation, self.torques, float(t), floats, 1.0)
+        start = motion.state(LONGS, t, list(y), given)
+        numbers = [LONG(x) for x in motion.program.numbers]
+        return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
+
+    def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
+        """Whether what may bend, x after the series began, is at t and y what the series say."""
+        try:
+            found, _, _ = self._expanded(self.made[held], t, y, 1)
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        for each, known in zip(series.watched, found.watched, strict=True):
+            terms = np.array(each) * x ** np.arange(len(each))
+            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max():
+                return False
+        return True
+
+
 def _by_series(
     mechanism: Mechanism,
     state: Array,
@@ -97,34 +153,26 @@ def _by_series(
     order: int,
     tolerance: float,
 ) -> Long:
-    n = mechanism.n
-    constants = None if actuation.constants is None else np.array(actuation.constants)
-    pushed = constants is None or mechanism.has_state_forces
-    series = ArraySeries(mechanism, order, None if pushed else constants, LONG)
-    torques = TorqueSeries(actuation, mechanism) if pushed else None
-    closing = _Closing(mechanism)
+    motion, closing = _Motion(mechanism, actuation), _Closing(mechanism)
     y = _begun(actuation, closing(state.astype(LONG)), times)
     rows, t = [], LONG(0.0)
     tolerance *= float(np.finfo(LONG).eps)
     for end in times.astype(LONG):
         while t < end:
-            push = torques.begin(float(t), y.astype(float).tolist(), 1.0) if torques else None
-            z, _ = series.expand(y[:n], y[n:], push)
-            longest = step_size(z, tolerance, tolerance)
+            series, w, arms = motion.expand(t, y, order)
+            held = None if actuation.pieces is None else actuation.pieces.at(float(t))
+            longest = longest_step(series, w, tolerance, tolerance)
             if not longest > SMALLEST_STEP:
                 raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
             h = min(end - t, LONG(longest))
             stop = _stop(actuation, t, end)
             h = min(h, stop - t)
             while h > SMALLEST_STEP:
-                new = _along(series, z, y, h)
-                if torques is None or not torques.bends:
+                new = _along(mechanism, series, y, h)
+                if not arms:
                     break
-                states = ((h, new), (h / 2, _along(series, z, y, h / 2)))
-                if all(
-                    torques.agrees(float(x), float(t + x), at.astype(float).tolist(), AGREE, 0.0)
-                    for x, at in states
-                ):
+                states = ((h, new), (h / 2, _along(mechanism, series, y, h / 2)))
+                if all(motion.agrees(series, held, x, t + x, at) for x, at in states):
                     break
                 h = h / 2
             else:
@@ -147,16 +195,18 @@ def _stop(actuation: Actuation, t: Any, end: Any) -> Any:
     return min(end, LONG(stop)) if stop > t else end
 
 
-def _along(series: ArraySeries, z: Long, y: Long, h: Any) -> Long:
-    """The state at h after y, where the series z begins."""
-    n = series.mechanism.n
+def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
+    """The state at h after y, where the series begin."""
+    n = mechanism.n
+    z = np.array(series.rho, LONG) + 1j * np.array(series.theta, LONG)
     orders = np.arange(z.shape[1]).astype(LONG)
     powers = h**orders
     turn = (z * powers).sum(axis=1)
     slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
     rate = (turn.conj() * slope).imag / np.abs(turn) ** 2
+    relative = relative_matrix(mechanism)
     way = np.arctan2(turn.imag, turn.real)
-    return np.concatenate([y[:n] + series.relative @ way, series.relative @ rate])
+    return np.concatenate([y[:n] + relative @ way, relative @ rate])
 
 
 # -- extrapolation of the midpoint rule ----------------------------------------------------------
@@ -258,13 +308,31 @@ def _scene_torques(mechanism: Mechanism) -> Callable[[Long], Long] | None:
     """The joint torques (n) of springs and the like, in extended precision."""
     if not mechanism.has_state_forces:
         return None
-    function = compile_forces(mechanism, {name: getattr(np, name) for name in FUNCTIONS})
+    J = mechanism.arrays.J.astype(LONG)
+    n = mechanism.n
 
     def torques(y: Long) -> Long:
-        values = np.array(function(*y), LONG).reshape(2, mechanism.n)
-        return np.asarray(values.sum(axis=0))
+        q, qd = y[:n], y[n:]
+        E = np.exp(1j * (J @ q))
+        rates: Long = J @ qd
+        held: Long = forces.potential_torques(mechanism, q, E)
+        return np.asarray(held + forces.other_torques(mechanism, qd, E, rates))
 
     return torques
+
+
+def solve_columns(matrix: Long, columns: Long) -> Long:
+    """matrix^-1 columns in any precision, by elimination with partial pivoting."""
+    size = len(matrix)
+    work = np.concatenate([matrix, columns], axis=1)
+    for i in range(size):
+        pivot = i + int(np.argmax(np.abs(work[i:, i])))
+        if pivot != i:
+            work[[i, pivot]] = work[[pivot, i]]
+        work[i] = work[i] / work[i, i]
+        others = np.arange(size) != i
+        work[others] -= work[others, i, None] * work[i]
+    return work[:, size:]
 
 
 class _Closing:

@@ -15,7 +15,6 @@ from robodyn import expression
 from robodyn.actuation import Actuation
 from robodyn.engines import formulas, source_text
 from robodyn.engines.formulas import Formula
-from robodyn.force_formulas import force_code
 from robodyn.mechanism import Mechanism
 
 FloatFunction = Callable[..., tuple[float, ...]]
@@ -108,18 +107,6 @@ def compile_closing(
     loop = f"  for _ in range({passes}):\n    " + "\n    ".join(body)
     source = f"{head}{loop}\n  return [{', '.join([*q, *qd])}, *y[{2 * n}:]], quality\n"
     return define(source, "close")
-
-
-def compile_forces(mechanism: Mechanism, functions: Mapping[str, object]) -> FloatFunction:
-    """The joint torques of a scene's own forces from q, qd: of springs (n), then of the others (n).
-
-    `functions` are sin, cos, sqrt and tanh of the numbers it is called with.
-    """
-    code = force_code(mechanism)
-    inputs = [f"{name}{k}" for name in ("q", "qd") for k in range(mechanism.n)]
-    body = "\n    ".join([*code.lines, f"return ({', '.join(code.potential + code.other)},)"])
-    source = f"def forces({', '.join(inputs)}):\n    {body}\n"
-    return define(source, "forces", scope=functions)
 
 
 def compile_arrays(formula: Formula, name: str) -> tuple[ArrayFunction, int]:

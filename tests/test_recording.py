@@ -14,7 +14,7 @@ from robodyn.even_times import EvenTimes
 from robodyn.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
 from robodyn.simulation import METHODS, Settings, run
 from robodyn.taylor import Status
-from robodyn.taylor.steps import ArrayEngine, StraightEngine
+from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 
 
 def least_singular(mech, q):
@@ -165,10 +165,10 @@ def test_a_run_ends_between_the_rows_of_a_step(method, engine):
     assert t[-1] == report.t_reached < 0.2 + 2 * ROWS_AT_ONCE * 1e-5
 
 
-@pytest.mark.parametrize("kind", [StraightEngine, ArrayEngine])
+@pytest.mark.parametrize("kind", [StraightEngine, InterpretedEngine])
 def test_an_engine_can_be_halted_after_a_step(kind):
     mech = load(ROOT / "robots/2r.yaml")
-    engine = kind(mech, None, 12, 1e-9, 1e-9, (0.0, 0.0), False)
+    engine = kind(mech, None, 12, 1e-9, 1e-9, Actuation((0.0, 0.0)), False)
     seen = []
     engine.halts = lambda t: seen.append(t) or len(seen) == 3
     chunk = engine.advance(0.0, np.array([1.0, 0.3, 0, 0]), 10.0, np.zeros(0), 100)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from robodyn import expression
 from robodyn.actuation import Actuation
 from robodyn.engines.formulas import RECORDED, Recorded
-from robodyn.engines.series import Arithmetic, Planar, Series, State
-from robodyn.expression import Graph, Value
+from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
+from robodyn.expression import Graph
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.torque_rows import torque_slots
 from robodyn.planar_model import Mechanism
@@ -80,6 +80,24 @@ class MotionProgram:
             elif torques[0]:
                 given[f"tau{j}"] = torques[0][j], torques[1][j]
         return given
+
+    def state(
+        self,
+        arithmetic: Arithmetic,
+        t: Value,
+        y: Sequence[Value],
+        torques: tuple[Sequence[Value], Sequence[Value]],
+    ) -> State:
+        """Where the series start at the state y = (q, qd, ...)."""
+        n = self.mechanism.n
+        q, qd = y[:n], y[n : 2 * n]
+        alpha, w = list(q), list(qd)
+        for k in self.mechanism.order:
+            above = self.mechanism.parent[k]
+            if above is not None:
+                alpha[k], w[k] = alpha[above] + alpha[k], w[above] + w[k]
+        E = [(arithmetic.cos(angle), arithmetic.sin(angle)) for angle in alpha]
+        return State(E, w, self.given(t, q, qd, alpha, torques))
 
     def expand(
         self,

@@ -19,6 +19,7 @@ taken in the frame of that link: products of two directions are found once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -71,6 +72,15 @@ class Arithmetic:
     convolve: Callable[[Any, Any, int, int, int], Value] | None = None
     room: Callable[[int], Any] = lambda orders: [0.0] * orders
     keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
+
+
+_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos")
+FLOATS = Arithmetic(
+    cos=math.cos,
+    sin=math.sin,
+    power=math.pow,
+    functions={name: getattr(math, name) for name in _FUNCTIONS},
+)
 
 
 def times(a: Value, b: Value) -> Value:

@@ -67,25 +67,6 @@ class Engine(Protocol):
         ...
 
 
-def step_size(z: NDArray[Any], rtol: float, atol: float) -> float:
-    """The step at which the last coefficients of z (n, order + 2) are as large as the tolerance.
-
-    Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
-    by atol + rtol, and no link turns so far that its turns cannot be counted.
-    """
-    p = z.shape[1] - 2
-    last, before = float(np.abs(z[:, -1]).max()), float(np.abs(z[:, -2]).max())
-    fast = float(np.abs(z[:, 1]).max())
-    tol = atol + rtol * fast
-    h = min(
-        (tol / ((p + 1) * last or TINY)) ** (1 / p),
-        (tol / (p * before or TINY)) ** (1 / (p - 1)),
-        2.0 / (fast or TINY),
-    )
-    angle = (p + 1) * (atol + rtol)
-    return float(h * (angle / (h * tol)) ** (1 / (p + 1)) if h * tol > angle else h)
-
-
 def best_order(rtol: float) -> int:
     """The order at which a second of motion costs the least with the generic loops."""
     return max(8, math.ceil(6 - 0.7 * math.log(max(rtol, 1e-16))))

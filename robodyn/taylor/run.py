@@ -26,7 +26,7 @@ from robodyn.mechanism import Mechanism
 from robodyn.projection import float_closing, loop_terms
 from robodyn.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, Status, default_order
-from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine
+from robodyn.taylor.steps import InterpretedEngine, SteppingEngine, StraightEngine
 
 if TYPE_CHECKING:
     from robodyn.right_hand_side import RightHandSide
@@ -63,7 +63,7 @@ def stepping_engine(
     small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
         mechanism
     )
-    kind = StraightEngine if small else ArrayEngine
+    kind = StraightEngine if small else InterpretedEngine
     return kind(mechanism, closing, order, rtol, atol, actuation, work)
 
 

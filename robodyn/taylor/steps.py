@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from robodyn.actuation import Actuation
 from robodyn.change_points import Misses, suspect_quality
+from robodyn.engines.expansion import MotionProgram, longest_step
+from robodyn.engines.series import FLOATS
 from robodyn.engines.step_text import StepText, step_text
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanism import Mechanism
 from robodyn.projection import FloatClosing
-from robodyn.taylor import Chunk, Status, step_size
-from robodyn.taylor.arrays import ArraySeries, link_rates
-from robodyn.taylor.torques import TorqueSeries
+from robodyn.taylor import Chunk, Status
 
 Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], Any]  # h, the state at its end, the series
+Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
@@ -211,104 +212,117 @@ class SteppingEngine:
         return rows
 
 
-class StraightEngine(SteppingEngine):
-    """Straight-line floats, generated for one mechanism and one order."""
+class _SeriesEngine(SteppingEngine):
+    """Series of the program, made anew where the switches of an expression stand otherwise."""
 
     def prepare(self) -> None:
         self._held: tuple[float, ...] | None = None
-        self._texts: dict[tuple[float, ...] | None, StepText] = {}
-        text = self._text(0.0) if self.actuation.pieces is None else self._make()
-        self.bends, self.works = bool(text.arms), text.works
+        self._made: dict[tuple[float, ...] | None, Any] = {}
+        self._function = self.actuation.function(self.mechanism.n)
+        if self.actuation.pieces is not None:
+            self.make(None)  # every branch must have a series
+        self.works, self.arms = self.reads(self.at(0.0))
+        self.bends = bool(self.arms)
 
-    def _make(self) -> StepText:
-        if self._held not in self._texts:
-            self._texts[self._held] = _step_text(
-                self.mechanism, self.actuation, self.order, self.work, self._held
-            )
-        return self._texts[self._held]
+    def make(self, held: tuple[float, ...] | None) -> Any:
+        """What expands the motion while switches are held so."""
+        raise NotImplementedError
 
-    def _text(self, t: float) -> StepText:
-        """The code, as the switches of an expression stand at t."""
+    def reads(self, made: Any) -> tuple[bool, list[float]]:
+        """Whether its series hold a power, and the arms of what is watched."""
+        raise NotImplementedError
+
+    def watched(self, made: Any, t: float, y: list[float], given: Pieces) -> Sequence[float]:
+        """The values of what is watched, at a state."""
+        raise NotImplementedError
+
+    def at(self, t: float) -> Any:
+        """What expands the motion from t on."""
         if self.actuation.pieces is not None:
             self._held = self.actuation.pieces.at(t)
-        return self._make()
+        return self.now
 
-    def given(self, t: float, y: list[float], direction: float) -> tuple[Any, Any]:
+    @property
+    def now(self) -> Any:
+        """What expanded the motion last."""
+        if self._held not in self._made:
+            self._made[self._held] = self.make(self._held)
+        return self._made[self._held]
+
+    def given(self, t: float, y: list[float], direction: float) -> Pieces:
         """The torques at t, and their slopes, of a table; else nothing."""
         if self.actuation.constants is not None or not self.actuation.linear:
             return (), ()
         return linear_piece(self.actuation, self._function, t, y, direction)
 
-    @cached_property
-    def _function(self) -> Callable[[float, Sequence[float]], list[float]]:
-        return self.actuation.function(self.mechanism.n)
+    def agrees(
+        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
+    ) -> bool:
+        try:
+            values = self.watched(self.now, t, y, self.given(t, y, 1.0))
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        return all(
+            _agree(each, x, value, relative, small / arm)
+            for each, value, arm in zip(
+                series[len(series) - len(self.arms) :], values, self.arms, strict=True
+            )
+        )
+
+
+class StraightEngine(_SeriesEngine):
+    """Straight-line floats, generated for one mechanism and one order."""
+
+    def make(self, held: tuple[float, ...] | None) -> StepText:
+        return _step_text(self.mechanism, self.actuation, self.order, self.work, held)
+
+    def reads(self, made: StepText) -> tuple[bool, list[float]]:
+        return made.works, made.arms
+
+    def watched(self, made: StepText, t: float, y: list[float], given: Pieces) -> Sequence[float]:
+        return made.watched(t, y, *given)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         given = self.given(t, y, direction)
         try:
-            return self._text(t).expand(t, y, *given, most, direction, *self.tolerances)
+            found: Expanded = self.at(t).expand(t, y, *given, most, direction, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
-
-    def agrees(
-        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
-    ) -> bool:
-        text = self._make()
-        try:
-            values = text.watched(t, y, *self.given(t, y, 1.0))
-        except (ArithmeticError, ValueError):  # outside the domain
-            return False
-        watched = series[len(series) - len(text.arms) :]
-        return all(
-            _agree(each, x, value, relative, small / arm)
-            for each, value, arm in zip(watched, values, text.arms, strict=True)
-        )
+        return found
 
 
-class ArrayEngine(SteppingEngine):
-    """numpy over the links: for mechanisms whose straight-line code would be long."""
+class InterpretedEngine(_SeriesEngine):
+    """The rows of the program one by one: for mechanisms whose straight-line code would be long."""
 
-    def prepare(self) -> None:
-        constants = None
-        self._torques: TorqueSeries | None = None
-        if self.actuation.constants is not None and not self.mechanism.has_state_forces:
-            constants = np.array(self.actuation.constants)
-        else:
-            self._torques = TorqueSeries(self.actuation, self.mechanism)
-        self.bends = self._torques is not None and self._torques.bends
-        self._series = ArraySeries(self.mechanism, self.order, constants)
-        self.works = self._series.moving
+    def make(self, held: tuple[float, ...] | None) -> MotionProgram:
+        return MotionProgram(self.mechanism, self.actuation, self.work, held)
+
+    def reads(self, made: MotionProgram) -> tuple[bool, list[float]]:
+        return bool(made.power), made.arms
+
+    def watched(
+        self, made: MotionProgram, t: float, y: list[float], given: Pieces
+    ) -> Sequence[float]:
+        found = made.expand(FLOATS, made.program.numbers, 1, made.state(FLOATS, t, y, given))
+        return [each[0] for each in found.watched]
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
-        n, p = self.mechanism.n, self.order
-        push = None if self._torques is None else self._torques.begin(t, y, direction)
+        made: MotionProgram = self.at(t)
         try:
-            with np.errstate(all="ignore"):
-                z, working = self._series.expand(np.array(y[:n]), np.array(y[n : 2 * n]), push)
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            start = made.state(FLOATS, t, y, self.given(t, y, direction))
+            found = made.expand(FLOATS, made.program.numbers, self.order, start)
+            longest = longest_step(found, start.w, *self.tolerances)
+        except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
-        if not np.isfinite(z).all():
+        if math.isnan(longest):
             return 0.0, y, ()
-        h = min(most, step_size(z, *self.tolerances))
-        series = [*z.real, *z.imag]
-        if self.work and working is not None:
-            rates = np.stack([link_rates(z, k) for k in range(p + 1)], axis=-1)
-            relative = relative_matrix(self.mechanism) @ rates
-            constants = self.actuation.constants
-            if constants is not None:  # their work is told by the way
-                working[:, 0] -= constants
-            power = [(working[:, : k + 1] * relative[:, k::-1]).sum() for k in range(p + 1)]
-            series.append(np.array(power))
+        power = [found.power] if found.power else []
+        series = (*found.rho, *found.theta, *power, *found.watched)
+        h = min(most, longest)
         closing, self.closing = self.closing, None
         new = self.states(y, series, np.array([h * direction]))[0].tolist()
         self.closing = closing
         return h, new, series
-
-    def agrees(
-        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
-    ) -> bool:
-        assert self._torques is not None
-        return self._torques.agrees(x, t, y, relative, small)
 
 
 def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
