@@ -45,7 +45,8 @@ def test_what_is_a_change_point(factor, crosses):
     assert found.crosses is crosses
     assert len(known(mechanism)) == 1
     qd = robodyn.loop_velocities(mechanism, robodyn.assemble(mechanism, [0.5]), [-5.0])
-    motion = simulate(mechanism, robodyn.assemble(mechanism, [0.5]), qd, 0.2, **FAST)
+    q = robodyn.assemble(mechanism, [0.5])
+    motion = simulate(mechanism, q, qd, 0.2, method="taylor", engine="python")
     assert bool(abs(motion.q[-1, 0] - motion.q[-1, 2]) < 1e-6) is crosses
 
 
