@@ -1,16 +1,16 @@
 """A Taylor-series integrator for planar mechanisms: what its engines have in common.
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
-`code.py` says.  Three engines make them: straight-line floats and numpy arrays
-(`steps.py`), and compiled loops (`compiled.py`, with the extra `fast`);
-`run.py` chooses one and drives it.
+`engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
+one by one (`steps.py`), and compiled loops (`compiled.py`, with the extra `fast`); `run.py` chooses
+one and drives it.
 """
 
 from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
