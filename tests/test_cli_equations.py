@@ -166,7 +166,7 @@ def test_a_terminal_shows_how_far_a_long_text_is(shell: Run, tmp_path: Path) -> 
     links = "".join(f"{{name: n{k}, m: 1, l: 1, r: 0.5, I: 0.1}}, " for k in range(4))
     (tmp_path / "long.yaml").write_text(f"gravity: 9.81\nlinks: [{links}]\n", encoding="utf-8")
     code = (
-        "import pty, sys; from robodyn.cli import watching; watching.SILENT = 0.0; "
+        "import pty, sys; from robodyn.cli import progress; progress.SILENT = 0.0; "
         "from robodyn import cli; sys.exit(cli.run(sys.argv[1:]))"
     )
     spawn = "import pty, sys; pty.spawn([sys.executable, *sys.argv[1:]])"

@@ -12,8 +12,8 @@ import typer
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.files import input_argument, output_file
 from robodyn.cli.options import Model, Size
+from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
-from robodyn.cli.watching import progress
 from robodyn.closed_form import phases
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError, RobodynError

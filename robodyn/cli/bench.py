@@ -16,8 +16,8 @@ from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
 from robodyn.cli.output import default_format, note, row_writer
+from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
-from robodyn.cli.watching import progress
 from robodyn.errors import InputError
 from robodyn.mechanism import load
 

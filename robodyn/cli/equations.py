@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from robodyn.cli.options import Model, Out
-from robodyn.cli.watching import progress
+from robodyn.cli.progress import progress
 from robodyn.equations import equations as equations_of
 from robodyn.equations.c_code import c99
 from robodyn.equations.json_form import as_json

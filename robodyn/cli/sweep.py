@@ -14,8 +14,8 @@ import typer
 from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Model
 from robodyn.cli.output import note
+from robodyn.cli.progress import progress
 from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
-from robodyn.cli.watching import progress
 from robodyn.csv_fields import quoted
 from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.resumable_file import ResumableFile

@@ -13,6 +13,7 @@ import typer
 from robodyn.cli.files import input_file
 from robodyn.cli.options import Format, Model, Out, OutputFormat
 from robodyn.cli.output import note, row_writer
+from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import output_times
 from robodyn.cli.trajectory_options import (
@@ -28,7 +29,6 @@ from robodyn.cli.trajectory_options import (
     sweep_from,
     turning_from,
 )
-from robodyn.cli.watching import progress
 from robodyn.errors import InputError
 from robodyn.even_times import EvenTimes
 from robodyn.mechanism import Mechanism, load

@@ -1,58 +1,17 @@
-"""Work that is watched: a progress bar on a terminal, and a run that a signal ends in order."""
+"""A run that is watched: a progress bar on a terminal, an end in order after a signal."""
 
 from __future__ import annotations
 
 import signal
-import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 from robodyn.cli import signals
+from robodyn.cli.progress import progress
 from robodyn.recording import Outcome, StopRun
 
-SILENT = 0.5  # s before a progress bar appears
-LIVELY = 0.05  # s from one of its pictures to the next
 PATIENCE = 0.4  # s that a run has to come to the end of a step after a signal; and then to finish
-
-
-@contextmanager
-def progress(
-    doing: str, quiet: bool = False, silent: float = SILENT
-) -> Iterator[Callable[[float], object]]:
-    """A function that moves a bar to a part of the whole; on a terminal, after `silent` seconds."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda part: None
-        return
-    bars: list[tuple[Any, Any]] = []
-    due = time.monotonic() + silent
-
-    def begin() -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        bar = Progress(console=Console(stderr=True), transient=True)
-        bars.append((bar, bar.add_task(doing, total=1.0)))
-        bar.start()
-
-    def show(part: float) -> None:
-        nonlocal due
-        if time.monotonic() < due:
-            return
-        if not bars:
-            begin()
-        due = time.monotonic() + LIVELY
-        bars[0][0].update(bars[0][1], completed=part)
-
-    if not silent:
-        begin()
-    try:
-        yield show
-    finally:
-        for bar, _ in bars:
-            bar.stop()
 
 
 @contextmanager
