@@ -176,11 +176,7 @@ def forward_formula(
     Constant `torques` (n) are folded in.  A `baumgarte` rate b (1/s) makes the closures obey
     gapdd + 2 b gapd + b^2 gap = 0 instead of gapdd = 0.
     """
-
-    def write(by_direction: bool) -> Formula:
-        return _forward(mechanism, torques, baumgarte, power, by_direction)
-
-    return cheapest(write)
+    return cheapest(lambda way: _forward(mechanism, torques, baumgarte, power, way))
 
 
 def _forward(
