@@ -10,12 +10,21 @@ from robodyn.errors import printable
 LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
 # A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.
-_FIELD = re.compile(r'(?:^|,)("(?:[^"]|"")*+"|[^,]*)')
+_TO_ITS_END = r'[^"]*+(?:""[^"]*+)*+"'
+_FIELD = re.compile(rf'(?:^|,)("{_TO_ITS_END}|[^,]*)')
+_START = rf'(?:"{_TO_ITS_END}|(?!"))'
+_REST = rf"[^,]*+(?:,{_START}[^,]*+)*+\Z"
+_WHOLE = re.compile(_START + _REST), re.compile(_TO_ITS_END + _REST)
 
 
 def split_fields(line: str) -> list[str]:
     """The fields of a row as they are written, quotes included."""
     return _FIELD.findall(line) if '"' in line else line.split(",")
+
+
+def ends_open(line: str, inside: bool) -> bool:
+    """Whether a quoted field is open where a line ends that began `inside` of one, or not."""
+    return _WHOLE[inside].match(line) is None
 
 
 def unquoted(field: str) -> str:

@@ -1,4 +1,4 @@
-"""YAML -> description: strict keys, numbers, physics; every fault of a file named at once.
+"""YAML -> description: strict keys, numbers, physics; the faults of a file named at once.
 
 What a description holds is in `scene.py`; what the format allows is in `robots/` and the README.
 """
@@ -15,6 +15,7 @@ from robodyn.quantities import parse_angle, parse_number
 from robodyn.scene import BRANCHES, Closure, Description, Link, Point
 from robodyn.yaml_forces import ForceReader
 from robodyn.yaml_tree import Mapping, Node, Scalar, Sequence
+from robodyn.yaml_values import TooManyFaults
 
 
 def read(path: str | Path) -> Description:
@@ -35,11 +36,11 @@ def from_tree(root: Node | None, source: str) -> Description:
         fault = Fault("", "must be a mapping of keys (links, gravity, ...)", line=root.line)
         raise DescriptionError(source, [fault])
     reader = _Reader()
-    description = reader.scene(root, source)
-    if reader.faults:
-        faults = sorted(reader.faults, key=lambda fault: fault.line or 0)
-        raise DescriptionError(source, faults)
-    return description
+    with suppress(TooManyFaults):
+        description = reader.scene(root, source)
+        if not reader.faults:
+            return description
+    raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
 class _Reader(ForceReader):
@@ -120,13 +121,13 @@ class _Reader(ForceReader):
     def actuated(self, node: Node | None) -> tuple[int, ...] | None:
         if node is None:
             return None
-        found: list[int] = []
+        found: set[int] = set()
         for i, item in enumerate(self.items(node, "actuated")):
             link = self.link_name(item, f"actuated[{i}]")
             if link in found:
                 self.fault(f"actuated[{i}]", item, "is named twice", self.shown(item))
             elif link is not None:
-                found.append(link)
+                found.add(link)
         return tuple(sorted(found))
 
     def start(self, node: Node | None, count: int) -> tuple[float | None, ...] | None:
@@ -196,13 +197,14 @@ class _Reader(ForceReader):
         """Every link must hang from the ground in the end; each cycle is told once."""
         grounded: set[int] = set()
         for start in range(len(links)):
-            path: list[int] = []
+            path: dict[int, None] = {}
             link: int | None = start
             while link is not None and link not in grounded and link not in path:
-                path.append(link)
+                path[link] = None
                 link = links[link].hangs_from.link
             if link in path:
-                names = [links[k].name for k in [*path[path.index(link) :], link]]
+                cycle = list(path)
+                names = [links[k].name for k in [*cycle[cycle.index(link) :], link]]
                 place = f"links[{link}] ({links[link].name}).from"
                 self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 
-_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# Digits can be told in one way only: a pattern with two takes time by the square of their number.
+_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _PLAIN = re.compile(rf"[+-]?{_NUMBER}", re.ASCII)
 ANGLE_PATTERN = (
     rf"(?P<sign>[+-]?)(?:(?P<number>{_NUMBER})?(?P<pi>\*?pi)|(?P<value>{_NUMBER}))"
@@ -18,7 +19,7 @@ ANGLE_PATTERN = (
 _ANGLE = re.compile(ANGLE_PATTERN, re.ASCII)
 
 _JOINT = re.compile(
-    rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d+)", re.ASCII
+    rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d{{1,18}})", re.ASCII
 )
 _APART = re.compile(r"[\w.]\s+(?!q)[\w.]|q\d+\s+q")  # a blank within what is no product
 _SIGNED = re.compile(r"(?<=[^eE])(?=[+-])")  # before every sign but that of an exponent

@@ -19,11 +19,11 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, repeat
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from robodyn.csv_fields import finite, shown, split_fields, unquoted
+from robodyn.csv_fields import ends_open, finite, shown, split_fields, unquoted
 from robodyn.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,6 +58,15 @@ class _Rows(NamedTuple):
     quoted: bool  # whether any has a quote, so that not every comma ends a field
 
 
+@dataclass(slots=True)
+class _OpenRow:
+    """The lines so far of a row in which a quoted field is open; none where there is no such."""
+
+    lines: list[str] = field(default_factory=list)
+    number: int = 1  # the line of the file on which it begins
+    size: int = 0  # bytes
+
+
 class Reader:
     """A CSV table (RFC 4180, UTF-8) read from a binary stream; `source` names it in errors.
 
@@ -74,17 +83,18 @@ class Reader:
             raise InputError("the input is empty", where=source, limit=limit)
         names = self._split(lines[0], numbers[0])
         self.header = tuple(unquoted(name).strip() for name in names)
-        for name in self.header:
-            if self.header.count(name) > 1:
+        self._place = {name: place for place, name in enumerate(self.header)}
+        for place, name in enumerate(self.header):
+            if self._place[name] != place:
                 limit = "the name occurs twice in the header"
-                raise self._fault(numbers[0], "column", name or "''", limit)
+                raise self._fault(numbers[0], "column", shown(name) or "''", limit)
         self._rows = chain([_Rows(lines[1:], numbers[1:], quoted)], arrivals)
 
     def require(self, names: Iterable[str]) -> None:
         """Raise InputError, with the columns that are there, where one of `names` is missing."""
-        missing = [name for name in names if name not in self.header]
+        missing = [name for name in names if name not in self._place]
         if missing:
-            what = f"column {', '.join(missing)} is missing"
+            what = f"column {shown(', '.join(missing))} is missing"
             limit = f"the header has {shown(', '.join(self.header))}"
             raise InputError(what, where=self.source, limit=limit)
 
@@ -96,7 +106,7 @@ class Reader:
         are yielded first; the next step raises InputError with its line, column and text.
         """
         self.require(names)
-        return self._checked(names, [self.header.index(name) for name in names])
+        return self._checked(names, [self._place[name] for name in names])
 
     def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:
         for rows in self._rows:
@@ -168,7 +178,8 @@ class Reader:
         """The rows, header included, as reads complete them; raises after the last good one."""
         # read would wait until it has all that it was asked for; read1 takes what is there.
         read: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
-        pending = bytearray()  # begins where a row begins, and ends anywhere
+        pending = bytearray()  # of a line whose end has not come
+        row = _OpenRow()
         number = 1  # the line of the file that `pending` begins with
         at_end = False
         while not at_end:
@@ -179,18 +190,18 @@ class Reader:
             pending += data
             if b"\n" in data:
                 block = bytes(pending[: pending.rfind(b"\n") + 1])
+                del pending[: len(block)]
                 text, fault = self._decode(block, number)
-                rows, rest = _whole_rows(text, number)
+                rows = _whole_rows(text, number, row)
                 if rows.lines:
                     yield rows
                 if fault:
                     raise fault
-                used = len(block) - len(rest.encode())
-                number += block.count(b"\n", 0, used)
-                del pending[:used]
-            if len(pending) > LONGEST_ROW or (at_end and pending):
+                number += block.count(b"\n")
+            if row.size + len(pending) > LONGEST_ROW or (at_end and row.lines):
                 limit = f"a row ends within {LONGEST_ROW} bytes; is a quote left open?"
-                raise self._fault(number, "the row does not end", None, limit)
+                begin = row.number if row.lines else number
+                raise self._fault(begin, "the row does not end", None, limit)
 
     def _decode(self, block: bytes, number: int) -> tuple[str, InputError | None]:
         """The text of whole lines, up to the first that is not UTF-8, and the fault of that."""
@@ -203,33 +214,34 @@ class Reader:
             return good.decode(), fault
 
 
-def _whole_rows(text: str, number: int) -> tuple[_Rows, str]:
-    """The rows in whole lines of text, and what follows where a quote is open at its end."""
-    quoted = '"' in text
+def _whole_rows(text: str, number: int, row: _OpenRow) -> _Rows:
+    """The rows that whole lines of text end; `row` is left with what follows them."""
+    quoted = '"' in text or bool(row.lines)
+    numbers: Sequence[int]
     if quoted:
-        lines, numbers, rest = _join_quoted(text.split("\n")[:-1], number)
+        lines, numbers = _join_quoted(text.split("\n")[:-1], number, row)
     else:
         text = text.replace("\r\n", "\n") if "\r" in text else text
-        lines, rest = text.split("\n")[:-1], ""
+        lines = text.split("\n")[:-1]
         numbers = range(number, number + len(lines))
     if not all(map(str.strip, lines)):
         numbers = [n for n, line in zip(numbers, lines, strict=True) if line.strip()]
         lines = [line for line in lines if line.strip()]
-    return _Rows(lines, numbers, quoted), rest
+    return _Rows(lines, numbers, quoted)
 
 
-def _join_quoted(pieces: list[str], number: int) -> tuple[list[str], Sequence[int], str]:
-    """The rows, and their line numbers, of lines that a quote may span; the rest as text."""
+def _join_quoted(pieces: list[str], number: int, row: _OpenRow) -> tuple[list[str], list[int]]:
+    """The rows, and the line numbers they begin on, of lines that a quoted field may span."""
     rows: list[str] = []
     numbers: list[int] = []
-    start = 0
-    for end, piece in enumerate(pieces, 1):
-        if end > start + 1 and '"' not in piece:
-            continue  # a line inside of a quoted field
-        row = "\n".join(pieces[start:end])
-        if any(field[:1] == '"' and field.count('"') % 2 for field in split_fields(row)):
-            continue  # a field is opened and not closed
-        rows.append(row.removesuffix("\r"))
-        numbers.append(number + start)
-        start = end
-    return rows, numbers, "".join(piece + "\n" for piece in pieces[start:])
+    for at, piece in enumerate(pieces, number):
+        inside = bool(row.lines)
+        row.lines.append(piece)
+        row.number = row.number if inside else at
+        if ends_open(piece, inside):
+            row.size += len(piece.encode()) + 1
+            continue
+        rows.append("\n".join(row.lines).removesuffix("\r"))
+        numbers.append(row.number)
+        row.lines, row.size = [], 0
+    return rows, numbers

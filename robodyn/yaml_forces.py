@@ -14,7 +14,7 @@ from robodyn.scene import (
     Spring,
 )
 from robodyn.yaml_tree import Mapping, Node, Scalar, Sequence
-from robodyn.yaml_values import ValueReader, nearest
+from robodyn.yaml_values import ValueReader
 
 
 class ForceReader(ValueReader):
@@ -44,7 +44,7 @@ class ForceReader(ValueReader):
     def link_name(self, node: Node, place: str) -> int | None:
         name = self.text(node, place)
         if name and name not in self.index:
-            self.fault(place, node, f"names no link{nearest(name, list(self.index))}", name)
+            self.fault(place, node, f"names no link{self.nearest(name, list(self.index))}", name)
         return self.index.get(name)
 
     # -- springs and loads -------------------------------------------------------------------
@@ -116,17 +116,17 @@ class ForceReader(ValueReader):
         if node is None:
             return ()
         entries = [node] if isinstance(node, Scalar) else self.items(node, "couplings")
-        found: list[Coupling] = []
+        found: dict[int, Coupling] = {}  # by the joint that they give
         for c, entry in enumerate(entries):
             place = "couplings" if isinstance(node, Scalar) else f"couplings[{c}]"
             coupling = self.coupling(entry, place, count)
             if coupling is None:
                 continue
-            if any(coupling.joint == earlier.joint for earlier in found):
+            if coupling.joint in found:
                 limit = f"gives q{coupling.joint + 1} a second time"
                 self.fault(place, entry, limit, self.shown(entry))
-            found.append(coupling)
-        return tuple(found)
+            found[coupling.joint] = coupling
+        return tuple(found.values())
 
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
         text = self.text(node, place)

@@ -16,7 +16,7 @@ from robodyn.errors import DescriptionError, Fault
 
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 40
-MAX_NODES = 1_000_000  # with aliases counted as often as they are used
+MAX_NODES = 300_000  # with aliases counted as often as they are used
 
 
 @dataclass(slots=True)

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from robodyn.errors import Fault
+from robodyn.errors import MOST_FAULTS, Fault
 from robodyn.quantities import parse_number
 from robodyn.yaml_tree import Mapping, Node, Scalar, Sequence
+
+COMPARISONS = 2000  # of names that a file's suggestions may cost
+LONGEST_GUESS = 60  # characters of a name that is compared
+
+
+class TooManyFaults(Exception):
+    """More than MOST_FAULTS: it is no use to read on."""
 
 
 class ValueReader:
@@ -14,6 +21,7 @@ class ValueReader:
 
     def __init__(self) -> None:
         self.faults: list[Fault] = []
+        self.compared = 0
 
     def keys(
         self, node: Node, place: str, needed: list[str], optional: list[str], kind: str = "key"
@@ -23,12 +31,12 @@ class ValueReader:
             limit = f"must be a mapping with {', '.join(needed + optional)}"
             self.fault(place, node, limit, self.shown(node))
             return {}
-        known = needed + optional
+        known = dict.fromkeys(needed + optional)
         found: dict[str, Node] = {}
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                limit = f"is an unknown {kind}{nearest(key.text, known)}"
+                limit = f"is an unknown {kind}{self.nearest(key.text, list(known))}"
                 self.fault(prefix + key.text, key, limit)
             elif key.text in found:
                 self.fault(prefix + key.text, key, "is given twice")
@@ -99,13 +107,22 @@ class ValueReader:
 
     def fault(self, place: str, node: Node, limit: str, value: object = None) -> None:
         self.faults.append(Fault(place, limit, value, node.line))
+        if len(self.faults) > MOST_FAULTS:
+            raise TooManyFaults
+
+    def nearest(self, word: str, known: list[str]) -> str:
+        """`nearest` of few comparisons: each costs time, and faults and names may be many."""
+        self.compared += len(known)
+        return nearest(word, known, guess=self.compared <= COMPARISONS)
 
 
-def nearest(word: str, known: list[str]) -> str:
+def nearest(word: str, known: list[str], guess: bool = True) -> str:
+    """The known name that `word` may mean, or some that are known."""
     from difflib import get_close_matches  # only a faulty scene pays for the import
 
-    close = get_close_matches(word, known, n=1)
-    if close:
-        return f"; did you mean {close[0]}?"
+    if guess and len(word) <= LONGEST_GUESS:
+        close = get_close_matches(word, [x for x in known if len(x) <= LONGEST_GUESS], n=1)
+        if close:
+            return f"; did you mean {close[0]}?"
     shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; known: {shown}" if known else ""

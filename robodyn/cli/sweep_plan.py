@@ -192,7 +192,7 @@ def _axis(name: str, text: str, drawn: bool) -> Axis:
         limit = "write first:last:count, first:last:step or a,b,c"
         raise InputError(where, value=shown(text), limit=limit)
     first, last = map(number, parts[:2])
-    if re.fullmatch(r"\+?[0-9]+", parts[2].strip(), re.ASCII):
+    if re.fullmatch(r"\+?[0-9]{1,18}", parts[2].strip(), re.ASCII):
         count = int(parts[2])
         if not 1 <= count <= MOST_VALUES:
             limit = f"the count must be in [1, {MOST_VALUES}]"
