@@ -75,6 +75,11 @@ def run(arguments: list[str]) -> int:
             raise
         _tell(_prefixed(str(error)))
         return error.exit_code
+    except OverflowError as error:
+        if debug:
+            raise
+        _tell(f"Error: a number of the scene, the state or an option is too large ({error})")
+        return 1
     except OSError as error:
         if debug:
             raise
@@ -141,6 +146,9 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(function)
     def guarded(*args: Any, **kwargs: Any) -> None:
+        from robodyn.cli.output import numbers_overflow_in_silence
+
+        numbers_overflow_in_silence()
         try:
             function(*args, **kwargs)
             sys.stdout.flush()

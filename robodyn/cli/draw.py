@@ -22,7 +22,15 @@ from robodyn.cli.options import (
     States,
 )
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, complete, open_input, remarks, single_state, table_source
+from robodyn.cli.states import (
+    Quantity,
+    complete,
+    open_input,
+    overflow,
+    remarks,
+    single_state,
+    table_source,
+)
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.mechanism import Mechanism, load
@@ -176,7 +184,12 @@ def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, 
         q, qd, torques = single_state(mechanism, [*given[:2], tau])
         check_way_on(mechanism, q[None, :], qd[None, :])
         qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, torques)
-    return drawing(mechanism, q), forces(mechanism, q, qd, qdd, multipliers)
+    drawn = drawing(mechanism, q)
+    with np.errstate(all="ignore"):
+        found = forces(mechanism, q, qd, qdd, multipliers)
+    if not np.isfinite([item.force for item in found]).all():
+        raise overflow()
+    return drawn, found
 
 
 def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:

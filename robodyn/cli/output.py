@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
@@ -190,6 +191,11 @@ def note(text: str) -> None:
     """A remark for the person at the terminal: stderr, if there is one."""
     if sys.stderr is not None:
         print(printable_lines(text), file=sys.stderr)
+
+
+def numbers_overflow_in_silence() -> None:
+    """Leave numpy's warnings unshown: a result that is not finite is told by an error."""
+    warnings.filterwarnings("ignore", ".* encountered in ", RuntimeWarning)
 
 
 def _short(field: str) -> str:

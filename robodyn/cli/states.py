@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO
 
 from robodyn.cli.options import Format
-from robodyn.cli.output import note, row_writer
+from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
 from robodyn.csv_fields import shown
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanism import Mechanism
@@ -319,5 +319,6 @@ def remarks() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("always")
+        numbers_overflow_in_silence()
         warnings.showwarning = show
         yield

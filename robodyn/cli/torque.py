@@ -73,7 +73,10 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
     values = [source.values or [0.0] * mechanism.n for source in sources]
     if formula is not None:
         with suppress(ZeroDivisionError):
-            return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
+            try:
+                return compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
+            except ValueError:  # the sine of infinity: sums of angles that are too large
+                raise overflow() from None
     from robodyn.dynamics import inverse_dynamics  # the ends of a spring coincide: it says so
 
     return tuple(inverse_dynamics(mechanism, *values).tolist())
