@@ -85,22 +85,22 @@ def table_source(
     mechanism: Mechanism, quantity: Quantity, header: Sequence[str], source: str
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
-    everything = quantity.columns(range(mechanism.n))
+    everything, there = quantity.columns(range(mechanism.n)), set(header)
     if quantity.option is not None:
-        taken = [name for name in everything if name in header]
+        taken = [name for name in everything if name in there]
         if taken:
             limit = f"{source} has the column {taken[0]}; leave one of them out"
             raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
         return option_source(mechanism, quantity)
     driven = quantity.columns(mechanism.actuated)
-    if set(everything) <= set(header):
+    if set(everything) <= there:
         return Source(quantity, None, everything, True)
-    present = [name for name in everything if name in header]
+    present = [name for name in everything if name in there]
     if driven and set(driven) == set(present):
         return Source(quantity, None, driven, False)
     if not quantity.required and not present:
         return Source(quantity, None, [], False)
-    missing = [name for name in everything if name not in header]
+    missing = [name for name in everything if name not in there]
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
         f"column {missing[0]} is missing",
