@@ -319,5 +319,6 @@ def remarks() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", ResourceWarning)  # of an import that a signal broke off
         warnings.showwarning = show
         yield
