@@ -320,5 +320,6 @@ def remarks() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         numbers_overflow_in_silence()
+        warnings.simplefilter("ignore", ResourceWarning)  # of an import that a signal broke off
         warnings.showwarning = show
         yield
