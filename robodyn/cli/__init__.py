@@ -53,6 +53,8 @@ def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
+    if sys.stderr is None:  # closed: what is told to nobody must not go to stdout
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (for as long as the process lives)
     if sys.stdout is None:
         _tell("Error: stdout is closed: results have no place to go")
         return 1

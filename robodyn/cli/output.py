@@ -188,9 +188,8 @@ def with_unit(name: str) -> str:
 
 
 def note(text: str) -> None:
-    """A remark for the person at the terminal: stderr, if there is one."""
-    if sys.stderr is not None:
-        print(printable_lines(text), file=sys.stderr)
+    """A remark for the person at the terminal: stderr."""
+    print(printable_lines(text), file=sys.stderr)
 
 
 def numbers_overflow_in_silence() -> None:
