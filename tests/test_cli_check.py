@@ -212,7 +212,7 @@ def test_a_wrong_coriolis_matrix_is_found_out(
     robodyn: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The self-test must be able to fail: here C is made 1 % too large."""
-    from robodyn import closed_form
+    from robodyn.dynamics import closed_form
 
     right = closed_form.coriolis_matrix
     monkeypatch.setattr(closed_form, "coriolis_matrix", lambda *given: 1.01 * right(*given))

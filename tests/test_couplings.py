@@ -14,20 +14,20 @@ from robodyn import (
     coupling_torques,
     forward_dynamics,
     gravity_vector,
-    identities,
     inverse_dynamics,
     loop_velocities,
     mass_matrix,
     simulate,
 )
-from robodyn.actuation import Actuation
-from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics import identities
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics.evaluators import _accelerations
 from robodyn.engines.step_text import step_text
 from robodyn.errors import InputError
-from robodyn.evaluators import _accelerations
-from robodyn.extended import reference
-from robodyn.quantities import parse_coupling
-from robodyn.right_hand_side import right_hand_side
+from robodyn.mechanics.actuation import Actuation
+from robodyn.scene.quantities import parse_coupling
+from robodyn.simulation.extended import reference
+from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.taylor.steps import InterpretedEngine
 
 FIVE_BAR = """

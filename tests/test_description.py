@@ -16,10 +16,10 @@ from conftest import ROOT, within
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robodyn.description import from_text, read
 from robodyn.errors import MOST_FAULTS, DescriptionError, InputError
-from robodyn.mechanism import build
-from robodyn.scene import Closure, Description, Link, Point
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text, read
+from robodyn.scene.scene import Closure, Description, Link, Point
 
 ROBOTS = ROOT / "robots"
 NAMES = [

@@ -24,13 +24,13 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import closed_form, dynamics
+from robodyn.dynamics import closed_form, dynamics
 from robodyn.equations import equations
 from robodyn.equations.json_form import as_json
 from robodyn.equations.python_code import python
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import text
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))

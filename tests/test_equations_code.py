@@ -22,11 +22,11 @@ from random_mechanisms import (
     seeded_tree,
     sizes,
 )
-from robodyn import closed_form
+from robodyn.dynamics import closed_form
 from robodyn.equations.c_code import c99
 from robodyn.equations.python_code import python
 from robodyn.equations.recorded import recorded
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Expression, Graph, cost
 from robodyn.engines.source_text import array_source, float_source
-from robodyn.expression import Expression, Graph, cost
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150)

@@ -21,7 +21,6 @@ from robodyn import (
     assemble,
     forward_dynamics,
     gravity_vector,
-    identities,
     inverse_dynamics,
     kinetic_energy,
     load,
@@ -32,12 +31,13 @@ from robodyn import (
     shaking_force,
     simulate,
 )
-from robodyn.actuation import Actuation, expressions, table
-from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics import identities
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.errors import InputError, SingularError
-from robodyn.extended import reference
-from robodyn.right_hand_side import right_hand_side
-from robodyn.scene import Description, JointSpring, Load, Moment, Point
+from robodyn.mechanics.actuation import Actuation, expressions, table
+from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
+from robodyn.simulation.extended import reference
+from robodyn.simulation.right_hand_side import right_hand_side
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}
@@ -443,7 +443,7 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
         raise AssertionError("forces were asked for")
 
     for name in ("potential_torques", "other_torques", "spring_energy", "forces_on_links"):
-        monkeypatch.setattr(f"robodyn.forces.{name}", refuse)
+        monkeypatch.setattr(f"robodyn.dynamics.forces.{name}", refuse)
     mech = load(ROOT / "robots/2r.yaml")
     assert not mech.has_state_forces
     gravity_vector(mech, [0.1, 0.2])

@@ -8,10 +8,10 @@ import pytest
 
 import robodyn
 from hard_cases import near_misses
-from robodyn.change_points import known, nearest_singular
-from robodyn.closing import BITS, HALF_PI, _cos_sin
-from robodyn.dynamics import RobodynWarning
-from robodyn.simulation import simulate
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.loops.change_points import known, nearest_singular
+from robodyn.loops.closing import BITS, HALF_PI, _cos_sin
+from robodyn.simulation.simulation import simulate
 
 FAST = {"method": "taylor", "engine": "python", "rtol": 1e-14, "atol": 1e-14}
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.quantities import (
+from robodyn.scene.quantities import (
     parse_angle,
     parse_coupling,
     parse_number,

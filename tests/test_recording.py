@@ -7,12 +7,14 @@ import pytest
 from conftest import ROOT
 
 from random_mechanisms import LOOPS, seeded_scene, seeded_tree
-from robodyn import assembly, closed_form, dynamics, load, simulate
-from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
-from robodyn.even_times import EvenTimes
-from robodyn.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
-from robodyn.simulation import METHODS, Settings, run
+from robodyn import load, simulate
+from robodyn.dynamics import closed_form, dynamics
+from robodyn.loops import assembly
+from robodyn.loops.assembly import loop_size
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.simulation.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
+from robodyn.simulation.simulation import METHODS, Settings, run
 from robodyn.taylor import Status
 from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 

@@ -14,9 +14,9 @@ from json_schema import accepts
 from test_description import ARM, EVERYTHING, LOOP
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
-from robodyn.description import from_text
 from robodyn.errors import DescriptionError
-from robodyn.scene_schema import scene_schema
+from robodyn.scene.description import from_text
+from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
 

@@ -18,10 +18,9 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import blocks, expression, straightline
-from robodyn import closed_form as cf
-from robodyn import dynamics as dyn
-from robodyn.engines import formulas, source_text
+from robodyn.dynamics import closed_form as cf
+from robodyn.dynamics import dynamics as dyn
+from robodyn.engines import blocks, expression, formulas, source_text, straightline
 
 examples = settings(deadline=None, max_examples=40)
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])

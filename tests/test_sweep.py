@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from robodyn import assemble, inverse_dynamics, loop_rates, simulate
-from robodyn.description import from_text
+from robodyn import assemble, inverse_dynamics, simulate
 from robodyn.errors import DescriptionError, InputError, RobodynError
-from robodyn.mechanism import build
+from robodyn.loops import loop_rates
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
 from robodyn.sweeps import sweep_workers
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep import Rows, run_chunk

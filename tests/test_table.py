@@ -27,9 +27,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.output_file import open_output
-from robodyn.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
-from robodyn.table_writer import WRITERS, JsonWriter, Writer
+from robodyn.tables.output_file import open_output
+from robodyn.tables.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
+from robodyn.tables.table_writer import WRITERS, JsonWriter, Writer
 
 
 class Pieces(io.RawIOBase):

@@ -11,9 +11,9 @@ from test_simulation import reference, scene, slope
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import forward_dynamics
-from robodyn.actuation import Actuation, constant, expressions
 from robodyn.engines.step_text import step_text
-from robodyn.extended import _Motion
+from robodyn.mechanics.actuation import Actuation, constant, expressions
+from robodyn.simulation.extended import _Motion
 from robodyn.taylor.steps import StraightEngine, relative_matrix
 
 ORDER = 12

@@ -22,8 +22,8 @@ from robodyn import (
     potential_energy,
     simulate,
 )
-from robodyn.actuation import Actuation, constant, expressions
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.actuation import Actuation, constant, expressions
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Status
 
 pytest.importorskip("numba")

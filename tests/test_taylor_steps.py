@@ -8,9 +8,9 @@ from test_simulation import SENSITIVITY, reference, scene
 
 from random_mechanisms import mechanism
 from robodyn import closure_gap, closure_jacobian
-from robodyn.actuation import Actuation, constant, expressions
 from robodyn.engines.expansion import Coefficients, longest_step
-from robodyn.projection import float_closing
+from robodyn.loops.projection import float_closing
+from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.taylor import Status, default_order
 from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 

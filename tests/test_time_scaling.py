@@ -13,7 +13,7 @@ import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through
 from robodyn.trajectories.time_scaling import (

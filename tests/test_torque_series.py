@@ -14,12 +14,12 @@ from mpmath import mp, mpf
 from test_simulation import START, scene
 
 from robodyn import simulate
-from robodyn.actuation import FUNCTIONS, callback, expressions, table
 from robodyn.engines.series import FLOATS, Series, State
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import FUNCTIONS, callback, expressions, table
 from robodyn.mechanics.program import Given, Program
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
-from robodyn.recording import Outcome
+from robodyn.simulation.recording import Outcome
 from robodyn.taylor.steps import StraightEngine, _agree
 
 ORDER = 10

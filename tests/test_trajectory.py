@@ -12,9 +12,9 @@ from conftest import FOUR_BAR, ROOT
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
-from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through, piece_at
 from robodyn.trajectories.loop_path import LoopPath

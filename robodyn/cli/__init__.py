@@ -20,8 +20,8 @@ import typer
 
 from robodyn import __version__
 from robodyn.cli import signals
-from robodyn.csv_fields import plain_digits
 from robodyn.errors import RobodynError, printable_lines
+from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 COMMANDS = (

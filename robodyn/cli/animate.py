@@ -14,14 +14,14 @@ from robodyn.cli.files import input_argument, output_file
 from robodyn.cli.options import Model, Size
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
-from robodyn.closed_form import phases
-from robodyn.csv_fields import shown
+from robodyn.dynamics.closed_form import phases
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.bodies import at
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames, traced_point, unwrapped
-from robodyn.table import Reader
+from robodyn.tables.csv_fields import shown
+from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs

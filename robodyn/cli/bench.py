@@ -9,9 +9,6 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn import actuation
-from robodyn.actuation import Actuation
-from robodyn.benchmark import Benchmark, benchmark
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
@@ -19,7 +16,10 @@ from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
-from robodyn.mechanism import load
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import load
+from robodyn.simulation.benchmark import Benchmark, benchmark
 
 MOST_REPEATS = 10_000
 COLUMNS = (
@@ -86,8 +86,8 @@ def bench(
     if out is not None:
         check_directory(out)
     if evaluators:
-        from robodyn.evaluators import COLUMNS as names
-        from robodyn.evaluators import measure_evaluators
+        from robodyn.dynamics.evaluators import COLUMNS as names
+        from robodyn.dynamics.evaluators import measure_evaluators
 
         rows = measure_evaluators(mechanism)
         first = next(rows)  # what cannot be measured writes no header

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import typer
 
-from robodyn import assembly, closed_form
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import Grid, note, wants_tables, write_structure
 from robodyn.cli.scene_facts import force_facts, links, springs_and_loads
 from robodyn.cli.states import overflow, remarks
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
 from robodyn.errors import InputError
-from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
-from robodyn.loop_class import loop_class
-from robodyn.mechanism import Mechanism, load
+from robodyn.loops import assembly
+from robodyn.mechanics.loop_class import loop_class
+from robodyn.mechanics.mechanism import Mechanism, load
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains

@@ -31,10 +31,10 @@ from robodyn.cli.states import (
     single_state,
     table_source,
 )
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from robodyn.pictures.force_arrows import Force
@@ -172,8 +172,8 @@ def _figure(
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
     """The drawing of one state, and its forces."""
-    from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
-    from robodyn.loop_rates import check_way_on
+    from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+    from robodyn.loops.loop_rates import check_way_on
     from robodyn.pictures.force_arrows import forces
 
     given, tau = quantities[:3], quantities[3]
@@ -194,7 +194,7 @@ def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, 
 
 def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:
     """Closed configurations (T, n) of a table's rows, evenly chosen, the last one included."""
-    from robodyn.table import Reader
+    from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)

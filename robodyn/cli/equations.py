@@ -18,8 +18,8 @@ from robodyn.equations.latex import latex
 from robodyn.equations.python_code import python
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import WIDTH, text
-from robodyn.mechanism import load
-from robodyn.output_file import open_output
+from robodyn.mechanics.mechanism import load
+from robodyn.tables.output_file import open_output
 
 
 class EquationFormat(StrEnum):

@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
-from robodyn.csv_fields import finite
 from robodyn.errors import printable, printable_lines
-from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.column_units import unit_of
-from robodyn.table_writer import WRITERS
+from robodyn.tables.csv_fields import finite
+from robodyn.tables.output_file import on_terminal, open_output
+from robodyn.tables.table_writer import WRITERS
 
 if TYPE_CHECKING:
     import numpy as np

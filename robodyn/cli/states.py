@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from robodyn.cli.options import Format
 from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism
-from robodyn.quantities import parse_vector
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.quantities import parse_vector
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,7 +133,7 @@ def _completed(
 ) -> list[Array]:
     import numpy as np
 
-    from robodyn import assembly, loop_rates
+    from robodyn.loops import assembly, loop_rates
 
     full: list[Array] = []
     for source, given in zip(sources, values, strict=True):
@@ -185,8 +185,8 @@ def assembled_state(
     """
     import numpy as np
 
-    from robodyn import assembly, loop_rates
     from robodyn.errors import AssemblyError
+    from robodyn.loops import assembly, loop_rates
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     if not sources[0].whole or not mechanism.rows:
@@ -231,7 +231,7 @@ def evaluate(
             writer.write_row(row)
         return
 
-    from robodyn.table import Reader
+    from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)

@@ -16,15 +16,15 @@ from robodyn.cli.options import Model
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
 from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
-from robodyn.csv_fields import quoted
 from robodyn.errors import InputError, RobodynError
+from robodyn.scene.yaml_tree import read_text
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep import Rows
 from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.sweeps.variation import Variation
-from robodyn.yaml_tree import read_text
+from robodyn.tables.csv_fields import quoted
 
 
 def _vector(flag: str, text: str) -> object:
@@ -157,7 +157,7 @@ def sweep(
     begun = time.perf_counter()
     resumable = out is not None and out != "-" and _is_file(out)
     if not resumable:
-        from robodyn.output_file import open_output
+        from robodyn.tables.output_file import open_output
 
         with open_output(out) as stream, progress("sweeping", quiet, 0.0) as show:
             stream.write(header)

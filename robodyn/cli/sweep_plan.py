@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, build
-from robodyn.quantities import parse_angle, parse_number, parse_vector
-from robodyn.simulation import Settings
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
+from robodyn.scene.yaml_values import nearest
+from robodyn.simulation.simulation import Settings
 from robodyn.sweeps.scene_values import SceneValues, is_angle
 from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
-from robodyn.yaml_values import nearest
+from robodyn.tables.csv_fields import shown
 
 MOST_VALUES = 10_000_000  # of one --vary
 MOST_POINTS = 10**12

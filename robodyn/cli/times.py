@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from robodyn.errors import InputError
-from robodyn.even_times import EvenTimes
+from robodyn.simulation.even_times import EvenTimes
 
 DEFAULT_POINTS = 1001
 MOST_ROWS = 100_000_000

@@ -30,9 +30,9 @@ from robodyn.cli.trajectory_options import (
     turning_from,
 )
 from robodyn.errors import InputError
-from robodyn.even_times import EvenTimes
-from robodyn.mechanism import Mechanism, load
-from robodyn.quantities import parse_number, parse_rate
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.quantities import parse_number, parse_rate
+from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, path_through
 from robodyn.trajectories.profiles import ACCELERATION

@@ -10,12 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from robodyn.cli.states import Quantity, open_input, option_source, table_source
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism
-from robodyn.per_joint import for_each_actuated
-from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate, parse_time
-from robodyn.table import Reader
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.per_joint import for_each_actuated
+from robodyn.scene.quantities import (
+    parse_angle,
+    parse_entries,
+    parse_number,
+    parse_rate,
+    parse_time,
+)
+from robodyn.tables.csv_fields import shown
+from robodyn.tables.table import Reader
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
 from robodyn.trajectories.time_scaling import LimitError

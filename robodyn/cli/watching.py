@@ -9,7 +9,7 @@ from types import FrameType
 
 from robodyn.cli import signals
 from robodyn.cli.progress import progress
-from robodyn.recording import Outcome, StopRun
+from robodyn.simulation.recording import Outcome, StopRun
 
 PATIENCE = 0.4  # s that a run has to come to the end of a step after a signal; and then to finish
 

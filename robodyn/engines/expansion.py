@@ -9,14 +9,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from robodyn import expression
-from robodyn.actuation import Actuation
+from robodyn.engines import expression
+from robodyn.engines.expression import Graph
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
-from robodyn.expression import Graph
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.torque_rows import torque_slots
-from robodyn.planar_model import Mechanism
 
 Given = dict[str, Sequence[Value] | Callable[[int], Value]]
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import blocks, expression, straightline
+from robodyn.engines import blocks, expression, straightline
 from robodyn.engines.formulas import Formula
 from robodyn.engines.machine_rows import Evaluate, Rows
 

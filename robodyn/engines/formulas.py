@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
-from robodyn.expression import Graph, Value
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program, Slot
-from robodyn.planar_model import Mechanism
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.expression import Expression, Value
 from robodyn.engines.machine import Processor
 from robodyn.engines.segment import Segment
-from robodyn.expression import Expression, Value
 
 LEFT = "left"
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robodyn.engines import object_cache
-from robodyn.expression import FUNCTIONS
+from robodyn.engines.expression import FUNCTIONS
 
 # Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
 # with 8 lanes, 20 to 30 % with one

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import count
 from types import MappingProxyType
 
-from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
+from robodyn.engines.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}

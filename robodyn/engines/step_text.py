@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
-from robodyn import expression, straightline
-from robodyn.actuation import Actuation
-from robodyn.engines import source_text
+from robodyn.engines import expression, source_text, straightline
 from robodyn.engines.expansion import Expansion, expansion, integral, turned
-from robodyn.expression import Expression, Value
-from robodyn.planar_model import Mechanism
+from robodyn.engines.expression import Expression, Value
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.planar_model import Mechanism
 
 # t, y, tau and slope (n each), most, direction, rtol, atol -> h, y at its end, series
 Expand = Callable[..., tuple[float, list[float], tuple[tuple[float, ...], ...]]]

@@ -18,7 +18,7 @@ from robodyn.equations.outline import Block, Definition, Entry, heads
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.equations.scene_symbols import SymbolicScene
 from robodyn.equations.symbolic import Smooth, Symbol
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 
 
 @dataclass(frozen=True, slots=True)

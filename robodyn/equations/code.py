@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
 
+from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
 from robodyn.equations import Equations, legend
 from robodyn.equations.outline import Block
-from robodyn.expression import FUNCTIONS, Expression, Value, needed
 
 WIDTH = 100
 TAB = "    "

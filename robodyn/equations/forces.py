@@ -35,7 +35,7 @@ from robodyn.equations.symbolic import (
     of,
     total,
 )
-from robodyn.scene import JointSpring, Load, Moment
+from robodyn.scene.scene import JointSpring, Load, Moment
 
 
 def gravity_vector(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:

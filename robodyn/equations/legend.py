@@ -9,7 +9,7 @@ from robodyn.equations import Equations
 from robodyn.equations.outline import Block, Definition, Entry
 from robodyn.equations.parameters import Parameter
 from robodyn.errors import printable
-from robodyn.scene import Point
+from robodyn.scene.scene import Point
 
 Place = tuple[int, int]  # row and column
 

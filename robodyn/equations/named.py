@@ -10,12 +10,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import cast
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.equations.scene_symbols import SymbolicScene
 from robodyn.equations.symbolic import Planar, Sum, Symbol, of
-from robodyn.expression import Expression, Graph, Value
-from robodyn.planar_model import ClosureRow, Force, Mechanism, PlanarPoint, PointSpring, Terms
-from robodyn.scene import Friction, JointSpring, Moment
+from robodyn.mechanics.planar_model import (
+    ClosureRow,
+    Force,
+    Mechanism,
+    PlanarPoint,
+    PointSpring,
+    Terms,
+)
+from robodyn.scene.scene import Friction, JointSpring, Moment
 
 
 class Pair:

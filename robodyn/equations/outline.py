@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
-from robodyn.mechanism import Mechanism
-from robodyn.scene import Load
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Load
 
 if TYPE_CHECKING:
     from robodyn.equations.factoring import Written

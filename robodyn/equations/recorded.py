@@ -17,15 +17,15 @@ from dataclasses import replace
 from itertools import chain
 from typing import Any
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
 from robodyn.equations import Equations, with_parameters
 from robodyn.equations.named import Numbers, named_mechanism
 from robodyn.equations.outline import Block, heads
 from robodyn.equations.scene_symbols import SymbolicScene
-from robodyn.expression import Expression, Graph, Value
-from robodyn.mechanism import Mechanism, too_large
+from robodyn.mechanics.mechanism import Mechanism, too_large
 
 Matrix = list[list[Value]]
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
@@ -60,7 +60,7 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     except OverflowError:
         raise too_large(mechanism.description) from None
     except ZeroDivisionError:
-        from robodyn.forces import no_direction  # with numpy
+        from robodyn.dynamics.forces import no_direction  # with numpy
 
         for i, spring in enumerate(named.springs):
             d, directed = spring.between, spring.length or spring.damping

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from robodyn.equations.factoring import Key, Written, written
 from robodyn.equations.force_parameters import SceneParameters
 from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Sum
-from robodyn.mechanism import Mechanism, too_large
-from robodyn.scene import JointSpring, Load, Point
+from robodyn.mechanics.mechanism import Mechanism, too_large
+from robodyn.scene.scene import JointSpring, Load, Point
 
 
 class Body(NamedTuple):

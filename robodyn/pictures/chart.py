@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import quantity_of, unit_of
+from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
 

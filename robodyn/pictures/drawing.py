@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import attempt
-from robodyn.closed_form import phases
+from robodyn.dynamics.closed_form import phases
 from robodyn.errors import AssemblyError, RobodynError
-from robodyn.mechanism import Mechanism
+from robodyn.loops.assembly import attempt
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import Body, at, bodies
 from robodyn.pictures.outlines import Shape
 

@@ -14,11 +14,11 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import closed_form
+from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
-from robodyn.mechanism import Mechanism
-from robodyn.recording import Outcome
-from robodyn.simulation import SCIPY_RTOL, Motion, simulate
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import SCIPY_RTOL, Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, extremes
 

@@ -9,9 +9,10 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib.util import find_spec
 
-from robodyn import __version__, assembly
+from robodyn import __version__
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, build
+from robodyn.loops import assembly
+from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.variation import Variation
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.change_points import regular_rank, suspect_quality
-from robodyn.dense_dynamics import elimination_is_safe
-from robodyn.mechanism import Mechanism
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
+from robodyn.loops.change_points import regular_rank, suspect_quality
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Chunk, Status, best_order
 from robodyn.taylor.kernel import advance
 from robodyn.taylor.layout import numbers

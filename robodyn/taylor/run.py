@@ -17,19 +17,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import dense_dynamics
-from robodyn.actuation import Actuation
-from robodyn.change_points import FAR, Misses, suspect_quality
+from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.kinks import kink_at, next_stop
-from robodyn.mechanism import Mechanism
-from robodyn.projection import float_closing, loop_terms
-from robodyn.recording import Outcome, Recorder
+from robodyn.loops.change_points import FAR, Misses, suspect_quality
+from robodyn.loops.projection import float_closing, loop_terms
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import kink_at, next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, Status, default_order
 from robodyn.taylor.steps import InterpretedEngine, SteppingEngine, StraightEngine
 
 if TYPE_CHECKING:
-    from robodyn.right_hand_side import RightHandSide
+    from robodyn.simulation.right_hand_side import RightHandSide
 
 Array = NDArray[np.float64]
 
@@ -259,7 +259,7 @@ def _cross(
     actuation: Actuation,
 ) -> tuple[float, Array]:
     """DOP853 from (t, y) until the closures are regular again, or the bound."""
-    from robodyn.solvers import projected
+    from robodyn.simulation.solvers import projected
 
     assert closing is not None
     tolerances = np.full(len(y), atol)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.change_points import Misses, suspect_quality
 from robodyn.engines.expansion import MotionProgram, longest_step
 from robodyn.engines.series import FLOATS
 from robodyn.engines.step_text import StepText, step_text
+from robodyn.loops.change_points import Misses, suspect_quality
+from robodyn.loops.projection import FloatClosing
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.mechanism import Mechanism
-from robodyn.projection import FloatClosing
 from robodyn.taylor import Chunk, Status
 
 Array = NDArray[np.float64]

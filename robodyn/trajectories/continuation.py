@@ -21,12 +21,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import CLOSED
-from robodyn.change_points import nearest_singular
-from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
-from robodyn.closing import close_positions, loop_size
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.mechanism import Mechanism
+from robodyn.loops.assembly import CLOSED
+from robodyn.loops.change_points import nearest_singular
+from robodyn.loops.closing import close_positions, loop_size
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces
 
 Array = NDArray[np.float64]

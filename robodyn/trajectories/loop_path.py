@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.change_points import OFFSETS
-from robodyn.loop_rates import loop_accelerations, loop_velocities
-from robodyn.mechanism import Mechanism
+from robodyn.loops.change_points import OFFSETS
+from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import (
     TRAVEL,
     PathEndError,

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import inverse_dynamics
+from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism
-from robodyn.per_joint import for_each_actuated
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.per_joint import for_each_actuated
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath

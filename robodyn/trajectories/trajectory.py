@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn import assembly, loop_rates
 from robodyn.errors import InputError, RobodynError, SingularError
-from robodyn.mechanism import Mechanism
+from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath

@@ -17,10 +17,10 @@ import oracles
 import robodyn
 from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
-from robodyn.description import from_text
-from robodyn.mechanism import Mechanism, build
-from robodyn.recording import Outcome
-from robodyn.simulation import simulate
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import simulate
 
 HERE = Path(__file__).resolve().parent
 ROBOTS = HERE.parent.parent / "robots"

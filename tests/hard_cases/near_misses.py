@@ -9,14 +9,14 @@ import mpmath as mp
 import numpy as np
 
 import robodyn
-from robodyn.actuation import Actuation
-from robodyn.change_points import nearness
-from robodyn.closed_form import closure_jacobian
-from robodyn.closing import close_positions
-from robodyn.description import from_text
-from robodyn.extended import reference
-from robodyn.mechanism import Mechanism, build
-from robodyn.simulation import simulate
+from robodyn.dynamics.closed_form import closure_jacobian
+from robodyn.loops.change_points import nearness
+from robodyn.loops.closing import close_positions
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
+from robodyn.simulation.extended import reference
+from robodyn.simulation.simulation import simulate
 
 Maker = Callable[[float], Mechanism]
 
