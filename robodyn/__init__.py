@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import load as load
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
+    from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
+    from robodyn.trajectories.reference import reference_motion as reference_motion
     from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
-    from robodyn.trajectories.trajectory import ReferenceMotion as ReferenceMotion
-    from robodyn.trajectories.trajectory import reference_motion as reference_motion
 
 __version__ = "0.1.0"
 
@@ -76,7 +76,7 @@ _ROOMS = {
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.time_scaling": ["shortest_motion"],
-    "trajectories.trajectory": ["ReferenceMotion", "reference_motion"],
+    "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -16,18 +16,18 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through
+from robodyn.trajectories.reference import (
+    ReferenceMotion,
+    all_joints,
+    motion_along,
+    reference_motion,
+)
 from robodyn.trajectories.time_scaling import (
     LimitError,
     check_limits,
     limits_of,
     shortest_along,
     shortest_motion,
-)
-from robodyn.trajectories.trajectory import (
-    ReferenceMotion,
-    all_joints,
-    motion_along,
-    reference_motion,
 )
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")

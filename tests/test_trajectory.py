@@ -18,7 +18,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through, piece_at
 from robodyn.trajectories.loop_path import LoopPath
-from robodyn.trajectories.trajectory import (
+from robodyn.trajectories.reference import (
     ReferenceMotion,
     all_joints,
     motion_along,

@@ -15,7 +15,7 @@ from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Model
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
-from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
+from robodyn.cli.sweep_options import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.errors import InputError, RobodynError
 from robodyn.scene.yaml_tree import read_text
 from robodyn.sweeps.resumable_file import ResumableFile

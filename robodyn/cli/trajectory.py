@@ -36,6 +36,7 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, path_through
 from robodyn.trajectories.profiles import ACCELERATION
+from robodyn.trajectories.reference import ReferenceMotion, motion_along
 from robodyn.trajectories.time_scaling import (
     Limits,
     check_limits,
@@ -43,7 +44,6 @@ from robodyn.trajectories.time_scaling import (
     shortest_along,
     shortest_through,
 )
-from robodyn.trajectories.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
 WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows

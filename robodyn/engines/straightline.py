@@ -2,7 +2,7 @@
 
 An integrator evaluates one state ten thousand times, where numpy's call overhead is twenty times
 the arithmetic.  So the formulas of `engines/formulas.py` are written out as Python on floats, or as
-in-place numpy calls on blocks of many states (`blocks.py` runs those).
+in-place numpy calls on blocks of many states (`array_blocks.py` runs those).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Generic
 
-from robodyn.equations import blocks, forces
+from robodyn.equations import blocks, force_terms
 from robodyn.equations.factoring import Written
 from robodyn.equations.outline import Block, Definition, Entry, heads
 from robodyn.equations.parameters import Parameter, Parameters
@@ -95,9 +95,9 @@ def equations(
 def _entries(scene: SymbolicScene, name: str) -> tuple[blocks.Rows, tuple[Definition, ...]]:
     """The entries of the block of this name, and the names that they use."""
     if name == "G":
-        return forces.gravity_vector(scene)
+        return force_terms.gravity_vector(scene)
     if name == "Q":
-        return forces.other_forces(scene)
+        return force_terms.other_forces(scene)
     return blocks.ENTRIES[name](scene), ()
 
 

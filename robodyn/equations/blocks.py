@@ -7,7 +7,7 @@ against link j above it, A_jk = sum_b m_b conj(rho_bj) rho_bk and B_k = sum_b m_
 
     M_ac  = sum_b (m_b sum_jk Re(conj(rho_bj) rho_bk exp(i theta_jk)) + I_b)
     C_ac  = sum_jk Im(A_jk exp(i theta_jk)) (alphad_j [k of a, j of c] - alphad_k [j of a, k of c])
-    G_a   = sum_k Im(conj(gamma) B_k E_k), and springs and loads, see `forces.py`
+    G_a   = sum_k Im(conj(gamma) B_k E_k), and springs and loads, see `force_terms.py`
     gap   = Re(P E) + offset        Psi_a = sum_k Re(i P_k E_k)        Psidot qd = -Re(P E alphad^2)
 
 where [k of a] holds for the links k that joint a moves, and sums run over these.  Every entry is a

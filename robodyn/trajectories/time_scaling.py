@@ -33,7 +33,7 @@ from robodyn.trajectories.loop_path import LoopPath, OpenPath
 from robodyn.trajectories.path_extremes import Columns, least_along
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
-from robodyn.trajectories.trajectory import ReferenceMotion, all_joints, motion_along, whole_path
+from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
 
 Array = NDArray[np.float64]
 
