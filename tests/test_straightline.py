@@ -25,6 +25,8 @@ from robodyn.engines import array_blocks, expression, formulas, source_text, str
 examples = settings(deadline=None, max_examples=40)
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])
 
+BLOCK = array_blocks.BLOCK
+
 
 @pytest.fixture
 def written(monkeypatch, by_direction):
@@ -281,7 +283,7 @@ links:
 
 
 class TestBlocks:
-    @pytest.mark.parametrize("count", [0, 1, array_blocks.BLOCK - 1, array_blocks.BLOCK, 2 * array_blocks.BLOCK + 3])
+    @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
     def test_every_row_is_computed_once(self, count):
         x = np.arange(2.0 * count).reshape(count, 2)
         y = np.full((count, 1), np.nan)
