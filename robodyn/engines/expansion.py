@@ -28,8 +28,8 @@ class Expansion(NamedTuple):
     `rho`, `theta` (n, order + 2) are the links' turns from where they start, `power` (order + 1)
     that of what changes the energy (empty where nothing does), `longest` the step that the
     tolerances `rtol` and `atol` allow, `steady` (n) torques that are constant, whose work is not in
-    the power; `watched` (k) values that bend where the series do not tell,
-    with their series, and the length by which each is multiplied to be a torque.
+    the power; `watched` (k) values that bend where the series do not tell, with their series, and
+    the length by which each is multiplied to be a torque.
     """
 
     graph: Graph
@@ -37,37 +37,49 @@ class Expansion(NamedTuple):
     rho: list[list[Value]]
     theta: list[list[Value]]
     power: list[Value]
-    steady: tuple[float, ...] | None
+    steady: list[Value]
     longest: Value
     watched: list[list[Value]]
     arms: list[float]
 
 
-def expansion(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    order: int,
-    work: bool,
-    held: Sequence[float] | None = None,
-) -> Expansion:
-    """The formulas of one step; see `Expansion`, and for `held` `torque_slots`.
+def written(
+    mechanism: Mechanism, actuation: Actuation, work: bool, held: Sequence[float] | None = None
+) -> EquationsOfMotion:
+    """The rows of a scene and its torques; for `held` see `torque_slots`.
 
-    Raises InputError where a torque has no series, ZeroDivisionError where no state has one.
+    Raises InputError where a torque has no series.
     """
-    n = mechanism.n
-    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True)
     equations = EquationsOfMotion(mechanism)
-    program = equations.program
     slots = torque_slots(equations, actuation, held)
     equations.write(slots, work, steady=actuation.constants is not None)
+    return equations
+
+
+def expansion(
+    equations: EquationsOfMotion, actuation: Actuation, order: int, generic: bool = False
+) -> Expansion:
+    """The formulas of one step; see `Expansion`.
+
+    With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, u1, ...,
+    and roots are rough.  Raises ZeroDivisionError where no state has a series.
+    """
+    mechanism, program = equations.mechanism, equations.program
+    n = mechanism.n
+    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic)
+    numbers = state.numbers(program)
+    steady = [
+        state.parameter(f"u{j}", tau) if tau else 0.0
+        for j, tau in enumerate(actuation.constants or ())
+    ]
     t = state.graph.variable("t")
     given: dict[str, Sequence[Value] | Callable[[int], Value]] = {"t": (t, 1.0)}
     alpha, w = state.absolute("q"), state.absolute("qd")
     for j in range(n):
         given[f"q{j}"], given[f"alpha{j}"] = (state.relative["q"][j],), (alpha[j],)
         given[f"qd{j}"] = (state.relative["qd"][j],)
-        if actuation.constants is not None:
-            given[f"tau{j}"] = (float(actuation.constants[j]),)
+        if steady:
+            given[f"tau{j}"] = (steady[j],)
         else:
             given[f"tau{j}"] = (state.relative["tau"][j], state.relative["dtau"][j])
     E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
@@ -76,7 +88,7 @@ def expansion(
     series = Series(
         program,
         RECORDED,
-        program.numbers,
+        numbers,
         order,
         State(E, w, given),
         slots=[*power, *(slot for slot in bends)],
@@ -92,7 +104,7 @@ def expansion(
         rho,
         theta,
         [series.real[slot][m] for slot in power for m in range(order + 1)],
-        actuation.constants,
+        steady,
         _longest(state, rho, theta, w, order),
         [[series.real[slot][m] for m in range(order)] for slot in bends],
         [program.arms[slot] for slot in bends],
@@ -112,6 +124,7 @@ def _longest(
     by atol + rtol, and no link turns so far that its turns cannot be counted.
     """
     rtol, atol = state.graph.variable("rtol"), state.graph.variable("atol")
+    power = _rough if state.generic else expression.power
 
     def largest(k: int) -> Value:
         return _largest([a[k] * a[k] + b[k] * b[k] for a, b in zip(rho, theta, strict=True)])
@@ -119,17 +132,22 @@ def _longest(
     fast = _largest([expression.absolute(x) for x in w])
     tol = atol + rtol * fast
     square = tol * tol
-    h = expression.power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
-    before = expression.power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
+    h = power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
+    before = power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
     h = expression.least(h, before)
     h = expression.least(h, TURN / (fast + TINY))
     angle = (p + 1.0) * (atol + rtol)
-    shorter = h * expression.power(angle / (h * tol), 1.0 / (p + 1))
+    shorter = h * power(angle / (h * tol), 1.0 / (p + 1))
     h = expression.choose(angle, h * tol, shorter, h)
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]
     return expression.choose(expression.absolute(tails), math.inf, h, math.nan)
+
+
+def _rough(a: Value, exponent: float) -> Value:
+    """A power that errs by some percent, rather below than above."""
+    return 0.96 * expression.rough_power(a, exponent)
 
 
 def _largest(values: Sequence[Value]) -> Value:
@@ -153,6 +171,40 @@ def turned(rho: Sequence[Value], theta: Sequence[Value], x: Value) -> tuple[Plan
     """The turn r + i t of a link at x after the start, and its rate Im(conj(z) z')/|z|^2."""
     (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
     return (r, t), (r * dt - t * dr) / (r * r + t * t)
+
+
+def rates(rho: Sequence[Value], theta: Sequence[Value], order: int) -> list[Value]:
+    """The series of a link's rate w = Im(conj(z) z'), up to an order below those of z."""
+    found: list[Value] = []
+    for m in range(order + 1):
+        total: Value = 0.0
+        for j in range(m + 1):
+            total = total + (j + 1.0) * (rho[m - j] * theta[j + 1] - theta[m - j] * rho[j + 1])
+        found.append(total)
+    return found
+
+
+def end_of_step(mechanism: Mechanism, found: Expansion, work: bool, graph: Graph) -> list[Value]:
+    """q, qd (n each) and, if wanted, the work at the time x after the start."""
+    x = graph.variable("x")
+    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
+    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
+    q, qd, own = [], [], []
+    for j, above in enumerate(mechanism.parent):
+        way, rate = ways[j], turns[j][1]
+        if above is not None:
+            way, rate = way - ways[above], rate - turns[above][1]
+        own.append(way)
+        q.append(graph.variable(f"q{j}") + way)
+        qd.append(rate)
+    if not work:
+        return [*q, *qd]
+    total: Value = graph.variable("work")
+    if found.power:
+        total = total + integral(found.power, x)
+    for tau, way in zip(found.steady, own, strict=False):
+        total = total + tau * way
+    return [*q, *qd, total]
 
 
 def integral(coefficients: Sequence[Value], x: Value) -> Value:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
-from robodyn import expression, straightline
+from robodyn import straightline
 from robodyn.actuation import Actuation
 from robodyn.engines import source_text
-from robodyn.engines.expansion import Expansion, expansion, integral, turned
+from robodyn.engines.expansion import Expansion, end_of_step, expansion, written
 from robodyn.expression import Expression, Value
 from robodyn.planar_model import Mechanism
 
@@ -39,32 +39,13 @@ def step_text(
     held: Sequence[float] | None = None,
 ) -> StepText:
     """The code; raises InputError where a torque has no series (for `held` see `torque_slots`)."""
-    found = expansion(mechanism, actuation, order, work, held)
-    x = found.graph.variable("x")
-    n = mechanism.n
-    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
-    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
-    q, qd = [], []
-    for j, above in enumerate(mechanism.parent):
-        way, rate = ways[j], turns[j][1]
-        if above is not None:
-            way, rate = way - ways[above], rate - turns[above][1]
-        q.append(found.graph.variable(f"q{j}") + way)
-        qd.append(rate)
-    done: list[Value] = []
-    if work:
-        total: Value = found.graph.variable("work")
-        if found.power:
-            total = total + integral(found.power, x)
-        for j, tau in enumerate(found.steady or ()):
-            above = mechanism.parent[j]
-            way = ways[j] if above is None else ways[j] - ways[above]
-            total = total + tau * way
-        done.append(total)
+    equations = written(mechanism, actuation, work, held)
+    found = expansion(equations, actuation, order)
+    state = end_of_step(mechanism, found, work, found.graph)
     series = [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
     return StepText(
-        _expand(found, [*q, *qd, *done], series, n, work),
-        _watched(found, n),
+        _expand(found, state, series, mechanism.n, work),
+        _watched(found, mechanism.n),
         found.arms,
         bool(found.power),
     )
