@@ -14,16 +14,32 @@ import oracles
 from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import LOOPS, mechanism, seeded_scene
-from robodyn import assemble, simulate
+from robodyn import assemble, load, simulate
+from robodyn.engines import machine_motion
 from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.recording import Outcome
+from robodyn.taylor import compiled
 from robodyn.taylor import run as taylor_run
 
+ENGINE = ["python"]
 
-def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, engine="python", **options):
+
+@pytest.fixture(params=["python", "compiled"])
+def engine(request, monkeypatch):
+    """What `taylor` goes by where it is not told."""
+    if request.param == "compiled":
+        pytest.importorskip("llvmlite")
+    monkeypatch.setattr(sys.modules[__name__], "ENGINE", [request.param])
+
+
+by_each_engine = pytest.mark.usefixtures("engine")
+
+
+def taylor(mech, q, qd, t_end, tau=None, tolerance=1e-9, engine=None, **options):
+    engine = engine or ENGINE[0]
     options = {"rtol": tolerance, "atol": tolerance, "engine": engine, **options}
     return simulate(mech, q, qd, t_end, tau, "taylor", **options)
 
@@ -32,6 +48,7 @@ def apart(first, second):
     return np.abs(np.hstack([first.q - second.q, first.qd - second.qd])).max()
 
 
+@by_each_engine
 class TestBalance:
     @pytest.mark.parametrize("tau", [None, [1.5], "1.5*sin(2*t) + 0.2*q1"])
     @pytest.mark.parametrize("name", DAMPED)
@@ -61,6 +78,7 @@ class TestBalance:
         assert motion.report.largest_gap < 3e-14
 
 
+@by_each_engine
 class TestChangePoints:
     @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12, 1e-13])
     @pytest.mark.parametrize("n", [1, 2, 5])
@@ -125,29 +143,48 @@ class TestEngines:
         with pytest.raises(SingularError, match="wire"):
             taylor(hard_case("massless-tip"), [0.0, 0.0], [0.0, 0.0], 1.0)
 
-    def test_no_compiled_engine_without_numba(self, monkeypatch):
+    def test_no_compiled_engine_without_llvmlite(self, monkeypatch):
         monkeypatch.setattr(taylor_run, "find_spec", lambda name: None)
         with pytest.raises(InputError, match=r"engine = compiled: needs the extra `fast`"):
             taylor(scene("2r"), *START, 1.0, engine="compiled")
         assert taylor(scene("2r"), *START, 1.0, engine="auto").outcome is Outcome.FINISHED
 
-    def test_no_compiled_engine_for_expressions(self):
-        with pytest.raises(InputError, match=r"constant torques"):
-            taylor(scene("2r"), *START, 1.0, "sin(t), 0", engine="compiled")
+    def test_no_compiled_engine_for_what_has_no_series(self):
+        with pytest.raises(InputError, match=r"a torque that has a series"):
+            taylor(scene("2r"), *START, 1.0, lambda t, q, qd: [0.0, 0.0], engine="compiled")
 
     def test_auto_goes_on_compiled(self, monkeypatch):
-        pytest.importorskip("numba")
-        monkeypatch.setattr(taylor_run, "PATIENCE", 0.0)
-        monkeypatch.delitem(sys.modules, taylor_run.COMPILED, raising=False)
+        pytest.importorskip("llvmlite")
+        monkeypatch.setattr(taylor_run, "WORTH", 140)
         start = ([0.1, 0.2], [1.0, 0.0])
         options = {"tolerance": 1e-12, "t_eval": [10.0]}
-        motion = taylor(scene("2r"), *start, 10.0, engine="auto", **options)
+        mech = load(ROOT / "robots/2r.yaml")
+        motion = taylor(mech, *start, 10.0, engine="auto", **options)
         assert motion.report.evaluator == "compiled"
         assert apart(motion, taylor(scene("2r"), *start, 10.0, **options)) < 1e-7
 
+    def test_code_that_cannot_be_made_for_what_comes_later(self, monkeypatch):
+        """Machine code of one piece of an expression; the next is for Python."""
+        pytest.importorskip("llvmlite")
+        tau = "0 if t < 0.5 else sin(3*t), 0"
+        known = taylor(scene("2r"), *START, 1.0, tau)
+        kernels = []
+        compile = machine_motion.compile
+
+        def one(*arguments):
+            kernels.append(arguments)
+            return compile(*arguments) if len(kernels) == 1 else None
+
+        monkeypatch.setattr(compiled, "_codes", {})
+        monkeypatch.setattr(machine_motion, "compile", one)
+        motion = taylor(scene("2r"), *START, 1.0, tau, engine="compiled")
+        assert len(kernels) > 1
+        assert motion.report.evaluator == "straight"
+        assert np.abs(motion.q[-1] - known.q[-1]).max() < 1e-7
+
     @pytest.mark.parametrize("shape", [None, "four-bar", "five-bar", "slider-crank"])
     def test_compiled_and_python_agree(self, shape):
-        pytest.importorskip("numba")
+        pytest.importorskip("llvmlite")
         drawn = seeded_scene(3, LOOPS[shape]) if shape else None
         mech = drawn.mechanism if drawn else scene("3r")
         q, qd = (drawn.q, drawn.qd) if drawn else (np.full(3, 0.3), np.ones(3))
@@ -178,6 +215,7 @@ class TestEngines:
         assert motion.outcome is Outcome.FINISHED
 
 
+@by_each_engine
 class TestOutcomes:
     def test_stiff_is_told_at_once(self):
         """A damper 1e6 times too strong: the run would take more steps than it may."""
@@ -255,7 +293,7 @@ class TestProcess:
         done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT, check=True)
         modules = json.loads(done.stderr)
         assert "robodyn.taylor.run" in modules
-        assert not [name for name in modules if name.split(".")[0] in ("scipy", "numba")]
+        assert not [name for name in modules if name.split(".")[0] in ("scipy", "llvmlite")]
         assert len(done.stdout.splitlines()) > 5
 
     def test_torque_takes_the_motion_back(self, robodyn, tmp_path):
@@ -272,12 +310,13 @@ class TestProcess:
 def test_a_run_stops_at_its_limit_of_evaluations(engine):
     """However many steps an engine takes at a time."""
     if engine == "compiled":
-        pytest.importorskip("numba")
+        pytest.importorskip("llvmlite")
     motion = taylor(scene("2r"), [1.0, 0.5], [0, 0], 10.0, engine=engine, max_evals=7)
     assert motion.outcome is Outcome.TOO_MANY_EVALUATIONS
     assert motion.report.evaluations == 8
 
 
+@by_each_engine
 class TestFriction:
     """Far above its speed friction is flat, and its series does not see that it turns over."""
 
@@ -290,7 +329,7 @@ class TestFriction:
         times = np.linspace(0.0, 3.0, 7)
         options = {"t_eval": times, "rtol": 1e-9, "atol": 1e-9}
         implicit = simulate(mech, [1.0], [2.0], 3.0, method="Radau", **options)
-        motion = simulate(mech, [1.0], [2.0], 3.0, method="taylor", **options)
+        motion = taylor(mech, [1.0], [2.0], 3.0, t_eval=times)
         assert motion.outcome is Outcome.FINISHED
         assert motion.q == pytest.approx(implicit.q, abs=1e-6)
         assert motion.report.energy_drift < 1e-6
@@ -306,6 +345,7 @@ class TestFriction:
         assert motion.q[0] == pytest.approx(found.y[0, :1], abs=1e-9)
 
 
+@by_each_engine
 @pytest.mark.parametrize("beside", [0.0, 1e-8, 1e-4])
 def test_a_springs_ends_that_pass_one_another(beside):
     """The tip swings through the anchor of a spring, or close by: its pull turns over."""
@@ -314,6 +354,6 @@ def test_a_springs_ends_that_pass_one_another(beside):
         f"springs: [{{between: [a, [{0.5 + beside!r}, 0]], stiffness: 20, length: 0.1}}]\n"
     )
     options = {"t_eval": [1.0], "rtol": 1e-9, "atol": 1e-9}
-    found = [simulate(mech, [0.6], [0], 1.0, method=m, **options) for m in ("DOP853", "taylor")]
+    found = [simulate(mech, [0.6], [0], 1.0, **options), taylor(mech, [0.6], [0], 1.0, **options)]
     assert found[1].q == pytest.approx(found[0].q, abs=1e-5)
     assert found[1].report.energy_drift < 1e-5

@@ -69,9 +69,13 @@ class MotionProgram:
         qd: Sequence[Value],
         alpha: Sequence[Value],
         torques: tuple[Sequence[Value], Sequence[Value]],
+        steady: Sequence[Value] = (),
     ) -> Given:
-        """What the rows take from outside: `torques` are values and slopes of what is linear."""
-        constants = self.actuation.constants
+        """What the rows take from outside: `torques` are values and slopes of what is linear.
+
+        `steady` (n) are in place of constant torques, where they are formulas.
+        """
+        constants = steady or self.actuation.constants
         given: Given = {"t": (t, 1.0)}
         for j in range(self.mechanism.n):
             given[f"q{j}"], given[f"alpha{j}"], given[f"qd{j}"] = (q[j],), (alpha[j],), (qd[j],)
@@ -132,48 +136,65 @@ class MotionProgram:
 class Expansion(NamedTuple):
     """Formulas of q, qd, t, tau and dtau (n each: what is linear, and its slope in time).
 
-    `given` tells whether there are such torques; `longest` is the step that the tolerances `rtol`
-    and `atol` allow, `steady` (n) are torques that are constant, `arms` (k) make torques of what is
+    `given` tells whether there are such torques; `rho`, `theta`, `power` and `watched` are those of
+    `Coefficients`, `steady` (n) torques that are constant, whose work is not in the power,
+    `longest` the step that the tolerances `rtol` and `atol` allow; `arms` make torques of what is
     watched.
     """
 
     graph: Graph
     given: bool
-    series: Coefficients
+    rho: list[list[Value]]
+    theta: list[list[Value]]
+    power: list[Value]
+    steady: list[Value]
     longest: Value
-    steady: tuple[float, ...] | None
+    watched: list[list[Value]]
     arms: list[float]
 
 
-def expansion(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    order: int,
-    work: bool,
-    held: Sequence[float] | None = None,
-) -> Expansion:
-    """The formulas of one step; see `Expansion` and `MotionProgram`."""
-    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True)
-    motion = MotionProgram(mechanism, actuation, work, held)
+def expansion(motion: MotionProgram, order: int, generic: bool = False) -> Expansion:
+    """The formulas of one step; see `Expansion`.
+
+    With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, u1, ...,
+    and roots are rough.  Raises ZeroDivisionError where no state has a series.
+    """
+    mechanism, actuation = motion.mechanism, motion.actuation
+    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic)
+    numbers = state.numbers(motion.program)
+    steady = [
+        state.parameter(f"u{j}", tau) if tau else 0.0
+        for j, tau in enumerate(actuation.constants or ())
+    ]
     alpha, w = state.absolute("q"), state.absolute("qd")
     relative = state.relative
     torques = relative["tau"], relative["dtau"]
     t = state.graph.variable("t")
-    given = motion.given(t, relative["q"], relative["qd"], alpha, torques)
+    given = motion.given(t, relative["q"], relative["qd"], alpha, torques, steady)
     E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
-    series = motion.expand(RECORDED, motion.program.numbers, order, State(E, w, given))
+    series = motion.expand(RECORDED, numbers, order, State(E, w, given))
     tolerances = state.graph.variable("rtol"), state.graph.variable("atol")
+    power = _rough if generic else expression.power
     return Expansion(
         state.graph,
         actuation.constants is None and actuation.linear,
-        series,
-        longest_step(series, w, *tolerances),
-        actuation.constants,
+        series.rho,
+        series.theta,
+        series.power,
+        steady,
+        longest_step(series, w, *tolerances, power),
+        series.watched,
         motion.arms,
     )
 
 
-def longest_step(series: Coefficients, w: Sequence[Value], rtol: Value, atol: Value) -> Value:
+def longest_step(
+    series: Coefficients,
+    w: Sequence[Value],
+    rtol: Value,
+    atol: Value,
+    power: Callable[[Value, float], Value] = expression.power,
+) -> Value:
     """The step at which the last coefficients are as large as the tolerance.
 
     Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
@@ -188,17 +209,22 @@ def longest_step(series: Coefficients, w: Sequence[Value], rtol: Value, atol: Va
     fast = _largest([expression.absolute(x) for x in w])
     tol = atol + rtol * fast
     square = tol * tol
-    h = expression.power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
-    before = expression.power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
+    h = power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
+    before = power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
     h = expression.least(h, before)
     h = expression.least(h, TURN / (fast + TINY))
     angle = (p + 1.0) * (atol + rtol)
-    shorter = h * expression.power(angle / (h * tol), 1.0 / (p + 1))
+    shorter = h * power(angle / (h * tol), 1.0 / (p + 1))
     h = expression.choose(angle, h * tol, shorter, h)
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]
     return expression.choose(expression.absolute(tails), math.inf, h, math.nan)
+
+
+def _rough(a: Value, exponent: float) -> Value:
+    """A power that errs by some percent, rather below than above."""
+    return 0.96 * expression.rough_power(a, exponent)
 
 
 def _largest(values: Sequence[Value]) -> Value:
@@ -222,6 +248,40 @@ def turned(rho: Sequence[Value], theta: Sequence[Value], x: Value) -> tuple[Plan
     """The turn r + i t of a link at x after the start, and its rate Im(conj(z) z')/|z|^2."""
     (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
     return (r, t), (r * dt - t * dr) / (r * r + t * t)
+
+
+def rates(rho: Sequence[Value], theta: Sequence[Value], order: int) -> list[Value]:
+    """The series of a link's rate w = Im(conj(z) z'), up to an order below those of z."""
+    found: list[Value] = []
+    for m in range(order + 1):
+        total: Value = 0.0
+        for j in range(m + 1):
+            total = total + (j + 1.0) * (rho[m - j] * theta[j + 1] - theta[m - j] * rho[j + 1])
+        found.append(total)
+    return found
+
+
+def end_of_step(mechanism: Mechanism, found: Expansion, work: bool, graph: Graph) -> list[Value]:
+    """q, qd (n each) and, if wanted, the work at the time x after the start."""
+    x = graph.variable("x")
+    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
+    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
+    q, qd, own = [], [], []
+    for j, above in enumerate(mechanism.parent):
+        way, rate = ways[j], turns[j][1]
+        if above is not None:
+            way, rate = way - ways[above], rate - turns[above][1]
+        own.append(way)
+        q.append(graph.variable(f"q{j}") + way)
+        qd.append(rate)
+    if not work:
+        return [*q, *qd]
+    total: Value = graph.variable("work")
+    if found.power:
+        total = total + integral(found.power, x)
+    for tau, way in zip(found.steady, own, strict=False):
+        total = total + tau * way
+    return [*q, *qd, total]
 
 
 def integral(coefficients: Sequence[Value], x: Value) -> Value:

@@ -354,13 +354,13 @@ def _negative(a: Expression) -> bool:
     return first.op == "neg"
 
 
-def needed(outputs: Sequence[Value]) -> list[Expression]:
-    """The nodes that the outputs need, each after its arguments."""
+def needed(outputs: Sequence[Value], there: Container[int] = ()) -> list[Expression]:
+    """The nodes that the outputs need, each after its arguments; those `there` need no more."""
     found: dict[int, Expression] = {}
     stack = [out for out in outputs if isinstance(out, Expression)]
     while stack:
         node = stack.pop()
-        if node.index not in found:
+        if node.index not in found and node.index not in there:
             found[node.index] = node
             stack += [a for a in node.args if isinstance(a, Expression)]
     return [found[index] for index in sorted(found)]

@@ -6,6 +6,7 @@ with the links' directions (c_k, s_k) alone.  Both are recorded; the cheaper one
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -37,6 +38,11 @@ RECORDED = Arithmetic(
 )
 
 
+def anything(i: int) -> float:
+    """A number that stands for any: it is no 0, 1 or -1, and no sum of products of them is."""
+    return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
+
+
 class Formula(NamedTuple):
     """Inputs by name, outputs (n joint values, r multipliers, ...), and the closures' pivots.
 
@@ -52,7 +58,8 @@ class Formula(NamedTuple):
 class Recorded:
     """The program of a mechanism at one state of nodes: q, qd, and what else is given, by name.
 
-    With `parameters` the mechanism's numbers are parameters of the graph, else they are folded.
+    With `parameters` the mechanism's numbers are parameters of the graph, else they are folded;
+    with `generic` too, and nothing is read from what they are: the formula serves all of a shape.
     One whose numbers are formulas has them on a `graph` that is given.
     """
 
@@ -62,10 +69,12 @@ class Recorded:
         rates: Sequence[str],
         by_direction: bool,
         parameters: bool = False,
+        generic: bool = False,
         graph: Graph | None = None,
         arithmetic: Arithmetic = RECORDED,
     ) -> None:
-        self.mechanism, self.by_direction, self.parameters = mechanism, by_direction, parameters
+        self.mechanism, self.by_direction, self.generic = mechanism, by_direction, generic
+        self.parameters = parameters or generic
         self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
         n = mechanism.n
@@ -129,10 +138,12 @@ class Recorded:
         """The numbers of the program, as they are or as parameters."""
         if not self.parameters:
             return list(program.numbers)
-        return [self.graph.parameter(f"c{i}", x) for i, x in enumerate(program.numbers)]
+        return [self.parameter(f"c{i}", x) for i, x in enumerate(program.numbers)]
 
-    def size(self, name: str, number: float) -> Value:
-        """What a pivot is compared with."""
+    def parameter(self, name: str, number: float) -> Value:
+        """A parameter of the graph, if they are wanted."""
+        if self.generic:
+            return self.graph.parameter(name, anything(len(self.graph.parameters)))
         return self.graph.parameter(name, number) if self.parameters else number
 
     def _turn(self, j: int, k: int) -> Planar:
@@ -193,7 +204,7 @@ def inverse_of(state: Recorded) -> Formula:
     if len(Psi) == 1:
         det = columns[0][0]
         multipliers = [right[0] / det]
-        pivot = det / state.size("size0", mechanism.rows[0].size)
+        pivot = det / state.parameter("size0", mechanism.rows[0].size)
         pivots: tuple[Value, ...] = (pivot * pivot,)
     else:
         (a, b), (c, d) = columns
@@ -277,7 +288,7 @@ def _forward(
         for row in mechanism.rows
     ]
     pivots = tuple(
-        pivot / state.size(f"size{r}", size)
+        pivot / state.parameter(f"size{r}", size)
         for r, (pivot, size) in enumerate(zip(factors.pivots[n:], sizes, strict=True))
     )
     own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
@@ -286,14 +297,16 @@ def _forward(
     return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
 
 
-def projection_formula(mechanism: Mechanism) -> Formula | None:
+def projection_formula(mechanism: Mechanism, generic: bool = False) -> Formula | None:
     """q and qd (2n) brought nearer to closing by one Newton step of least norm; gap (r).
 
     q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
 
     None as by `cheapest`.
     """
-    return cheapest(lambda way: _projection(Recorded(mechanism, ("qd",), way)), (True,))
+    return cheapest(
+        lambda way: _projection(Recorded(mechanism, ("qd",), way, generic=generic)), (True,)
+    )
 
 
 def _projection(state: Recorded) -> Formula:
@@ -312,8 +325,10 @@ def _projection(state: Recorded) -> Formula:
         for k in range(n):
             column = [row[k] for row in Psi]
             outputs.append(state.relative[name][k] - _dot(column, multipliers))
-    sizes = [row.size**2 for row in mechanism.rows]
-    relative = tuple(pivot / size for pivot, size in zip(factors.pivots, sizes, strict=True))
+    relative = tuple(
+        pivot / state.parameter(f"size{r}", row.size**2)
+        for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
+    )
     return Formula(state.inputs, (*outputs, *gaps), relative)
 
 

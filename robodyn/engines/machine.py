@@ -195,9 +195,10 @@ def this_processor(family: str = "") -> Processor:
 
 @lru_cache(maxsize=1)
 def generator() -> str:
-    """What tells these sources, and those of the graph, from other versions of them."""
+    """What tells these sources, and those of the program, from other versions of them."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for path in (*sorted(here.glob("*.py")), here.parent / "expression.py"):
-        digest.update(path.read_bytes())
+    for room in (here, here.parent / "mechanics"):
+        for path in sorted(room.glob("*.py")):
+            digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -19,17 +19,24 @@ _CIRCULAR = ("sin", "cos")
 class Segment:
     """Nodes of one graph in one kernel.  What is written stays known to later `write`s.
 
-    `inputs` gives the word of each variable and parameter by its name.
+    `inputs` gives the word of each variable and parameter by its name; `held` nodes are computed
+    elsewhere, and read wherever they are used.
     """
 
-    def __init__(self, kernel: Kernel, inputs: Mapping[str, Word] | Callable[[str], Word]) -> None:
+    def __init__(
+        self,
+        kernel: Kernel,
+        inputs: Mapping[str, Word] | Callable[[str], Word],
+        held: Mapping[int, Callable[[], Word]] | None = None,
+    ) -> None:
         self.kernel = kernel
         self.input = inputs if callable(inputs) else inputs.__getitem__
+        self.held = held or {}
         self.words: dict[int, Word] = {}
 
     def write(self, outputs: Sequence[Value]) -> list[Word]:
         """The words of the outputs, W lanes each."""
-        order = [node for node in needed(outputs) if node.index not in self.words]
+        order = needed(outputs, self.words.keys() | self.held.keys())
         depths = _depths(order)
         order.sort(key=lambda node: (depths[node.index], node.op not in _CIRCULAR, node.index))
         i = 0
@@ -53,7 +60,8 @@ class Segment:
     def word(self, value: Value | str) -> Word:
         """The word of a node that is written, or of a number."""
         if isinstance(value, Expression):
-            return self.words[value.index]
+            held = self.held.get(value.index)
+            return self.words[value.index] if held is None else held()
         return self.kernel.number(float(value))
 
     def _circular(self, nodes: Sequence[Expression]) -> None:

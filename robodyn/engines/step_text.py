@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
-from robodyn.engines import expression, source_text, straightline
-from robodyn.engines.expansion import Expansion, expansion, integral, turned
+from robodyn.engines import source_text, straightline
+from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion
 from robodyn.engines.expression import Expression, Value
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.planar_model import Mechanism
@@ -38,35 +38,14 @@ def step_text(
     held: Sequence[float] | None = None,
 ) -> StepText:
     """The code; raises InputError where a torque has no series (for `held` see `torque_slots`)."""
-    found = expansion(mechanism, actuation, order, work, held)
-    x = found.graph.variable("x")
-    n = mechanism.n
-    rho, theta, power, watched = found.series
-    turns = [turned(a, b, x) for a, b in zip(rho, theta, strict=True)]
-    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
-    q, qd = [], []
-    for j, above in enumerate(mechanism.parent):
-        way, rate = ways[j], turns[j][1]
-        if above is not None:
-            way, rate = way - ways[above], rate - turns[above][1]
-        q.append(found.graph.variable(f"q{j}") + way)
-        qd.append(rate)
-    done: list[Value] = []
-    if work:
-        total: Value = found.graph.variable("work")
-        if power:
-            total = total + integral(power, x)
-        for j, tau in enumerate(found.steady or ()):
-            above = mechanism.parent[j]
-            way = ways[j] if above is None else ways[j] - ways[above]
-            total = total + tau * way
-        done.append(total)
-    series = [*rho, *theta, *([power] if power else []), *watched]
+    found = expansion(MotionProgram(mechanism, actuation, work, held), order)
+    state = end_of_step(mechanism, found, work, found.graph)
+    series = [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
     return StepText(
-        _expand(found, [*q, *qd, *done], series, n, work),
-        _watched(found, n),
+        _expand(found, state, series, mechanism.n, work),
+        _watched(found, mechanism.n),
         found.arms,
-        bool(power),
+        bool(found.power),
     )
 
 
@@ -94,7 +73,7 @@ def _expand(
 
 
 def _watched(found: Expansion, n: int) -> Callable[..., tuple[float, ...]]:
-    lines, shown = source_text.float_source([each[0] for each in found.series.watched])
+    lines, shown = source_text.float_source([each[0] for each in found.watched])
     body = [_unpacked(found, n, False), *lines, f"return ({''.join(f'{x}, ' for x in shown)})"]
     return _defined("watched", "t, y, tau, dtau", body)
 

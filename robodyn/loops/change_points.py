@@ -55,6 +55,9 @@ LOST = 1e-7  # s/L below which a singular value is none, in a configuration so f
 REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
 SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
+BARREN = 0.05  # rad, from a state where the search found nothing within which it is not repeated
+MOST_BARREN = 500  # of these states that are kept
+LOOKED_AT = 32  # states of a batch, the nearest to singular ones, of which a miss is told
 
 BESIDE = 0.08  # part of s/L beside it below which a state is taken from the branch
 STRAIGHT = 1e-9  # part of the loop's size that an interpolated position may be open by
@@ -159,6 +162,12 @@ def known(mechanism: Mechanism) -> list[Singular]:
     return []
 
 
+@lru_cache(maxsize=64)
+def _barren(mechanism: Mechanism) -> list[Array]:
+    """States of a mechanism from which no singular configuration was found."""
+    return []
+
+
 def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
     """The singular configuration that q (n,) is near; None where it is near none."""
     if not np.isfinite(q).all():
@@ -168,8 +177,13 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
         return None
     if (old := _known_near(mechanism, q, SAME)) is not None:
         return old
+    barren = _barren(mechanism)
+    if barren and float(apart(mechanism, np.array(barren), q).min()) <= BARREN:
+        return None
     found = _search(mechanism, q, rank)
     if found is None:
+        if len(barren) < MOST_BARREN:
+            barren.append(q.copy())
         return None
     if (old := _known_near(mechanism, found.q, 1e-6)) is not None:
         return old
@@ -248,7 +262,11 @@ def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Arr
 
 def miss_remark(mechanism: Mechanism, states: Array) -> str:
     """Says that one of the states (..., n) is near a change point that the loops just miss."""
-    for q in states.reshape(-1, mechanism.n):
+    q_all = states.reshape(-1, mechanism.n)
+    if len(q_all) > LOOKED_AT:
+        near_all = nearness(mechanism, closed_form.closure_jacobian(mechanism, q_all))
+        q_all = q_all[np.argpartition(near_all, LOOKED_AT)[:LOOKED_AT]]
+    for q in q_all:
         near = nearest_singular(mechanism, q)
         if near is not None and near.worth_saying:
             return f"misses a change point by {near.miss:.2g} m"

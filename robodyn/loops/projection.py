@@ -36,6 +36,7 @@ FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
 PASSES = 4
+EXACT = 0.04  # part of what is suspect below which a state is closed exactly: s/L < 2 NEAR_SINGULAR
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:
@@ -135,5 +136,5 @@ def _generated_closing(
     formula = projection_formula(mechanism)
     if formula is None:
         return lambda y: None
-    limits = suspect_quality(mechanism), CLOSED * size, CONVERGED * size
+    limits = EXACT * suspect_quality(mechanism), CLOSED * size, CONVERGED * size
     return straightline.compile_closing(formula, PASSES, *limits)

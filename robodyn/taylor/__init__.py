@@ -15,6 +15,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.errors import RobodynError
+
 Array = NDArray[np.float64]
 
 TINY = 1e-290  # in place of a coefficient that vanishes
@@ -33,6 +35,10 @@ class Status(IntEnum):
     SINGULAR = 2  # the next step would start too near a singular configuration
     STUCK = 3  # the step is below the spacing of floats
     NOT_FINITE = 4  # an acceleration or a torque is not finite
+
+
+class NoCodeError(RobodynError):
+    """There is no machine code for a scene: the engines in Python serve."""
 
 
 class Chunk(NamedTuple):

@@ -1,31 +1,140 @@
-"""The Taylor-series engine in compiled code: one function for all mechanisms, cached on disk.
-
-The mechanism enters as numbers only (`layout.py`), so nothing is ever compiled for another
-one; the loops are those of `kernel.py`.
-"""
+"""The Taylor-series engine in machine code: many steps of one motion in one call."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
-from robodyn.loops.change_points import regular_rank, suspect_quality
+from robodyn.engines import machine, machine_motion
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
+from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
+from robodyn.engines.machine_steps import Scene
+from robodyn.errors import InputError
+from robodyn.loops.change_points import regular_rank
+from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.taylor import Chunk, Status, best_order
-from robodyn.taylor.kernel import advance
-from robodyn.taylor.layout import numbers
+from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
-Limits = tuple[float, float, float, float]  # atol, rtol, a fixed step, the quality of a suspect
+
+LARGEST = 3000  # entries of A and P, times the order, up to which the code is made in a second
+KEPT = 64  # codes in a process
+ROWS = 16384  # of one call: no step begins when there are more
+# what the observer is told: addresses of times, rows, ends and states, how many times, rows so far
+TABLE = ("times", "rows", "ends", "states", "count", "given")
+
+
+class Rows(Observer):
+    """Keeps every step's end, and rows at given times; of one lane."""
+
+    key = "rows"
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
+        given, count = self._told(k, own, "given"), self._told(k, own, "count")
+        leave(k.compare("sge", given, k.whole(ROWS)))
+        wanted = k.compare("sge", count, k.whole(1))
+        leave(k.both(wanted, k.compare("sge", given, count)))
+
+    def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
+        with k.when(take):
+            self._keep(k, block, own, taken, end)
+
+    def _told(self, k: Kernel, own: Word, name: str) -> Word:
+        place = TABLE.index(name)
+        return k.load(k.at(own, place), ADDRESS if place < TABLE.index("count") else WHOLE)
+
+    def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
+        scene = self.scene
+        names, wide = scene.state, k.whole(len(scene.state))
+        begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
+        there = {name: scene.get(k, block, f"to_{name}") for name in names}
+        state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
+        k.store(end, k.at(self._told(k, own, "ends"), taken))
+        for i, name in enumerate(names):
+            k.store(there[name], k.at(state, i))
+        with k.forever() as done:
+            given = self._told(k, own, "given")
+            k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
+            time = k.load(k.at(self._told(k, own, "times"), given), SCALAR)
+            ahead = k.multiply(k.subtract(time, end), direction)
+            k.leave(k.less(k.number(0.0), ahead), done)
+            scene.put(k, block, "x", k.subtract(time, begin))
+            k.line(f"call void @evaluate({block})")
+            if scene.closes:
+                k.line(f"call void @close({block})")
+            row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
+            at_end = k.compare("oeq", time, end)
+            for i, name in enumerate(names):
+                value = k.select(at_end, there[name], scene.get(k, block, f"to_{name}"))
+                k.store(value, k.at(row, i))
+            k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
+        for name in names:
+            scene.put(k, block, f"to_{name}", there[name])
+
+
+_codes: dict[tuple[str, str], Loaded] = {}  # by the key of the scene, and the processor's family
+
+
+def _loaded(scene: Scene, family: str) -> Loaded:
+    """The code of a scene, made once a process for all scenes of its shape."""
+    found = _codes.get((scene.key, family))
+    if found is None:
+        found = machine_motion.compile(scene, Rows(scene), 1, family)
+        if found is None:
+            raise NoCodeError("no machine code can be made")
+        while len(_codes) >= KEPT:
+            _codes.pop(next(iter(_codes)), None)
+        _codes[scene.key, family] = found
+    return found
+
+
+class _Ready(NamedTuple):
+    """A scene, its code, and a block with its numbers."""
+
+    scene: Scene
+    code: Loaded
+    block: Array
+
+
+def _ready(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    held: tuple[float, ...] | None,
+    options: tuple[bool, bool, str],
+    tolerances: tuple[float, float],
+) -> _Ready:
+    work, project, family = options
+    scene = Scene(mechanism, actuation, order, work=work, closes=project, held=held)
+    code = _loaded(scene, family)
+    block = np.zeros(code.items)
+    scene.fill(block, *tolerances)
+    code.prepare(block.ctypes.data)
+    return _Ready(scene, code, block)
+
+
+@lru_cache(maxsize=64)
+def _kept(mechanism: Mechanism, constants: tuple[float, ...] | None, *rest: Any) -> _Ready:
+    """The same of constant torques, or of those that are linear between kinks."""
+    return _ready(mechanism, Actuation(constants, linear=constants is None), *rest)
 
 
 class CompiledEngine:
-    """Steps of the Taylor series for constant torques and dampers, compiled (`taylor.Engine`).
+    """Steps of the Taylor series in machine code (`taylor.Engine`), of any torques that have one.
 
-    Tolerances are those of angles (rad) and rates (rad/s) over one step.  `order` is the last
-    coefficient of the rates that is kept; a `step` (s) replaces what the tolerance would choose.
+    Tolerances are those of angles (rad) and rates (rad/s) over one step.  With `work` states have
+    the work done appended; without `project` closures are left to drift.  Raises NoCodeError where
+    there is no machine code or a torque has no series, and so does `advance`.
     """
 
     def __init__(
@@ -36,26 +145,43 @@ class CompiledEngine:
         rtol: float = 1e-9,
         atol: float = 1e-9,
         order: int | None = None,
-        step: float | None = None,
+        project: bool = True,
+        work: bool = False,
+        family: str = "",
     ) -> None:
-        if not self.serves(mechanism, actuation):
-            raise ValueError("the compiled series are for constant torques and a regular M and Psi")
-        self.order = best_order(rtol) if order is None else order
-        self._numbers = numbers(mechanism, actuation, self.order)
-        suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+        self.mechanism, self.actuation = mechanism, actuation
+        self.order = default_order(max(rtol, atol)) if order is None else order
+        self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
+        self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
-        self._limits: Limits = (float(atol), float(rtol), float(step or 0.0), suspect)
+        if not serves(mechanism, self.order):
+            raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
+        if not machine.available():
+            raise NoCodeError("needs the extra `fast`")
+        self._made(None if actuation.pieces is None else actuation.pieces.at(0.0))
 
-    @classmethod
-    def serves(cls, mechanism: Mechanism, actuation: Actuation) -> bool:
-        """Whether this engine can: constant torques, M and Psi regular but at single states."""
-        if actuation.constants is None or mechanism.has_state_forces:
-            return False
-        if mechanism.description.couplings:
-            return False
-        if not elimination_is_safe(mechanism):
-            return False
-        return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)
+    def _made(self, held: tuple[float, ...] | None) -> _Ready:
+        """What is ready for the torques as the switches of an expression stand; its block is own.
+
+        Raises NoCodeError where there can be no code.
+        """
+        found = self._blocks.get(held)
+        if found is None:
+            given = self.actuation
+            rest = self.order, held, self._options, self._tolerances
+            try:
+                if given.constants is not None or given.linear:  # numbers tell all of it
+                    found = _kept(self.mechanism, given.constants, *rest)
+                else:
+                    found = _ready(self.mechanism, given, *rest)
+            except (ZeroDivisionError, InputError) as error:
+                raise NoCodeError("no state has a series") from error
+            found = self._blocks[held] = found._replace(block=found.block.copy())
+        return found
+
+    @cached_property
+    def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
+        return self.actuation.function(self.mechanism.n)
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
@@ -64,27 +190,50 @@ class CompiledEngine:
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
         The step in which they run out is the last.
         """
-        chunk = self._advance(self._limits, t, y, bound, times, steps)
+        chunk = self._advance(t, y, bound, times, steps)
         if count := len(chunk.t):
-            begun = (chunk.t[-2], chunk.y[-2]) if count > 1 else (t, y)
+            begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
             self._last = *begun, float(chunk.t[-1])
         return chunk
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
-        atol, rtol, _, suspect = self._limits
         t, y, end = self._last
-        longer = 10.0 * abs(end - t)  # than any landing leaves: so that it ends there again
-        return self._advance((atol, rtol, longer, suspect), t, y, end, times, 1).row_y
+        return self._advance(t, y, end, times, 1).row_y
 
-    def _advance(
-        self, limits: Limits, t: float, y: Array, bound: float, times: Array, steps: int
-    ) -> Chunk:
-        y, times = (np.require(array, float, ["C", "A", "W"]) for array in (y, times))
-        ends, states, taken, rows, given, status = advance(  # type: ignore[no-untyped-call]
-            *self._numbers, *limits, float(t), y, float(bound), times, steps
-        )
-        N = len(y)
-        states = states[N : (taken + 1) * N].reshape(taken, N)
-        rows = rows[: given * N].reshape(given, N)
-        return Chunk(ends[:taken], states, times[:given], rows, Status(status))
+    def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
+        pieces = self.actuation.pieces
+        scene, code, block = self._made(None if pieces is None else pieces.at(t))
+        N, place = len(scene.state), scene.place
+        block[:N] = y
+        block[N : 2 * N] = y
+        direction = 1.0 if bound >= t else -1.0
+        status = Status.REACHED if t == bound else RUNNING
+        begin = place["t"]
+        block[begin : begin + 5] = t, bound, direction, status, 0.0
+        if scene.linear:
+            n, base = self.mechanism.n, place["base0"]
+            values, slopes = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
+            block[place["base_t"]] = t
+            block[base : base + 2 * n] = [*values, *slopes]
+        if code.close is not None and status == RUNNING:  # where another engine leads across
+            code.close(block.ctypes.data)
+            if not block[place["quality"]] >= block[place["suspect"]]:
+                block[place["status"]] = Status.SINGULAR
+        times = np.ascontiguousarray(times)
+        ends, states = np.empty(steps), np.empty((steps, N))
+        rows = np.empty((len(times), N))
+        where = [array.ctypes.data for array in (times, rows, ends, states)]
+        table = np.array([*where, len(times), 0], np.int64)
+        code.advance(block.ctypes.data, steps, table.ctypes.data)
+        taken, given = int(block[place["steps"]]), int(table[-1])
+        status = block[place["status"]]
+        found = Status.FULL if status == RUNNING else Status(int(status))
+        return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
+
+
+def serves(mechanism: Mechanism, order: int) -> bool:
+    """Whether code of this length is worth it, and M and Psi are regular but at single states."""
+    if loop_terms(mechanism) * order > LARGEST or not elimination_is_safe(mechanism):
+        return False
+    return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)

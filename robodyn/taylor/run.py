@@ -8,9 +8,9 @@ where they can; where they cannot, or a run starts there, a few steps of DOP853,
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome, Recorder
-from robodyn.taylor import Chunk, Engine, Status, default_order
+from robodyn.taylor import Chunk, Engine, NoCodeError, Status, default_order
 from robodyn.taylor.steps import InterpretedEngine, SteppingEngine, StraightEngine
 
 if TYPE_CHECKING:
@@ -37,9 +37,11 @@ STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-lin
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
 CALL = 0.1  # s that a call of compiled code may take
-PATIENCE = 1.0  # s in Python after which a run goes on compiled: what loading that costs, twice
+# Steps of a scene in Python after which machine code has paid: making it costs as much as these.
+WORTH = 1500
+ROWS_A_STEP = 4  # rows at times that cost what a step does
+PATIENCE = 1.0  # s in Python after which a run is worth a hint
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
-COMPILED = "robodyn.taylor.compiled"
 SMALLEST_RTOL = 3e-14  # of scipy's methods
 
 
@@ -68,16 +70,32 @@ def stepping_engine(
 
 
 def compiled_engine(
-    mechanism: Mechanism, actuation: Actuation, rtol: float, atol: float, order: int | None
+    mechanism: Mechanism,
+    actuation: Actuation,
+    rtol: float,
+    atol: float,
+    order: int | None,
+    *,
+    project: bool = True,
+    work: bool = False,
 ) -> Engine | None:
-    """The compiled engine, or None where numba is not installed or the engine does not serve."""
-    if find_spec("numba") is None:
+    """The engine in machine code, or None where there is none, or it does not serve."""
+    if find_spec("llvmlite") is None:
         return None
     from robodyn.taylor.compiled import CompiledEngine
 
-    if not CompiledEngine.serves(mechanism, actuation):
+    try:
+        return CompiledEngine(
+            mechanism, actuation, rtol=rtol, atol=atol, order=order, project=project, work=work
+        )
+    except NoCodeError:
         return None
-    return CompiledEngine(mechanism, actuation, rtol=rtol, atol=atol, order=order)
+
+
+@lru_cache(maxsize=64)
+def _seen(mechanism: Mechanism) -> list[float]:
+    """How many steps of a mechanism were made in Python, as the only item."""
+    return [0.0]
 
 
 def taylor_run(
@@ -97,8 +115,8 @@ def taylor_run(
 ) -> Outcome:
     """Integrate from (0, y) to t_end; `side` makes what DOP853 needs, where it is needed.
 
-    `engine` is python, compiled, or auto: compiled once it is loaded in this process, which it is
-    for a run that takes longer than PATIENCE.
+    `engine` is python, compiled, or auto: compiled where as many steps of the mechanism as WORTH
+    were made in this process, or are to be expected.
     """
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
@@ -117,22 +135,20 @@ def taylor_run(
         return made
 
     def fast() -> Engine | None:
-        if project or not mechanism.rows:
-            return compiled_engine(mechanism, actuation, rtol, atol, order)
-        return None
+        return compiled_engine(mechanism, actuation, rtol, atol, order, project=project, work=work)
 
     stepping: Engine | None = None
     slow: SteppingEngine | None = None
-    if engine == "compiled" or (engine == "auto" and COMPILED in sys.modules):
+    seen = _seen(mechanism)
+    if engine == "compiled" or (engine == "auto" and seen[0] >= WORTH):
         stepping = fast()
         if stepping is None and engine == "compiled":
-            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), constant torques, no "
-            limit += "springs, friction, forces that turn or couplings, and closures that do not "
+            limit = "needs the extra `fast` (pip install 'robodyn[fast]'), a torque that has a "
+            limit += "series, and a mechanism of some ten loops at most whose closures do not "
             limit += "depend on one another: take auto or python"
             raise InputError("engine", value=engine, limit=limit)
-    waits = engine == "auto" and stepping is None
-    if stepping is None:
-        stepping = careful()
+    waits = engine == "auto" and stepping is None and seen[0] < WORTH
+    stepping = stepping or careful()
     _check_start(mechanism, actuation, y)
     t, begun, most = 0.0, time.perf_counter(), STEPS
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
@@ -143,8 +159,8 @@ def taylor_run(
         if abs(bound - t) > max_step:
             bound = t + math.copysign(max_step, t_end)
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
+        before, made = t, 0.0
         if crosses:
-            before = t
             t, y = _cross(
                 side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol, actuation
             )
@@ -162,7 +178,11 @@ def taylor_run(
             steps = STEPS if isinstance(runner, SteppingEngine) else most
             steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
             called = time.perf_counter()
-            chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
+            try:
+                chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
+            except NoCodeError:  # of other torques than those at the start
+                stepping, waits = careful(), False
+                continue
             if not isinstance(runner, SteppingEngine):  # nothing halts it within a call
                 took = max(1e-9, time.perf_counter() - called)
                 most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
@@ -185,6 +205,7 @@ def taylor_run(
                 if _held_by_stability(recent, t_end, recorder, rtol, atol):
                     return Outcome.STIFF
                 recent.clear()
+            made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
             return Outcome.FINISHED
         stuck = status is Status.STUCK and closing is not None and not crosses
@@ -194,10 +215,12 @@ def taylor_run(
         if status is Status.SINGULAR:
             crosses = at_change_point()
             held = not crosses
-        if waits and time.perf_counter() - begun > PATIENCE:
-            stepping, waits = fast() or stepping, False
-            simple = actuation.constants is not None and not mechanism.has_state_forces
-            if simple and find_spec("numba") is None:
+        if isinstance(stepping, SteppingEngine):
+            seen[0] += made
+            expected = seen[0] + made * abs((t_end - t) / ((t - before) or math.inf))
+            if waits and expected >= WORTH:
+                stepping, waits = fast() or stepping, False
+            if time.perf_counter() - begun > PATIENCE and find_spec("llvmlite") is None:
                 recorder.report.hint = HINT
 
 
@@ -229,15 +252,15 @@ def _held_by_stability(
 ) -> bool:
     """Whether a run that would take too many steps takes them along what one cubic describes."""
     t, y = np.concatenate([x.t for x in recent]), np.concatenate([x.y for x in recent])
-    count, n = len(t), recorder.mechanism.n
+    t, y, n = t[-STEPS:], y[-STEPS:], recorder.mechanism.n
     x = (t - t[0])[:, None]
     span = float(x[-1, 0])
     left = recorder.max_evaluations - recorder.report.evaluations
-    if (t_end - t[-1]) / span * count <= left:
+    if (t_end - t[-1]) / span * STEPS <= left:
         return False
     q, qd = y[:, :n], y[:, n : 2 * n]
     fast = float(np.abs(qd).max())
-    if abs(span) * fast > 0.1 * count:  # turns of links hold it as well
+    if abs(span) * fast > 0.1 * STEPS:  # turns of links hold it as well
         return False
     slope = (q[-1] - q[0]) / span
     a, b = qd[0] - slope, qd[-1] - slope

@@ -1,0 +1,214 @@
+"""Motions in machine code: steps until each lane has arrived, or cannot go on.
+
+The kernel `advance(block, budget, own)` takes up to `budget` steps of the lanes whose status is
+RUNNING, and returns how many it took; what a step leaves behind an observer keeps, `own` is its
+argument.  The rules are those of `taylor/steps.py`.  Masks are selects: no lane's numbers depend on
+its neighbours.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from robodyn.engines import machine
+from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
+from robodyn.engines.machine import Code, Processor
+from robodyn.engines.machine_steps import SINGULAR, Scene
+from robodyn.taylor import Status
+
+RUNNING = -1.0
+LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
+ULPS = 2.0**-50  # of a time: a step below this part is none
+
+
+class Observer:
+    """What is kept of steps: `begin` writes what comes before a step, `step` what follows it."""
+
+    key = ""
+
+    def declare(self, scene: Scene, module: Module) -> None:
+        """Functions that it calls."""
+
+    def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
+        """Before each step; `leave(condition)` ends the call."""
+
+    def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
+        """After a step of the lanes `take` to the time `end`, before the state is renewed."""
+
+
+class Loaded(NamedTuple):
+    """The kernels that Python calls, of blocks at an address."""
+
+    prepare: Callable[[int], Any]
+    close: Callable[[int], Any] | None  # where there are closures to keep
+    advance: Callable[[int, int, int], int]
+    items: int
+    lanes: int
+    code: Code
+
+
+def compile(
+    scene: Scene, observer: Observer, lanes: int, family: str = "", level: int | None = None
+) -> Loaded | None:
+    """The machine code of a scene; None where there is none."""
+
+    def text(processor: Processor) -> str:
+        return _text(scene, observer, processor)
+
+    key = f"{observer.key} {scene.key}"
+    code = machine.make(text, key=key, lanes=lanes, family=family, level=level)
+    if code is None:
+        return None
+    return Loaded(
+        code.function("prepare", ctypes.c_void_p, result=None),
+        code.function("close", ctypes.c_void_p, result=None) if scene.closes else None,
+        code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p),
+        code.function("size")(),
+        code.processor.lanes,
+        code,
+    )
+
+
+def _text(scene: Scene, observer: Observer, processor: Processor) -> str:
+    module = Module(processor.lanes)
+    scene.write(module)
+    observer.declare(scene, module)
+    k = Kernel(module, "advance", (ADDRESS, WHOLE, ADDRESS))
+    block, budget, own = k.arguments
+    taken = k.slot(k.whole(0))
+    with k.forever() as out:
+        active = k.compare("oeq", scene.get(k, block, "status"), k.number(RUNNING))
+        k.leave(k.invert(k.any(active)), out)
+        count = k.get(taken, WHOLE)
+        k.leave(k.compare("sge", count, budget), out)
+        observer.begin(k, block, own, lambda condition: k.leave(condition, out))
+        _Step(scene, k, block).write(
+            active, lambda *args: observer.step(k, block, own, count, *args)
+        )
+        k.set(taken, k.add(count, k.whole(1)))
+    k.done(k.get(taken, WHOLE))
+    return module.text
+
+
+class _Step:
+    """Writes one step of all lanes."""
+
+    def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
+        self.scene, self.k, self.block = scene, k, block
+
+    def get(self, name: str) -> Word:
+        return self.scene.get(self.k, self.block, name)
+
+    def put(self, name: str, value: Word) -> None:
+        self.scene.put(self.k, self.block, name, value)
+
+    def call(self, name: str) -> None:
+        self.k.line(f"call void @{name}({self.block})")
+
+    def reach(self, h: Word) -> None:
+        """The state at h after the start."""
+        k = self.k
+        x = k.multiply(h, self.get("direction"))
+        self.put("x", x)
+        self.put("t_there", k.add(self.get("t"), x))
+        self.call("evaluate")
+
+    def write(self, active: Word, observe: Callable[[Word, Word], None]) -> None:
+        k, scene = self.k, self.scene
+        if scene.linear:
+            past = k.subtract(self.get("t"), self.get("base_t"))
+            for j in range(scene.mechanism.n):
+                change = k.multiply(self.get(f"dtau{j}"), past)
+                self.put(f"tau{j}", k.add(self.get(f"base{j}"), change))
+        self.call("expand")
+        longest, t = self.get("longest"), self.get("t")
+        known = k.compare("ord", longest, longest)
+        self._end(k.both(active, k.invert(known)), Status.NOT_FINITE)
+        go = k.both(active, known)
+        most = k.intrinsic("fabs", k.subtract(self.get("bound"), t))
+        h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
+        self.reach(k.get(h))
+        small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
+        small = k.select(k.less(k.number(1e-300), small), small, k.number(1e-300))
+        if scene.bends:
+            self._shorten(go, h, small)
+        now = k.get(h)
+        stuck = k.both(go, k.both(k.less(now, small), k.compare("une", now, most)))
+        self._end(stuck, Status.STUCK)
+        go = k.both(go, k.invert(stuck))
+        if scene.closes:
+            self.call("close")
+            self._land(go, h)
+            lost = k.both(go, k.compare("ule", self.get("quality"), k.number(SINGULAR)))
+            self._end(lost, Status.SINGULAR)
+            go = k.both(go, k.invert(lost))
+        now = k.get(h)
+        end = k.add(t, k.multiply(now, self.get("direction")))
+        end = k.select(k.compare("oeq", now, most), self.get("bound"), end)
+        observe(go, end)
+        for name in scene.state:
+            self.put(name, k.select(go, self.get(f"to_{name}"), self.get(name)))
+        self.put("t", k.select(go, end, t))
+        steps = k.add(self.get("steps"), k.select(go, k.number(1.0), k.number(0.0)))
+        self.put("steps", steps)
+        if scene.closes:
+            poor = k.compare("ult", self.get("quality"), self.get("suspect"))
+            self._end(k.both(go, poor), Status.SINGULAR)
+        full = k.compare("oge", steps, self.get("most_steps"))
+        self._end(k.both(go, full), Status.FULL)
+        self._end(k.both(go, k.compare("oeq", end, self.get("bound"))), Status.REACHED)
+
+    def _end(self, mask: Word, status: Status) -> None:
+        k = self.k
+        self.put("status", k.select(mask, k.number(float(status)), self.get("status")))
+
+    def _shorten(self, go: Word, h: Word, small: Word) -> None:
+        """Halve the step until the torque at its end is that of the series.
+
+        And in its middle, where friction may turn over and back.
+        """
+        k, scene, n = self.k, self.scene, self.scene.mechanism.n
+        fast = k.number(0.0)
+        for j in range(n):
+            size = k.intrinsic("fabs", self.get(f"qd{j}"))
+            fast = k.select(k.less(fast, size), size, fast)
+        miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
+        miss = k.multiply(miss, self.get("lightest"))
+        with k.forever() as good:
+            now = k.get(h)
+            self.put("miss", k.divide(miss, now))
+            self.call("compare")
+            agrees = self.get("agrees")
+            if scene.mechanism.friction:
+                self.reach(k.multiply(now, k.number(0.5)))
+                self.call("compare")
+                agrees = k.multiply(agrees, self.get("agrees"))
+                self.reach(now)
+            poor = k.both(go, k.compare("oeq", agrees, k.number(0.0)))
+            poor = k.both(poor, k.compare("oge", now, small))
+            k.leave(k.invert(k.any(poor)), good)
+            k.set(h, k.select(poor, k.multiply(now, k.number(0.5)), now))
+            self.reach(k.get(h))
+
+    def _land(self, go: Word, h: Word) -> None:
+        """Where a step's end is no good start, a shorter part of it that is the best."""
+        k = self.k
+        suspect, whole = self.get("suspect"), k.get(h)
+        poor = k.both(go, k.compare("ult", self.get("quality"), suspect))
+        with k.when(k.any(poor)):
+            left, best = k.slot(poor), k.slot(self.get("quality"))
+            for part in LANDINGS:
+                waiting = k.get(left, k.mask)
+                shorter = k.multiply(whole, k.number(part))
+                there = k.select(waiting, shorter, whole)
+                self.reach(there)
+                self.call("close")
+                quality = self.get("quality")
+                better = k.both(waiting, k.less(k.get(best), quality))
+                k.set(h, k.select(better, there, k.get(h)))
+                k.set(best, k.select(better, quality, k.get(best)))
+                k.set(left, k.both(waiting, k.compare("ult", quality, suspect)))
+            self.reach(k.get(h))
+            self.call("close")

@@ -1,0 +1,359 @@
+"""Steps of the Taylor series in machine code: one motion in each of W lanes.
+
+All that belongs to the motions of one vector lies in a block of items of W doubles each, which
+`Scene.place` names: the state (q0, ..., qd0, ..., work), that at a step's end (to_q0, ...), the
+time, what is given, the scene's numbers, what follows from these alone, the series, and how things
+stand.  The kernels
+
+    prepare(block)     what follows from the numbers alone
+    expand(block)      the series at the state, and the longest step
+    evaluate(block)    the state at x after the start, from the series
+    close(block)       that state moved to the nearest that closes, and its quality
+    compare(block)     whether the series gives the torques there (0 or 1)
+
+do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
+scenes of one shape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
+from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
+from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
+from robodyn.engines.formulas import Formula, projection_formula
+from robodyn.engines.segment import Segment
+from robodyn.loops.assembly import loop_size
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.closing import CLOSED
+from robodyn.loops.projection import CONVERGED, PASSES
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.planar_model import Mechanism
+
+Array = NDArray[np.float64]
+
+KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
+# of a block, besides what its scene asks for
+COMMON = (
+    "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
+    "quality", "agrees", "miss", "relative", "rtol", "atol", "suspect", "lightest", "rounding",
+    "converged", "base_t",
+)  # fmt: skip
+
+SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
+
+
+class Scene:
+    """A mechanism and its torques as a block's layout, code and numbers.
+
+    Without `closes` closures are not kept by projection.  With `rate_series` the series of the
+    joints' rates are among the items, as rate0_0, rate0_1, ...
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        actuation: Actuation,
+        order: int,
+        *,
+        work: bool = False,
+        closes: bool = True,
+        held: Sequence[float] | None = None,
+        rate_series: bool = False,
+    ) -> None:
+        self.mechanism, self.actuation, self.order = mechanism, actuation, order
+        self.work, self.closes, self.rate_series = (
+            work,
+            closes and bool(mechanism.rows),
+            rate_series,
+        )
+        self.motion = MotionProgram(mechanism, actuation, work, held)
+        program = self.motion.program
+        self.linear = actuation.constants is None and actuation.linear
+        self.bends = program.named["bends"]
+        self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
+        self.values |= {f"u{j}": x for j, x in enumerate(actuation.constants or ())}
+        self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
+        shapes = [program.shape, mechanism.parent, mechanism.order, order, work, self.closes]
+        shapes += [bool(mechanism.friction), self.linear, rate_series]
+        shapes.append([bool(x) for x in actuation.constants or ()])
+        if self.closes:
+            closing = EquationsOfMotion(mechanism)
+            closing.write([None] * mechanism.n)
+            self.values |= {f"closing.c{i}": x for i, x in enumerate(closing.program.numbers)}
+            self.values |= {f"closing.size{r}": x.size**2 for r, x in enumerate(mechanism.rows)}
+            shapes.append(closing.program.shape)
+        self.key = repr(shapes)
+
+    # -- formulas ----------------------------------------------------------------------------------
+
+    @cached_property
+    def found(self) -> Expansion:
+        """The formulas of a step; raises ZeroDivisionError where no state has a series."""
+        return expansion(self.motion, self.order, generic=True)
+
+    @cached_property
+    def closing(self) -> Formula | None:
+        """One Newton step."""
+        formula = projection_formula(self.mechanism, generic=True) if self.closes else None
+        if self.closes and formula is None:
+            raise ZeroDivisionError("closures that no state can keep")
+        return formula
+
+    @cached_property
+    def series(self) -> dict[str, Value]:
+        """What `expand` finds, by name."""
+        found = self.found
+        named: dict[str, Value] = {}
+        parts = {"rho": found.rho, "theta": found.theta, "watched": found.watched}
+        parts["power"] = [found.power] if found.power else []
+        if self.rate_series:
+            absolute = [rates(*z, self.order) for z in zip(found.rho, found.theta, strict=True)]
+            own = [
+                each
+                if above is None
+                else [a - b for a, b in zip(each, absolute[above], strict=True)]
+                for each, above in zip(absolute, self.mechanism.parent, strict=True)
+            ]
+            parts["rate"] = own
+        for name, rows in parts.items():
+            for k, row in enumerate(rows):
+                named |= {f"{name}{k}_{m}": value for m, value in enumerate(row)}
+        return named
+
+    def coefficients(self, graph: Graph, name: str) -> list[Value]:
+        """A series as variables of another graph; what is no variable stays a number."""
+        count = sum(key.startswith(f"{name}_") for key in self.series)
+        found = ((f"{name}_{m}", self.series[f"{name}_{m}"]) for m in range(count))
+        return [graph.variable(k) if isinstance(x, Expression) else x for k, x in found]
+
+    @cached_property
+    def _held(self) -> dict[int, dict[int, str]]:
+        """By graph: what follows from numbers alone and is wanted by the rest, and its item."""
+        held: dict[int, dict[int, str]] = {}
+        for graph, outputs, prefix in self._graphs():
+            nodes = needed(outputs)
+            wanted = {
+                a.index: a
+                for node in nodes
+                for a in node.args
+                if not node.constant and isinstance(a, Expression) and a.constant
+            }
+            wanted |= {x.index: x for x in outputs if isinstance(x, Expression) and x.constant}
+            held[id(graph)] = {
+                index: f"{prefix}{node.args[0]}" if node.op in INPUTS else f"{prefix}k{index}"
+                for index, node in wanted.items()
+            }
+        return held
+
+    def _graphs(self) -> list[tuple[Graph, list[Value], str]]:
+        found = self.found
+        parts = [(found.graph, [found.longest, *self.series.values()], "")]
+        if self.closing is not None:
+            outputs = [*self.closing.outputs, *self.closing.pivots]
+            graph = next(x.graph for x in outputs if isinstance(x, Expression))
+            parts.append((graph, outputs, "closing."))
+        return parts
+
+    # -- the block ---------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> list[str]:
+        """The items of the state."""
+        names = [f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)]
+        return [*names, "work"] if self.work else names
+
+    @cached_property
+    def place(self) -> dict[str, int]:
+        """Where each item stands; what Python writes or reads comes first."""
+        n = self.mechanism.n
+        names = [*self.state, *(f"to_{name}" for name in self.state), *COMMON]
+        if self.linear:
+            names += [f"{name}{j}" for name in ("base", "dtau", "tau") for j in range(n)]
+        return {name: i for i, name in enumerate([*names, *self.values])}
+
+    @cached_property
+    def whole(self) -> dict[str, int]:
+        """All items, those of the code's own included."""
+        names = list(self.place)
+        names += [k for held in self._held.values() for k in held.values() if k not in self.place]
+        names += [k for k, x in self.series.items() if isinstance(x, Expression)]
+        return {name: i for i, name in enumerate(names)}
+
+    def fill(self, block: Array, rtol: float, atol: float, project: float = 1.0) -> None:
+        """The scene's numbers and limits into a block (items, ...)."""
+        place, mechanism = self.place, self.mechanism
+        size = loop_size(mechanism) if self.closes else 0.0
+        lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
+        limits = {
+            "rtol": rtol,
+            "atol": atol,
+            "relative": max(math.sqrt(rtol), KINK),
+            "lightest": (self.order + 1) * lightest,
+            "suspect": suspect_quality(mechanism) * project if self.closes else 0.0,
+            "rounding": CLOSED * size,
+            "converged": CONVERGED * size,
+            "most_steps": math.inf,
+        }
+        for name, value in (self.values | limits).items():
+            block[place[name]] = value
+
+    # -- code --------------------------------------------------------------------------------------
+
+    def kernel(self, module: Module, name: str) -> tuple[Kernel, Word]:
+        """A kernel of one argument, the block."""
+        k = Kernel(module, name, (ADDRESS,), "void")
+        return k, k.arguments[0]
+
+    def at(self, k: Kernel, block: Word, name: str) -> Word:
+        """The address of an item."""
+        return k.at(block, self.whole[name], k.numbers)
+
+    def get(self, k: Kernel, block: Word, name: str) -> Word:
+        """An item."""
+        return k.load(self.at(k, block, name))
+
+    def put(self, k: Kernel, block: Word, name: str, value: Word) -> None:
+        """Write an item."""
+        k.store(value, self.at(k, block, name))
+
+    def segment(
+        self, k: Kernel, block: Word, graph: Graph, names: Mapping[str, str] | None = None
+    ) -> Segment:
+        """For a graph whose inputs are items; `names` gives those of other names."""
+        renamed = names or {}
+
+        def read(name: str) -> Word:
+            return self.get(k, block, renamed.get(name, name))
+
+        def reader(item: str) -> Callable[[], Word]:
+            return lambda: self.get(k, block, item)
+
+        held = self._held.get(id(graph), {})
+        return Segment(k, read, {index: reader(item) for index, item in held.items()})
+
+    def write(self, module: Module) -> None:
+        """The kernels into a module; `size` tells how many items a block has."""
+        k = Kernel(module, "size", ())
+        k.done(k.whole(len(self.whole)))
+        self._prepare(module)
+        self._expand(module)
+        self._evaluate(module)
+        if self.closing is not None:
+            self._close(module, self.closing)
+        if self.bends:
+            self._compare(module)
+
+    def _prepare(self, module: Module) -> None:
+        k, block = self.kernel(module, "prepare")
+        for graph, outputs, prefix in self._graphs():
+            held = self._held[id(graph)]
+            nodes = [x for x in needed(outputs) if x.index in held and x.op not in INPUTS]
+            names = {name: self.get(k, block, f"{prefix}{name}") for name in graph.parameters}
+            segment = Segment(k, names)
+            for node, word in zip(nodes, segment.write(nodes), strict=True):
+                self.put(k, block, held[node.index], word)
+        k.done()
+
+    def _expand(self, module: Module) -> None:
+        k, block = self.kernel(module, "expand")
+        segment = self.segment(k, block, self.found.graph)
+        own = {name: x for name, x in self.series.items() if isinstance(x, Expression)}
+        words = segment.write([self.found.longest, *own.values()])
+        for name, word in zip(("longest", *own), words, strict=True):
+            self.put(k, block, name, word)
+        k.done()
+
+    def _evaluate(self, module: Module) -> None:
+        k, block = self.kernel(module, "evaluate")
+        graph, n = Graph(), self.mechanism.n
+        found = self.found._replace(
+            rho=[self.coefficients(graph, f"rho{j}") for j in range(n)],
+            theta=[self.coefficients(graph, f"theta{j}") for j in range(n)],
+            power=self.coefficients(graph, "power0"),
+            steady=[graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(self.found.steady)],
+        )
+        outputs = end_of_step(self.mechanism, found, self.work, graph)
+        for name, word in zip(
+            self.state, self.segment(k, block, graph).write(outputs), strict=True
+        ):
+            self.put(k, block, f"to_{name}", word)
+        k.done()
+
+    def _there(self, names: Sequence[str], prefix: str = "") -> dict[str, str]:
+        return {name: f"to_{name}" for name in names} | {"t": "t_there"}
+
+    def _close(self, module: Module, formula: Formula) -> None:
+        """Newton's method as `straightline.compile_closing` has it, lane by lane."""
+        k, block = self.kernel(module, "close")
+        n, rows = self.mechanism.n, len(formula.pivots)
+        outputs = [*formula.outputs, *formula.pivots]
+        graph = next(x.graph for x in outputs if isinstance(x, Expression))
+        names = self._there([f"{name}{j}" for name in ("q", "qd") for j in range(n)])
+        moving, passes = k.slot(k.all_lanes(True)), k.slot(k.whole(0))
+        quality = k.slot(k.number(0.0))
+        speeds = [k.slot(self.get(k, block, f"to_qd{j}")) for j in range(n)]
+        with k.forever() as closed:
+            words = self.segment(k, block, graph, names).write(outputs)
+            now = k.get(moving, k.mask)
+            pivots = words[2 * n + rows :]
+            least = pivots[0]
+            for pivot in pivots[1:]:
+                least = k.select(k.compare("ult", pivot, least), pivot, least)
+            k.set(quality, k.select(now, least, k.get(quality)))
+            now = k.both(now, k.less(k.number(SINGULAR), least))
+            gap = k.number(0.0)
+            for word in words[2 * n : 2 * n + rows]:
+                size = k.intrinsic("fabs", word)
+                gap = k.select(k.compare("ugt", size, gap), size, gap)
+            for slot, word in zip(speeds, words[n : 2 * n], strict=True):
+                k.set(slot, k.select(now, word, k.get(slot)))
+            now = k.both(now, k.compare("ugt", gap, self.get(k, block, "rounding")))
+            for j in range(n):
+                before = self.get(k, block, f"to_q{j}")
+                self.put(k, block, f"to_q{j}", k.select(now, words[j], before))
+            now = k.both(now, k.compare("ugt", gap, self.get(k, block, "converged")))
+            k.set(moving, now)
+            count = k.add(k.get(passes, "i64"), k.whole(1))
+            k.set(passes, count)
+            k.leave(k.invert(k.any(now)), closed)
+            k.leave(k.compare("sge", count, k.whole(PASSES)), closed)
+        for j, slot in enumerate(speeds):
+            self.put(k, block, f"to_qd{j}", k.get(slot))
+        self.put(k, block, "quality", k.get(quality))
+        k.done()
+
+    def _compare(self, module: Module) -> None:
+        """Whether what may bend is, at the state there, what its series gives at x."""
+        k, block = self.kernel(module, "compare")
+        found, count = self.found, len(self.bends)
+        names = self._there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
+        values = self.segment(k, block, found.graph, names).write([x[0] for x in found.watched])
+        x, small, relative = (self.get(k, block, name) for name in ("x", "miss", "relative"))
+        agrees = k.all_lanes(True)
+        for i in range(count):
+            total = most = k.number(0.0)
+            power = k.number(1.0)
+            for m, value in enumerate(found.watched[i]):
+                if isinstance(value, Expression):
+                    coefficient = self.get(k, block, f"watched{i}_{m}")
+                else:
+                    coefficient = k.number(value)
+                term = k.multiply(coefficient, power)
+                total, size = k.add(total, term), k.intrinsic("fabs", term)
+                most = k.select(k.less(most, size), size, most)
+                power = k.multiply(power, x)
+            missed = k.intrinsic("fabs", k.subtract(total, values[i]))
+            allowed = k.divide(small, self.get(k, block, f"arm{i}"))
+            part = k.multiply(relative, most)
+            within = k.either(k.compare("ole", missed, allowed), k.compare("ole", missed, part))
+            agrees = k.both(agrees, within)
+        self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
+        k.done()
