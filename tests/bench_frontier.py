@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from timeit import timeit
 from typing import Any
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.integrate import ode, odeint
 
 import robodyn
+from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.taylor.run import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
@@ -148,7 +148,7 @@ def curves(problem: Case, repeats: int) -> dict[str, Curve]:
         "lsoda": Curve(problem, [partial(lsoda, problem, x) for x in loose if x > 0.9e-12]),
         "python": Curve(problem, [taylor(problem, "python", x) for x in loose]),
     }
-    if find_spec("numba") is not None:
+    if machine.available():
         found["compiled"] = Curve(problem, [taylor(problem, "compiled", x) for x in loose])
     for curve in found.values():
         curve.measure()

@@ -6,7 +6,6 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from bench_frontier import ROOT
 from numpy.typing import NDArray
 
 import robodyn
+from robodyn.engines import machine
 from robodyn.sweeps.sweep_plan import CHUNKS, Plan
 from robodyn.sweeps.sweep_workers import results
 from robodyn.sweeps.variation import Axis, Variation
@@ -48,7 +48,7 @@ def sweeps(bench: Any) -> list[Any]:
         return np.array([single(bench.arm, q, method, engine, tolerance) for q in starts])
 
     rows = []
-    for engine in ("python", "compiled")[: 1 if find_spec("numba") is None else 2]:
+    for engine in ("python", "compiled")[: 2 if machine.available() else 1]:
         here = replace(plan, engine=engine, chunk=CHUNKS[engine])
         first = replace(here, chunk=singles)
         place = slice(len(axes) + 1, len(axes) + 5)

@@ -69,7 +69,7 @@ def test_json_of_runs_that_do_not_finish(robodyn, monkeypatch):
 
 
 def test_table(robodyn):
-    given = robodyn(*SHORT, "--format", "table", "--tau", "sin(t), 0")
+    given = robodyn(*SHORT, "--format", "table", "--tau", "abs(q1), 0")
     assert given.code == 0
     assert given.out.split()[:3] == ["method", "tolerance", "error"]
     assert "DOP853" in given.out

@@ -849,7 +849,7 @@ commands = {
 sys.stdout = open("/dev/null", "w")
 for name, arguments in commands.items():
     code = cli.run([name, *arguments])
-    found = sorted({m.split(".")[0] for m in sys.modules} & {"scipy", "matplotlib", "numba"})
+    found = sorted({m.split(".")[0] for m in sys.modules} & {"scipy", "matplotlib", "llvmlite"})
     print(name, code, *found, file=sys.stderr)
 """
     done = subprocess.run(

@@ -1,10 +1,8 @@
-"""Many motions at once, in numpy and compiled, against single motions of another method."""
+"""Many motions at once, in numpy and in machine code, against single motions of another method."""
 
 import math
 import re
-from collections.abc import Callable
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -14,12 +12,13 @@ from scipy.integrate import solve_ivp
 import oracles
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energy, simulate
+from robodyn.engines import machine
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
-from robodyn.sweeps import lanes
+from robodyn.sweeps import lanes, lanes_compiled
 from robodyn.sweeps.lane_forces import LaneForces
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
@@ -28,29 +27,27 @@ from robodyn.taylor import Status, best_order
 from robodyn.taylor.layout import numbers
 
 ENGINES = ["python"]
-if find_spec("numba") is not None:
+if machine.available():
     ENGINES.append("compiled")
-
-
-def integrate(engine: str) -> Callable[..., Ends]:
-    if engine == "python":
-        return lanes.integrate
-    from robodyn.sweeps import lanes_compiled
-
-    return lanes_compiled.integrate
 
 
 def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None, **aims) -> Ends:
     """Lanes of one mechanism, tau (L, n) or (n,)."""
     tau = np.broadcast_to(np.zeros(mechanism.n) if tau is None else tau, (len(y), mechanism.n))
     options = {"rtol": 1e-12, "atol": 1e-12, **aims}
+    suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
+    angle = np.zeros(len(y)) if angle is None else angle
+    if engine == "compiled":
+        chosen = Aims(suspect=suspect, work=True, **options)
+        motions = lanes_compiled.Motions(mechanism, np.array(y), tau, angle)
+        (found,) = lanes_compiled.integrate([motions], t_end, chosen, [True] * mechanism.n)
+        assert found is not None
+        return found
     whole, real, at = numbers(mechanism, Actuation((0.0,) * mechanism.n), best_order(1e-12))
     reals = np.tile(real, (len(y), 1))
     reals[:, at.torque : at.torque + at.n] = tau
-    suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
     work = bool(tau.any()) or any(mechanism.damping)
-    angle = np.zeros(len(y)) if angle is None else angle
-    return integrate(engine)(
+    return lanes.integrate(
         whole, reals, at, y, t_end, angle, Aims(suspect=suspect, work=work, **options)
     )
 
@@ -158,6 +155,53 @@ class TestForces:
             assert found.y[k, :2] == pytest.approx(motion.q[-1], abs=1e-8)
 
 
+@pytest.mark.skipif("compiled" not in ENGINES, reason="needs llvmlite")
+class TestForcesCompiled:
+    """Springs, dampers, friction, turning forces and couplings, each lane with its own numbers."""
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_against_dop853(self, seed) -> None:
+        shapes = list(LOOPS.values())
+        plain = (
+            seeded_tree(seed, 1 + seed % 4)
+            if seed < 4
+            else seeded_scene(seed, shapes[seed % len(shapes)])
+        )
+        mechanism = build(from_text(forced(seed, plain).text, "x"))
+        n, y = mechanism.n, np.hstack([plain.q, plain.qd])[None]
+        found = run("compiled", mechanism, y, 0.1)
+        motion = simulate(mechanism, y[0, :n], y[0, n:], 0.1, rtol=1e-12, atol=1e-12)
+        expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+        assert found.status == Status.REACHED
+        assert np.abs(found.y[0] - expected).max() < 1e-8 * max(1.0, np.abs(expected).max())
+        assert found.drift < 1e-8
+        energy = kinetic_energy(mechanism, motion.q, motion.qd)
+        energy = energy + potential_energy(mechanism, motion.q) - mechanism.energy_offset
+        assert found.energy[0, 0] == pytest.approx(energy.min(), rel=0.05, abs=0.5)
+
+    def test_scenes_of_several_shapes_and_numbers(self) -> None:
+        """No digit depends on what else is computed."""
+        scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()
+        values = SceneValues(scene, "x")
+        names = ("springs[0].stiffness", "springs[0].damping")
+        given = [(100.0, 0.2), (350.0, 0.0), (700.0, 0.4)]
+        made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
+        members = [
+            lanes_compiled.Motions(
+                m, np.hstack([assemble(m, [1.0]), np.zeros(2)])[None], np.zeros((1, 2)), np.zeros(1)
+            )
+            for m in made
+        ]
+        aims = Aims(1e-11, 1e-11, suspect=1e-3, work=True)
+        together = lanes_compiled.integrate(members, 1.0, aims, [False, False])
+        for mechanism, member, ends in zip(made, members, together, strict=True):
+            (alone,) = lanes_compiled.integrate([member], 1.0, aims, [False, False])
+            assert all((getattr(alone, x) == getattr(ends, x)).all() for x in ("y", "low", "drift"))
+            state = member.y[0]
+            motion = simulate(mechanism, state[:2], state[2:], 1.0, rtol=1e-12, atol=1e-12)
+            assert ends.y[0, :2] == pytest.approx(motion.q[-1], abs=1e-8)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 class TestResults:
     def test_error_follows_the_tolerance(self, engine) -> None:
@@ -215,8 +259,9 @@ class TestResults:
         for k in range(7):
             alone = run(engine, scene("2r"), y[k : k + 1], 1.5, tau[k], angle[k : k + 1], link=1)
             for name in ("t", "y", "low", "high", "energy", "drift", "flip"):
-                expected = getattr(together, name)[k]
-                assert getattr(alone, name)[0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
+                expected, own = getattr(together, name)[k], getattr(alone, name)[0]
+                assert own == pytest.approx(expected, rel=1e-9, nan_ok=True)
+                assert engine == "python" or np.array_equal(own, expected, equal_nan=True)
 
     def test_loops_stay_closed(self, engine) -> None:
         mechanism = scene("four-bar")

@@ -84,7 +84,8 @@ def sweep(
         int, typer.Option("--max-steps", metavar="N", help="A motion gives up after so many.")
     ] = 100_000,
     engine: Annotated[
-        Engine, typer.Option("--engine", help="auto: compiled, where numba is, for 1000 points on.")
+        Engine,
+        typer.Option("--engine", help="auto: compiled, with the extra `fast`, from 200 points on."),
     ] = Engine.auto,
     workers: Annotated[
         Optional[int],  # noqa: UP045

@@ -31,6 +31,9 @@ class Observer:
     def declare(self, scene: Scene, module: Module) -> None:
         """Functions that it calls."""
 
+    def finish(self, scene: Scene, module: Module) -> None:
+        """Functions that call those of the motion."""
+
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
         """Before each step; `leave(condition)` ends the call."""
 
@@ -89,6 +92,7 @@ def _text(scene: Scene, observer: Observer, processor: Processor) -> str:
         )
         k.set(taken, k.add(count, k.whole(1)))
     k.done(k.get(taken, WHOLE))
+    observer.finish(scene, module)
     return module.text
 
 

@@ -54,7 +54,8 @@ class Scene:
     """A mechanism and its torques as a block's layout, code and numbers.
 
     Without `closes` closures are not kept by projection.  With `rate_series` the series of the
-    joints' rates are among the items, as rate0_0, rate0_1, ...
+    joints' rates are among the items, as rate0_0, rate0_1, ..., and that of `link` as link0_0, ...
+    `kept` are items of an observer's own, with what they are at first.
     """
 
     def __init__(
@@ -67,13 +68,13 @@ class Scene:
         closes: bool = True,
         held: Sequence[float] | None = None,
         rate_series: bool = False,
+        link: int = -1,
+        kept: Mapping[str, float] | None = None,
     ) -> None:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
-        self.work, self.closes, self.rate_series = (
-            work,
-            closes and bool(mechanism.rows),
-            rate_series,
-        )
+        self.work, self.closes = work, closes and bool(mechanism.rows)
+        self.rate_series = rate_series
+        self.link = link
         self.motion = MotionProgram(mechanism, actuation, work, held)
         program = self.motion.program
         self.linear = actuation.constants is None and actuation.linear
@@ -81,8 +82,9 @@ class Scene:
         self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
         self.values |= {f"u{j}": x for j, x in enumerate(actuation.constants or ())}
         self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
+        self.values |= kept or {}
         shapes = [program.shape, mechanism.parent, mechanism.order, order, work, self.closes]
-        shapes += [bool(mechanism.friction), self.linear, rate_series]
+        shapes += [bool(mechanism.friction), self.linear, rate_series, link, list(kept or ())]
         shapes.append([bool(x) for x in actuation.constants or ()])
         if self.closes:
             closing = EquationsOfMotion(mechanism)
@@ -114,19 +116,22 @@ class Scene:
         named: dict[str, Value] = {}
         parts = {"rho": found.rho, "theta": found.theta, "watched": found.watched}
         parts["power"] = [found.power] if found.power else []
+        w = [rates(*z, self.order) for z in zip(found.rho, found.theta, strict=True)]
         if self.rate_series:
-            absolute = [rates(*z, self.order) for z in zip(found.rho, found.theta, strict=True)]
-            own = [
-                each
-                if above is None
-                else [a - b for a, b in zip(each, absolute[above], strict=True)]
-                for each, above in zip(absolute, self.mechanism.parent, strict=True)
+            parts["rate"] = [
+                each if above is None else [a - b for a, b in zip(each, w[above], strict=True)]
+                for each, above in zip(w, self.mechanism.parent, strict=True)
             ]
-            parts["rate"] = own
+        if self.link >= 0:
+            parts["link"] = [w[self.link]]
         for name, rows in parts.items():
             for k, row in enumerate(rows):
                 named |= {f"{name}{k}_{m}": value for m, value in enumerate(row)}
         return named
+
+    def _stored(self, name: str, value: Value) -> bool:
+        """Whether a coefficient is an item; those of rates are so that they stand side by side."""
+        return isinstance(value, Expression) or name.startswith(("rate", "link"))
 
     def coefficients(self, graph: Graph, name: str) -> list[Value]:
         """A series as variables of another graph; what is no variable stays a number."""
@@ -184,7 +189,7 @@ class Scene:
         """All items, those of the code's own included."""
         names = list(self.place)
         names += [k for held in self._held.values() for k in held.values() if k not in self.place]
-        names += [k for k, x in self.series.items() if isinstance(x, Expression)]
+        names += [k for k, x in self.series.items() if self._stored(k, x)]
         return {name: i for i, name in enumerate(names)}
 
     def fill(self, block: Array, rtol: float, atol: float, project: float = 1.0) -> None:
@@ -265,7 +270,7 @@ class Scene:
     def _expand(self, module: Module) -> None:
         k, block = self.kernel(module, "expand")
         segment = self.segment(k, block, self.found.graph)
-        own = {name: x for name, x in self.series.items() if isinstance(x, Expression)}
+        own = {name: x for name, x in self.series.items() if self._stored(name, x)}
         words = segment.write([self.found.longest, *own.values()])
         for name, word in zip(("longest", *own), words, strict=True):
             self.put(k, block, name, word)

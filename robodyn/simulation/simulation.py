@@ -127,8 +127,8 @@ def simulate(
     motion is given at `t_eval`, or at the accepted steps where that is None.  A run that does not
     finish is no exception: `motion.outcome` tells, and the motion holds what was computed.
     `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
-    and whose `engine` is "python", "compiled" (with the extra `fast`), or "auto": compiled once
-    it is loaded, which it is after a second of a run that would last longer.
+    and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
+    compiled where a run takes, or this process took, many steps of the mechanism.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
     q = closed_form.as_states(mechanism, "q", q)

@@ -1,6 +1,6 @@
 """The Taylor series of many motions at once, as numpy over lanes.
 
-The recurrences are those of `taylor/kernel.py`; series (K, n, B) have their orders along the first
+Series (K, n, B) have their orders along the first
 axis, the links along the second, the lanes along the last.
 """
 

@@ -2,7 +2,7 @@
 
 Lanes that have ended leave the arrays, so that the last ones cost little more than their own.  What
 a lane leaves behind is gathered along the way, from the states at the steps' ends and from the
-series between them (`step_extremes.py`).  `lanes_compiled.py` does the same in compiled loops.
+series between them (`step_extremes.py`).  `lanes_compiled.py` does the same in machine code.
 """
 
 from __future__ import annotations

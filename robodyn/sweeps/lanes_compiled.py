@@ -1,194 +1,164 @@
-"""Many motions of one structure in compiled loops, one lane after another, without the GIL.
+"""Many motions of one structure in machine code, one in each lane of a vector.
 
-What `lanes.py` does in numpy, with the loops of `taylor/kernel.py`: threads may share the lanes.
+What `lanes.py` does in numpy, for every scene that machine code serves: numbers of the scene and
+torques may differ from lane to lane.
 """
-
-# compiled functions are not annotated: types are numba's to infer
-# mypy: disable-error-code="no-untyped-def, no-untyped-call"
 
 from __future__ import annotations
 
-import math
-from typing import Any
+import ctypes
+import threading
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.engines import machine_motion
+from robodyn.engines.machine_motion import RUNNING
+from robodyn.engines.machine_steps import Scene
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.lanes import Aims, Ends
-from robodyn.sweeps.step_extremes_compiled import crossing, widen
-from robodyn.taylor import PARTS
-from robodyn.taylor.kernel import (
-    FULL,
-    NOT_FINITE,
-    REACHED,
-    SINGULAR,
-    STUCK,
-    _close,
-    _land,
-    _longest,
-    _power,
-    _series,
-    compiled,
-)
-from robodyn.taylor.layout import Layout
+from robodyn.taylor import Status, default_order
+from robodyn.taylor.compiled import serves
 
 Array = NDArray[np.float64]
 
+KEPT = 64  # codes in a process
+PIECE = 128  # lanes of one call, and
+BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
+
+
+class Motions(NamedTuple):
+    """Of one mechanism: starts y (k, 2n), torques tau (k, n), angles (k,) from hanging."""
+
+    mechanism: Mechanism
+    y: Array
+    tau: Array
+    angle: Array
+
+
+class _Shape(NamedTuple):
+    """The code that serves scenes of one shape, and where their items stand."""
+
+    scene: Scene
+    run: Callable[..., int]
+    items: int
+    lanes: int
+
+
+_shapes: dict[str, _Shape | None] = {}
+_making = threading.Lock()
+
 
 def integrate(
-    whole: NDArray[np.int64],
-    reals: Array,
-    at: Layout,
-    y: Array,
-    t_end: float,
-    angle: Array,
-    aims: Aims,
-) -> Ends:
-    """See `lanes.integrate`."""
-    ends = Ends.room(len(y), at.n)
-    arrays = [np.require(x, float, ["C"]) for x in (reals, y, angle)]
-    left = [getattr(ends, name) for name in Ends.__slots__]
-    advance: Any = advance_lanes
-    advance(whole, at, *arrays, float(t_end), aims, *left)
-    return ends
+    members: Sequence[Motions], t_end: float, aims: Aims, driven: Sequence[bool]
+) -> list[Ends | None]:
+    """The motions of each member from t = 0 to t_end; None where there is no machine code.
+
+    `driven` (n) tells which joints may have a torque at all.  Neither which members come together
+    nor their order changes a digit.
+    """
+    found: list[Ends | None] = [None] * len(members)
+    alike: dict[str, list[int]] = {}
+    scenes = [_scene(x.mechanism, tuple(driven), aims, default_order(aims.rtol)) for x in members]
+    for i, scene in enumerate(scenes):
+        if scene is not None:
+            alike.setdefault(scene.key, []).append(i)
+    for key, indices in alike.items():
+        first = scenes[indices[0]]
+        assert first is not None
+        shape = _shape(key, first, aims)
+        if shape is None:
+            continue
+        parts = [_columns(scenes[i], members[i], t_end, aims) for i in indices]
+        ends = _run(shape, np.concatenate(parts, axis=1), aims)
+        begin = 0
+        for i, part in zip(indices, parts, strict=True):
+            stop = begin + part.shape[1]
+            found[i] = Ends(*(getattr(ends, name)[begin:stop] for name in Ends.__slots__))
+            begin = stop
+    return found
 
 
-@compiled(parallel=True)
-def advance_lanes(
-    whole,
-    at,
-    reals,
-    y,
-    angle,
-    t_end,
-    aims,
-    ends,
-    ys,
-    lows,
-    highs,
-    energies,
-    drifts,
-    flips,
-    statuses,
-    counts,
-):
-    """Each lane from its state to t_end; what it leaves behind, into the arrays after `aims`."""
-    n = at.n
-    N = 2 * n + 1 if aims.work else 2 * n
-    work = np.zeros(at.size_of_work)
-    states, series = np.empty(2 * N), np.empty((2, at.order + 1))
-    direction = 1.0 if t_end >= 0.0 else -1.0
-    for lane in range(len(y)):
-        real = reals[lane if len(reals) > 1 else 0]
-        t, taken = 0.0, 0
-        for m in range(2 * n):
-            states[m] = y[lane, m]
-        for m in range(2 * n, N):
-            states[m] = 0.0
-        quality = _close(whole, real, work, at, states, 0)
-        for m in range(2 * n):
-            work[at.c0 + m] = work[at.c + m]
-        low, high = lows[lane], highs[lane]
-        for m in range(2 * n):
-            low[m] = high[m] = states[m]
-        phi = angle[lane]
-        begun = _angle(whole, states, 0, aims.link)
-        KE, PE = _energies(whole, real, work, at, states, 0)
-        start, off, moving, PE_low, PE_high = KE + PE, 0.0, KE, PE, PE
-        E_low = E_high = start
-        flip = math.nan
-        status = FULL
-        while True:
-            if t == t_end:
-                status = REACHED
-                break
-            if taken == aims.most:
-                break
-            if not quality >= aims.suspect:
-                status = SINGULAR
-                break
-            _series(whole, real, work, at, states, 0)
-            if aims.work:
-                _power(whole, real, work, at)
-            longest = _longest(work, at, aims.atol, aims.rtol)
-            if longest < 0.0:
-                status = NOT_FINITE
-                break
-            best, end, landing = -1.0, t, t
-            for part in PARTS:
-                h = part * longest
-                landing = t_end if h >= abs(t_end - t) else t + direction * h
-                if landing == t:
-                    break
-                quality = _land(whole, real, work, at, landing - t, states, 0, N)
-                if quality > best or end == t:
-                    best, end = quality, landing
-                if quality >= aims.suspect:
-                    break
-            if end == t:
-                status = STUCK
-                break
-            if landing != end:
-                quality = _land(whole, real, work, at, end - t, states, 0, N)
-            if aims.extremes:
-                for j in range(n):
-                    widen(whole, work, at, states, j, end - t, low, high, series)
-            if aims.link >= 0 and math.isnan(flip):
-                now = phi + _angle(whole, states, 0, aims.link) - begun
-                flip = t + crossing(whole, work, at, aims.link, now, end - t, series)
-            for m in range(N):
-                states[m] = states[N + m]
-            for m in range(2 * n):  # c and s of the next start
-                work[at.c0 + m] = work[at.c + m]
-            t = end
-            taken += 1
-            KE, PE = _energies(whole, real, work, at, states, 0)
-            E = KE + PE
-            done = states[N - 1] if aims.work else 0.0
-            off, moving = max(off, abs(E - done - start)), max(moving, KE)
-            PE_low, PE_high = min(PE_low, PE), max(PE_high, PE)
-            E_low, E_high = min(E_low, E), max(E_high, E)
-            if aims.extremes:  # the states at the ends are closed, the series to the tolerance
-                for m in range(2 * n):
-                    low[m], high[m] = min(low[m], states[m]), max(high[m], states[m])
-        ends[lane], statuses[lane], counts[lane], flips[lane] = t, status, taken, flip
-        energies[lane, 0], energies[lane, 1] = E_low, E_high
-        moving = max(moving, PE_high - PE_low)
-        drifts[lane] = off / moving if moving > 0.0 else 0.0
-        for m in range(2 * n):
-            ys[lane, m] = states[m]
+@lru_cache(maxsize=8)
+def _scene(mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, order: int) -> Scene | None:
+    if not serves(mechanism, order):
+        return None
+    return Scene(
+        mechanism,
+        Actuation(tuple(map(float, driven))),
+        order,
+        work=aims.work,
+        rate_series=aims.extremes,
+        link=aims.link,
+        kept=kept(mechanism),
+    )
 
 
-@compiled()
-def _angle(whole, y, q, link):
-    """The absolute angle of a link at y[q:]; `parent` stands first in `whole`."""
-    total = 0.0
-    while link >= 0:
-        total += y[q + link]
-        link = whole[link]
-    return total
+def _shape(key: str, scene: Scene, aims: Aims) -> _Shape | None:
+    with _making:  # all threads get the same
+        if key not in _shapes:
+            while len(_shapes) >= KEPT:
+                _shapes.pop(next(iter(_shapes)))
+            _shapes[key] = _made(scene, aims)
+        return _shapes[key]
 
 
-@compiled()
-def _energies(whole, real, work, at, y, q):
-    """KE and PE less its constant, J, at y[q:], whose directions are in c and s."""
-    KE = PE = 0.0
-    for i in range(at.n):
-        l = whole[at.outward + i]
-        above = whole[at.parent + l]
-        w = y[q + at.n + l]
-        if above >= 0:
-            w += work[at.X + above]
-        work[at.X + l] = w
-        c, s = work[at.c + l], work[at.s + l]
-        KE += real[at.inertia + l] * w * w
-        PE -= real[at.weight_re + l] * c + real[at.weight_im + l] * s
-        PE -= real[at.moment + l] * work[at.alpha + l]
-    for j in range(at.n):
-        for e in range(whole[at.A_start + j], whole[at.A_start + j + 1]):
-            l = whole[at.A_link + e]
-            x = work[at.c + j] * work[at.c + l] + work[at.s + j] * work[at.s + l]
-            y_ = work[at.c + j] * work[at.s + l] - work[at.s + j] * work[at.c + l]
-            A = real[at.A_re + e] * x - real[at.A_im + e] * y_
-            KE += A * work[at.X + j] * work[at.X + l]
-    return 0.5 * KE, PE
+def _made(scene: Scene, aims: Aims) -> _Shape | None:
+    try:
+        loaded = machine_motion.compile(scene, LaneObserver(scene, aims.extremes), 0)
+    except ZeroDivisionError:  # no state has a series
+        return None
+    if loaded is None:
+        return None
+    types = [ctypes.c_void_p] * 2 + [ctypes.c_int64] * 4
+    return _Shape(scene, loaded.code.function("run", *types), loaded.items, loaded.lanes)
+
+
+def _columns(scene: Scene | None, motions: Motions, t_end: float, aims: Aims) -> Array:
+    """The items that Python fills, (items, lanes)."""
+    assert scene is not None
+    place, n = scene.place, scene.mechanism.n
+    column = np.zeros(len(place))
+    scene.fill(column, aims.rtol, aims.atol)
+    given = {"bound": t_end, "direction": 1.0 if t_end >= 0.0 else -1.0, "most_steps": aims.most}
+    given |= {"status": RUNNING if t_end else Status.REACHED, "suspect": aims.suspect}
+    for name, value in given.items():
+        column[place[name]] = value
+    columns = np.repeat(column[:, None], len(motions.y), axis=1)
+    columns[place["to_q0"] : place["to_q0"] + 2 * n] = motions.y.T
+    columns[place["u0"] : place["u0"] + n] = motions.tau.T
+    columns[place["angle"]] = motions.angle
+    return columns
+
+
+def _run(shape: _Shape, columns: Array, aims: Aims) -> Ends:
+    lanes, (count, L) = shape.lanes, columns.shape
+    place, n = shape.scene.place, shape.scene.mechanism.n
+    held = np.empty((count, -(-L // lanes) * lanes))
+    held[:, :L] = columns
+    held[:, L:] = columns[:, -1:]  # what pads the last lanes idles
+    held[place["status"], L:] = float(Status.REACHED)
+    block = np.zeros(shape.items * lanes)
+    for first in range(0, held.shape[1], PIECE):
+        stop = min(first + PIECE, held.shape[1])
+        while shape.run(block.ctypes.data, held.ctypes.data, held.shape[1], first, stop, BUDGET):
+            pass
+    rows = {name: held[i, :L] for name, i in place.items()}
+    moving = np.maximum(rows["KE"], rows["PE_high"] - rows["PE_low"])
+    drift = np.divide(rows["off"], moving, out=moving * 0.0, where=moving > 0.0)
+    return Ends(
+        t=rows["t"],
+        y=held[: 2 * n, :L].T,
+        low=held[place["low0"] : place["low0"] + 2 * n, :L].T,
+        high=held[place["high0"] : place["high0"] + 2 * n, :L].T,
+        energy=np.stack([rows["E_low"], rows["E_high"]], axis=1),
+        drift=drift,
+        flip=rows["flip"],
+        status=rows["status"].astype(np.int64),
+        steps=rows["steps"].astype(np.int64),
+    )

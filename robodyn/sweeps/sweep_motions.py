@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -70,17 +70,20 @@ def motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str])
         offset[group.points] = group.mechanism.energy_offset
         if link >= 0:
             angle[group.points] = _from_hanging(group.mechanism, group.q, link)
+    fast, rest = _compiled(plan, base, groups, angle, aims)
+    for group in rest:
         if regular and _served(group.mechanism):
             together.append(group)
         else:
             alone += [(group, i) for i in range(len(group.points))]
-    for chosen, found in _integrated(plan, together, angle, aims):
+    quick = [(group.points, found) for group, found in fast]
+    for chosen, found in [*quick, *_integrated(plan, together, angle, aims)]:
         for name in Ends.__slots__:
             getattr(ends, name)[chosen] = getattr(found, name)
         for lane, status in zip(chosen, found.status.tolist(), strict=True):
             outcomes[lane] = _OUTCOMES[Status(status)].label
     poor = {Status.SINGULAR, Status.STUCK} if base.rows else set()
-    for group in together:
+    for group in [*(group for group, _ in fast), *together]:
         alone += [(group, i) for i, k in enumerate(group.points) if ends.status[k] in poor]
     for group, i in alone:
         k = int(group.points[i])
@@ -89,6 +92,25 @@ def motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str])
             group.mechanism, y, group.tau[i], plan.t_end, float(angle[k]), aims, ends, k
         )
     _columns(plan, ends, offset, values)
+
+
+def _compiled(
+    plan: Plan, base: Mechanism, groups: list[Group], angle: Array, aims: Aims
+) -> tuple[list[tuple[Group, Ends]], list[Group]]:
+    """What machine code finds, and the groups that are left to the others."""
+    if plan.engine != "compiled":
+        return [], groups
+    from robodyn.sweeps.lanes_compiled import Motions, integrate
+
+    # the plan alone decides what the code computes, so that digits do not depend on the chunk
+    named = {axis.name for axis in plan.variation.axes}
+    given = dict(zip(base.actuated, plan.tau, strict=False))
+    driven = [f"tau{j + 1}" in named or bool(given.get(j)) for j in range(base.n)]
+    work = any(driven) or base.changes_energy or bool(plan.scene_axes)
+    members = [Motions(x.mechanism, np.hstack([x.q, x.qd]), x.tau, angle[x.points]) for x in groups]
+    found = integrate(members, plan.t_end, aims._replace(work=work), driven)
+    both = list(zip(groups, found, strict=True))
+    return [(x, ends) for x, ends in both if ends is not None], [x for x, e in both if e is None]
 
 
 def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
@@ -129,9 +151,6 @@ def _integrated(
     plan: Plan, groups: list[Group], angle: Array, aims: Aims
 ) -> Iterator[tuple[Indices, Ends]]:
     """Points whose mechanisms have the same structure, and what their motions leave behind."""
-    compiled: Callable[..., Ends] = lanes.integrate
-    if plan.engine == "compiled":
-        from robodyn.sweeps.lanes_compiled import integrate as compiled
     order = best_order(plan.rtol)
     alike: dict[tuple[object, ...], list[tuple[Group, Array]]] = {}
     structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
@@ -155,7 +174,7 @@ def _integrated(
             reals[:, at.torque : at.torque + at.n] = tau
         given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
         if not members[0][0].mechanism.has_state_forces:
-            yield chosen, compiled(*given)
+            yield chosen, lanes.integrate(*given)
             continue
         which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
         forces = LaneForces([group.mechanism for group, _ in members], which)

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 
 from robodyn import __version__
+from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.variation import Variation
+from robodyn.taylor import default_order
+from robodyn.taylor.compiled import serves
 
 # points of a chunk: in numpy many share the cost of a call, compiled they are quick to share out
-CHUNKS = {"python": 2000, "compiled": 500}
-WORTH_LOADING = 1000  # points whose time is that of loading numba
+CHUNKS = {"python": 2000, "compiled": 512}
+WORTH_MAKING = 200  # points whose time is that of making machine code
 RESULTS = ("final", "extremes", "drift", "flip")
 _ENDS = ("min", "max")
 
@@ -93,19 +95,20 @@ def base_mechanism(scene: str, source: str) -> Mechanism:
     return build(SceneValues(scene, source).base)
 
 
-def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
-    """The engine that `wanted` names; auto: compiled with the extra `fast` for many points.
+def best_engine(wanted: str, points: int, mechanism: Mechanism, rtol: float) -> str:
+    """The engine that `wanted` names; auto: machine code for many points, where it serves.
 
-    Raises InputError where the compiled one is wanted and not installed.
+    Raises InputError where machine code is wanted and there is none.
     """
-    there = find_spec("numba") is not None
-    if wanted == "compiled" and not there:
-        limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
-        raise InputError("engine", value=wanted, limit=limit)
-    if wanted != "auto":
+    if wanted == "python" or (wanted == "auto" and points < WORTH_MAKING):
+        return "python"
+    there = machine.available()
+    if wanted == "compiled":
+        if not there:
+            limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
+            raise InputError("engine", value=wanted, limit=limit)
         return wanted
-    plain = not mechanism.has_state_forces and not mechanism.description.couplings
-    return "compiled" if there and plain and points >= WORTH_LOADING else "python"
+    return "compiled" if there and serves(mechanism, default_order(rtol)) else "python"
 
 
 def check(plan: Plan) -> Mechanism:

@@ -1,6 +1,6 @@
 """The chunks of a sweep, in order: computed here, by threads, processes, or a Dask cluster.
 
-Compiled loops let threads share the processor; numpy on small arrays, and reading scenes again, do
+Machine code lets threads share the processor; numpy on small arrays, and reading scenes again, do
 not: these go to processes.  Only so many chunks are under way at a time that memory does not grow
 with their number.
 """
@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.sweep import Rows, run_chunk
-from robodyn.sweeps.sweep_plan import Plan, base_mechanism
+from robodyn.sweeps.sweep_plan import Plan
 
 MANY_SCENES = 1000  # from so many on reading them is what takes the time
 AHEAD = 2  # chunks under way for each worker
@@ -100,11 +100,7 @@ def _executor(plan: Plan, count: int) -> Executor:
         values = plan.variation.axes[k].values
         scenes *= len(values) if values else plan.variation.size
     compiled = plan.engine == "compiled" and plan.kind == "motion"
-    if (
-        compiled
-        and scenes < MANY_SCENES
-        and not base_mechanism(plan.scene, plan.source).has_state_forces
-    ):
+    if compiled and scenes < MANY_SCENES:
         return ThreadPoolExecutor(count)
     return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
 

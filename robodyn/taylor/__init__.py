@@ -2,7 +2,7 @@
 
 The series of a motion costs a few convolutions an order and a link for any planar linkage, as
 `engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
-one by one (`steps.py`), and compiled loops (`compiled.py`, with the extra `fast`); `run.py` chooses
+one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `run.py` chooses
 one and drives it.
 """
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 TINY = 1e-290  # in place of a coefficient that vanishes
 
-# of the loops generic in the model, compiled or over many lanes
+# of numpy over many lanes
 PASSES = 3  # Newton steps that close a state
 HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state

@@ -24,7 +24,7 @@ from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
 
-LARGEST = 3000  # entries of A and P, times the order, up to which the code is made in a second
+LARGEST = 3000  # entries of A and P, times the order, up to which the code is made in some s
 KEPT = 64  # codes in a process
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends and states, how many times, rows so far

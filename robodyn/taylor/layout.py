@@ -1,7 +1,7 @@
-"""A mechanism as flat arrays of numbers, for the compiled series.
+"""A mechanism as flat arrays of numbers, for series in numpy over many lanes.
 
 They lie in two arrays, `whole` and `real`; what is computed lies in a third, `work`; a Layout tells
-where: compiled code pays for every array that a function is handed.
+where.
 """
 
 from __future__ import annotations

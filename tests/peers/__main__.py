@@ -99,7 +99,7 @@ def making_ready(engines: dict[str, ModuleType]) -> Iterator[Row]:
         if reference == MOTIONS[0][0]:
             start = perf_counter()
             taylor(problem, "compiled", 1e-9)()
-            what = "compiled engine, loaded once a process"
+            what = "compiled engine, the first in a process"
             yield Row("ready", what, "robodyn compiled", math.nan, "ms", milliseconds(start))
         if "heyoka" in engines:
             for tolerance in (1e-6, 1e-15):
