@@ -1,63 +1,23 @@
-"""The program of rows: every engine, on every kind of scene, against independent mechanics.
+"""The program of rows: every engine, on every kind of scene, against independent mechanics."""
 
-The oracle takes M, C qd and G from Newton and Euler (`oracles.py`), closures from the kinematics
-of points (`random_mechanisms.Pose`), springs, loads and friction from virtual power
-(`test_forces.Forces`), and reads nothing but the description of the scene.
-"""
+import math
 
-import functools
-from types import SimpleNamespace
-from typing import NamedTuple
-
-import mpmath
 import numpy as np
 import pytest
-from conftest import ROOT
 from mpmath import mp, mpf
-from test_forces import Forces
+from program_cases import KINDS, ROBOTS, SEEDS, accelerations, cases, known, torques
 
-import oracles
-from random_mechanisms import (
-    LOOPS,
-    Pose,
-    Scene,
-    Shape,
-    forced,
-    mechanism,
-    oracle_tree,
-    seeded_scene,
-    seeded_tree,
-)
-from robodyn.dynamics import identities
 from robodyn.engines import blocks, formulas, machine, straightline
 from robodyn.engines.expansion import MotionProgram, expansion
-from robodyn.engines.factors import SMALL, Factors
-from robodyn.engines.formulas import RECORDED, Formula, Recorded
+from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine_rows import Rows
-from robodyn.engines.series import FLOATS, Arithmetic, Series, State
+from robodyn.engines.series import FLOATS, Arithmetic, Series
 from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.program import (
-    Derivative,
-    Function,
-    Given,
-    Integral,
-    Number,
-    Power,
-    Primitive,
-    Product,
-    Program,
-    Quotient,
-    Rate,
-    Sum,
-    Turn,
-    Unknown,
-)
 from robodyn.simulation.extended import LONGS
 
 DIGITS = 30
-ORDER = 12  # of series
-SEEDS = range(20)
+ORDER = 12  # of the series of motions
 MADE = 1  # seeds of each shape for which machine code is made: 0.1 s a formula
 MANY = Arithmetic(
     cos=mp.cos,
@@ -67,166 +27,6 @@ MANY = Arithmetic(
 )
 # arithmetics of `Series`, and how they make numbers of floats
 NUMBERS = {"floats": (FLOATS, float), "longdouble": (LONGS, np.longdouble), "mpmath": (MANY, mpf)}
-
-# ---------------------------------------------------------------------------------------------
-# The oracle
-# ---------------------------------------------------------------------------------------------
-
-
-class Known(NamedTuple):
-    """M qdd + h = tau + Psi^T lambda, Psi qdd + bias = 0, and the gap."""
-
-    M: np.ndarray
-    h: np.ndarray
-    Psi: np.ndarray
-    bias: np.ndarray
-    gap: np.ndarray
-
-
-def known(mech, q, qd) -> Known:
-    """All terms at a state, of the description alone (of a coupling's row only its scale `arm`)."""
-    description, n = mech.description, len(q)
-    tree, rest = oracle_tree(description), np.zeros(n)
-    columns = [oracles.newton_euler(tree, 0j, q, rest, qdd) for qdd in np.eye(n)]
-    h = np.array(oracles.newton_euler(tree, description.gravity, q, qd, rest))
-    potential, other, _ = Forces(SimpleNamespace(mechanism=mech, q=q, qd=qd)).torques()
-    h += np.array([link.damping for link in description.links]) * qd - potential - other
-    pose = Pose(tree, q)
-    Psi, bias, gap = [], [], []
-    for closure in description.closures:
-        sides = [(point.link, point.at) for point in (closure.first, closure.second)]
-        along = closure.along
-        for direction in (1.0, 1j) if along is None else (1j * along / abs(along),):
-            d, slope, bend = (
-                a - b
-                for a, b in (
-                    [pose.position(side) for side in sides],
-                    [pose.slope(side) for side in sides],
-                    [pose.bias(side, qd) for side in sides],
-                )
-            )
-            gap.append((np.conj(direction) * d).real)
-            Psi.append((np.conj(direction) * slope).real)
-            bias.append((np.conj(direction) * bend).real)
-    arms = [row.arm for row in mech.rows if row.closure is None]
-    for coupling, arm in zip(description.couplings, arms, strict=True):
-        row = np.eye(n)[coupling.joint]
-        for k, ratio in coupling.terms:
-            row[k] -= ratio
-        Psi.append(arm * row)
-        bias.append(0.0)
-        gap.append(arm * (row @ q - coupling.angle))
-    r = len(gap)
-    return Known(np.array(columns).T, h, np.reshape(Psi, (r, n)), np.array(bias), np.array(gap))
-
-
-def accelerations(at: Known, tau):
-    """qdd and lambda, and the rounding that they may have."""
-    n, r = len(at.h), len(at.gap)
-    K = np.block([[at.M, -at.Psi.T], [at.Psi, np.zeros((r, r))]])
-    solution = np.linalg.solve(K, np.concatenate([tau - at.h, -at.bias]))
-    return np.split(solution, [n]), 1e-13 * (1.0 + np.linalg.cond(K))
-
-
-def torques(at: Known, qdd, actuated):
-    """tau and lambda."""
-    n, r = len(at.h), len(at.gap)
-    driven = np.eye(n)[:, list(actuated)]
-    K = np.hstack([driven, at.Psi.T])
-    solution = np.linalg.solve(K, at.M @ qdd + at.h)
-    tau, multipliers = np.split(solution, [n - r])
-    return [driven @ tau, multipliers], 1e-13 * (1.0 + np.linalg.cond(K))
-
-
-# ---------------------------------------------------------------------------------------------
-# The scenes
-# ---------------------------------------------------------------------------------------------
-
-SLIDERS = {
-    "two sliders on a chain": Shape((None, 0, 1), sliders=(1, 2), actuated=(0,)),
-    "two sliders on a crank": Shape((None, 0, 0), sliders=(1, 2), actuated=(0,)),
-    "slider and pin": Shape((None, 0, None, 1), ((1, 2),), sliders=(3,), actuated=(0,)),
-}
-COUPLED = {"tree": (1, 0), "loop": (2, 0)}  # the joint that follows, and the one it does
-
-
-def geared(seed, plain, joint, other, actuated):
-    """The scene with a gear between two joints, put where it fits."""
-    numbers = np.random.default_rng(2000 + seed)
-    ratio, angle = (round(float(x), 6) for x in numbers.uniform(0.3, 2.0, 2) * [(-1) ** seed, 1])
-    q = plain.q.copy()
-    if plain.mechanism.rows:
-        angle = float(q[joint] - ratio * q[other])
-    q[joint] = ratio * q[other] + angle
-    lines = [line for line in plain.text.splitlines() if not line.startswith("actuated")]
-    lines.append(f'couplings: ["q{joint + 1} = {ratio!r} q{other + 1} + {angle:.17f}"]')
-    lines.append(f"actuated: [{', '.join(f'link{k}' for k in actuated)}]")
-    return Scene("\n".join(lines).replace("+ -", "- ") + "\n", q, plain.qd, plain.qdd)
-
-
-def plain_scene(name, seed):
-    """A random scene of a kind."""
-    if name == "tree":
-        return seeded_tree(seed, 1 + seed % 6)
-    if name == "geared tree":
-        tree, n = seeded_tree(seed, 2 + seed % 4), 2 + seed % 4
-        joint, other = (seed % n, (seed + 1) % n)
-        return geared(seed, tree, joint, other, [k for k in range(n) if k != joint])
-    if name == "geared five-bar":
-        return geared(seed, seeded_scene(seed, LOOPS["five-bar"]), 2, 0, [0])
-    return seeded_scene(seed, (LOOPS | SLIDERS)[name])
-
-
-KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar")
-ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
-
-
-class Case(NamedTuple):
-    """A state of a scene, and torques tau."""
-
-    mech: object
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    tau: np.ndarray
-    at: Known
-
-
-def case(mech, q, qd, seed):
-    """Rates and accelerations that keep the closures, torques at the actuated joints."""
-    rng = np.random.default_rng(seed)
-    at = known(mech, q, qd)
-    qd = qd - np.linalg.pinv(at.Psi) @ (at.Psi @ qd)
-    at = known(mech, q, qd)
-    assert np.abs(at.gap).max(initial=0.0) < 1e-11
-    qdd = rng.uniform(-15.0, 15.0, len(q))
-    qdd -= np.linalg.pinv(at.Psi) @ (at.Psi @ qdd + at.bias)
-    tau = np.zeros(len(q))
-    tau[list(mech.actuated)] = rng.uniform(-5.0, 5.0, len(mech.actuated))
-    return Case(mech, q, qd, qdd, tau, at)
-
-
-@functools.cache
-def random_case(name, seed, acted):
-    scene = plain_scene(name, seed)
-    if acted:
-        scene = forced(seed, scene)
-    return case(scene.mechanism, scene.q, scene.qd, seed)
-
-
-@functools.cache
-def robot_cases(path):
-    mech = mechanism(path.read_text())
-    sample = identities.sample_states(mech, 3)
-    assert len(sample.q) == 3
-    return [case(mech, q, qd, k) for k, (q, qd) in enumerate(zip(sample.q, sample.qd, strict=True))]
-
-
-def cases(name, seeds=SEEDS):
-    if isinstance(name, str):
-        return [random_case(name, seed, acted) for seed in seeds for acted in (False, True)]
-    return robot_cases(name)[: len(seeds)]
-
 
 EVERY = pytest.mark.parametrize("name", [*KINDS, *ROBOTS], ids=lambda x: getattr(x, "stem", x))
 
@@ -338,11 +138,15 @@ ENGINES = {
 }
 
 
+def has_machine_code():
+    return machine.make(lambda processor: "") is not None
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @EVERY
 def test_values(name, engine):
     evaluate, seeds = ENGINES[engine]
-    if engine == "machine code" and machine.make(lambda processor: "") is None:
+    if engine == "machine code" and not has_machine_code():
         pytest.skip("no machine code")
     for one in cases(name, seeds):
         n, r = one.mech.n, len(one.at.gap)
@@ -362,3 +166,118 @@ def test_values(name, engine):
                 worst = np.abs(part - y).max(initial=0.0)
                 assert worst <= expected[kind] * size, (kind, one.mech.name, worst / size)
             assert not x.size
+
+
+# ---------------------------------------------------------------------------------------------
+# The Taylor series of motions
+# ---------------------------------------------------------------------------------------------
+
+
+def long(x):
+    """Any number as a longdouble."""
+    return np.longdouble(mp.nstr(x, 25) if isinstance(x, mpf) else x)
+
+
+def expanded(one, kind, actuation=None, order=ORDER, grounded=False):
+    """rho and theta of the links' turns, (2, n, order + 2), by numbers of a kind."""
+    arithmetic, number = NUMBERS[kind]
+    with mp.workdps(DIGITS):
+        motion = MotionProgram(one.mech, actuation or Actuation(tuple(one.tau.tolist())), False)
+        y = [number(x) for x in (*one.q, *one.qd)]
+        start = motion.state(arithmetic, number(0.0), y, ((), ()))
+        numbers = [number(x) for x in motion.program.numbers]
+        found = motion.expand(arithmetic, numbers, order, start, grounded)
+        rows = found.rho, found.theta
+        return np.array([[[long(x) for x in c] for c in part] for part in rows])
+
+
+def radius(turns):
+    """About how far the series hold, s: by the roots of their coefficients."""
+    sizes = np.abs(turns).max(axis=(0, 1))[2:]
+    return 1.0 / max(size ** (1 / (m + 2)) for m, size in enumerate(sizes))
+
+
+def moved(one, turns, t):
+    """q, qd and qdd at a time t of the links' turns."""
+    z, zd, zdd = (
+        np.array([np.polyval(np.polyder(c[::-1], k), t) for c in turns[0] + 1j * turns[1]])
+        for k in range(3)
+    )
+    rate, bend = zd / z, zdd / z
+    J_inverse = np.linalg.inv(one.mech.arrays.J)
+    q, qd, qdd = (J_inverse @ x for x in (np.angle(z), rate.imag, (bend - rate**2).imag))
+    return one.q + q, qd, qdd
+
+
+@EVERY
+def test_series_follow_the_equations_of_motion(name):
+    """At a later time the second derivative is the acceleration of the state there."""
+    for k, one in enumerate(cases(name, SEEDS[:5])):
+        actuation, law = None, None
+        first = one.mech.actuated[0]
+        if not one.mech.rows and one.mech.n > 1:  # torques that change with time and state
+            text = f"2*cos(3*t)*q{first + 1} - 0.3*qd2" + ", t**2" * (one.mech.n - 1)
+            actuation = expressions(one.mech, text, "test")
+            law = [lambda t, q, qd: 2 * math.cos(3 * t) * q[0] - 0.3 * qd[1]]
+            law += [lambda t, q, qd: t * t] * (one.mech.n - 1)
+        turns = expanded(one, "floats", actuation, grounded=k % 2 == 0).astype(float)
+        for t in (0.0, 0.05 * radius(turns), -0.05 * radius(turns)):
+            q, qd, qdd = moved(one, turns, t)
+            tau = one.tau if law is None else np.array([each(t, q, qd) for each in law])
+            at = known(one.mech, q, qd)
+            (expected, _), rounding = accelerations(at, tau)
+            size = 1.0 + np.abs(expected).max()
+            assert np.abs(qdd - expected).max() <= 100 * (rounding + 1e-13) * size
+            for open_by in (at.gap, at.Psi @ qd):
+                assert np.abs(open_by).max(initial=0.0) < 1e-11 * (1.0 + np.abs(qd).max())
+
+
+def at_radius(turns, scale):
+    """Coefficients c_m R^m: sizes compare."""
+    return turns * np.power(scale, np.arange(turns.shape[-1]))
+
+
+@EVERY
+def test_series_of_many_digits(name):
+    """Longdouble is nearer to mpmath than floats are by the digits that it has more."""
+    for one in cases(name, SEEDS[:1]):
+        exact = expanded(one, "mpmath")
+        R = radius(exact)
+        rounding = accelerations(one.at, one.tau)[1]
+        for kind, unit in (
+            ("floats", 1.0),
+            ("longdouble", float(np.finfo(np.longdouble).eps) * 2.0**52),
+        ):
+            wrong = np.abs(at_radius(expanded(one, kind) - exact, R)).max()
+            assert wrong <= 10 * rounding * unit, (kind, wrong, rounding)
+
+
+@pytest.mark.parametrize("engine", ["text", "machine"])
+@EVERY
+def test_recorded_series(name, engine):
+    if engine == "machine" and not has_machine_code():
+        pytest.skip("no machine code")
+    order, seeds = {"text": (4, 2), "machine": (3, 1)}[engine]
+    for one in cases(name, SEEDS[:seeds]):
+        n = one.mech.n
+        actuation = Actuation(tuple(one.tau.tolist()))
+        found = expansion(one.mech, actuation, order, False)
+        outputs = tuple(
+            x for part in (found.series.rho, found.series.theta) for c in part for x in c
+        )
+        outputs = (*outputs, found.longest)
+        names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
+        formula = Formula((*names, "rtol", "atol"), outputs, ())
+        if engine == "text":
+            values = run_text(formula, [one.q, one.qd, np.array([1e-9, 1e-9])])
+        else:
+            evaluate = Rows([names, ["rtol", "atol"]], [outputs]).compile()
+            values = np.empty((1, len(outputs)))
+            state = np.concatenate([one.q, one.qd])[None]
+            assert not evaluate([state, np.full((1, 2), 1e-9)], [values]).size
+            values = values[0]
+        turns = np.reshape(values[:-1], (2, n, order + 2))
+        expected = expanded(one, "floats", order=order)
+        wrong = np.abs(at_radius(turns - expected, radius(expected))).max()
+        assert wrong <= 10 * accelerations(one.at, one.tau)[1]
+        assert 0.0 < values[-1] < np.inf
