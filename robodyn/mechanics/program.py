@@ -254,8 +254,9 @@ class Program:
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """What programs that differ in their numbers alone share."""
-        return tuple(self.rows), tuple(self.residuals), tuple(map(tuple, self.named.items()))
+        """What programs that differ in their numbers alone share; a key of dicts."""
+        named = tuple((name, tuple(slots)) for name, slots in self.named.items())
+        return tuple(self.rows), tuple(self.residuals), named
 
     def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
         """In what order, and how many orders ahead of the unknowns, slots must be known."""
