@@ -39,7 +39,7 @@ PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """Real: what comes from outside, named: the time, a torque, an angle where a motion starts."""
+    """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
 
     name: str
 
@@ -53,7 +53,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is an unknown."""
+    """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is unknown."""
 
     link: int
 
@@ -75,7 +75,7 @@ class Integral:
 
 @dataclass(frozen=True, slots=True)
 class Anchored:
-    """Real: x, whose first coefficient is the given value `start` without the rounding of x."""
+    """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
 
     x: Slot
     start: str
@@ -137,7 +137,7 @@ class Inner:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Real: inertia a + Im(conj(E) F), what turns the link of direction `turn`; F leaves P out.
+    """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
 
     `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
     """

@@ -191,7 +191,7 @@ def shortest_along(
     begin: float = 0.0,
     watch: Watch = lambda u: None,
 ) -> Shortest:
-    """The shortest motion along a path; `points` as for `trajectory.motion_along`."""
+    """The shortest motion along a path; `points` as for `reference.motion_along`."""
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
     if not limits.given:
