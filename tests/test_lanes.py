@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 
@@ -20,7 +19,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.sweeps import lanes
-from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.scene_values import SceneValues
@@ -32,27 +31,29 @@ if find_spec("numba") is not None:
     ENGINES.append("compiled")
 
 
-def integrate(engine: str) -> Callable[..., Ends]:
-    if engine == "python":
-        return lanes.integrate
-    from robodyn.sweeps import lanes_compiled
-
-    return lanes_compiled.integrate
-
-
 def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None, **aims) -> Ends:
     """Lanes of one mechanism, tau (L, n) or (n,)."""
     tau = np.broadcast_to(np.zeros(mechanism.n) if tau is None else tau, (len(y), mechanism.n))
     options = {"rtol": 1e-12, "atol": 1e-12, **aims}
-    whole, real, at = numbers(mechanism, Actuation((0.0,) * mechanism.n), best_order(1e-12))
-    reals = np.tile(real, (len(y), 1))
-    reals[:, at.torque : at.torque + at.n] = tau
     suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
     work = bool(tau.any()) or any(mechanism.damping)
     angle = np.zeros(len(y)) if angle is None else angle
-    return integrate(engine)(
-        whole, reals, at, y, t_end, angle, Aims(suspect=suspect, work=work, **options)
-    )
+    order, given = best_order(1e-12), Aims(suspect=suspect, work=work, **options)
+    if engine == "python":
+        return lanes.integrate(together([mechanism], tau, order), y, t_end, angle, given)
+    from robodyn.sweeps import lanes_compiled
+
+    whole, real, at = numbers(mechanism, Actuation((0.0,) * mechanism.n), order)
+    reals = np.tile(real, (len(y), 1))
+    reals[:, at.torque : at.torque + at.n] = tau
+    return lanes_compiled.integrate(whole, reals, at, y, t_end, angle, given)
+
+
+def together(made: list[Mechanism], tau, order: int) -> LaneMotion:
+    """Lanes of mechanisms, as many of each, under torques tau (L, n)."""
+    programs = [LaneProgram(mechanism, np.any(tau, axis=0).tolist()) for mechanism in made]
+    which = np.repeat(np.arange(len(made)), len(tau) // len(made))
+    return LaneMotion(programs, which, tau, order)
 
 
 @cache
@@ -124,11 +125,10 @@ class TestForces:
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
         still = np.zeros(1)
-        whole, real, at = numbers(mechanism, Actuation((0.0,) * n), best_order(1e-12))
         suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
         aims = Aims(1e-12, 1e-12, suspect=suspect, work=True)
-        forces = LaneForces([mechanism], np.zeros(1, int))
-        found = lanes.integrate(whole, real[None], at, y, 0.3, still, aims, forces)
+        series = together([mechanism], np.zeros((1, n)), best_order(1e-12))
+        found = lanes.integrate(series, y, 0.3, still, aims)
         motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert found.status == Status.REACHED
@@ -141,17 +141,14 @@ class TestForces:
     def test_each_lane_may_have_springs_of_its_own(self) -> None:
         scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()
         values = SceneValues(scene, "x")
-        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.0)]
+        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.1)]
         names = ("springs[0].stiffness", "springs[0].damping")
         made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
         y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
         y = np.repeat(y, 2, axis=0)
-        parts = [numbers(m, Actuation((0.0, 0.0)), best_order(1e-11)) for m in made]
-        reals = np.repeat([real for _, real, _ in parts], 2, axis=0)
         aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
-        forces = LaneForces(made, np.repeat(np.arange(3), 2))
-        whole, _, at = parts[0]
-        found = lanes.integrate(whole, reals, at, y, 0.4, np.zeros(6), aims, forces)
+        series = together(made, np.zeros((6, 2)), best_order(1e-11))
+        found = lanes.integrate(series, y, 0.4, np.zeros(6), aims)
         for k in range(6):
             m = made[k // 2]
             motion = simulate(m, y[k, :2], y[k, 2:], 0.4, rtol=1e-11, atol=1e-11)

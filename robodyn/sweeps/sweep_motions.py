@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps import lanes
-from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.sweep_plan import Plan, base_mechanism
@@ -108,9 +108,8 @@ def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
 
 
 def _served(mechanism: Mechanism) -> bool:
-    """Whether lanes serve it: no friction, which no series sees coming, no couplings; regular M."""
-    smooth = not mechanism.friction and not mechanism.description.couplings
-    return smooth and elimination_is_safe(mechanism)
+    """Whether lanes serve it: M is regular."""
+    return elimination_is_safe(mechanism)
 
 
 def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
@@ -129,43 +128,55 @@ def _integrated(
     plan: Plan, groups: list[Group], angle: Array, aims: Aims
 ) -> Iterator[tuple[Indices, Ends]]:
     """Points whose mechanisms have the same structure, and what their motions leave behind."""
-    compiled: Callable[..., Ends] = lanes.integrate
-    if plan.engine == "compiled":
-        from robodyn.sweeps.lanes_compiled import integrate as compiled
     order = best_order(plan.rtol)
+    if plan.engine == "compiled":
+        simple = [group for group in groups if _simple(group.mechanism)]
+        yield from _compiled(plan, simple, angle, aims, order)
+        groups = [group for group in groups if not _simple(group.mechanism)]
+    alike: dict[tuple[object, ...], list[tuple[Group, LaneProgram]]] = {}
+    for group in groups:
+        if len(group.points):
+            program = LaneProgram(group.mechanism, group.tau.any(axis=0).tolist())
+            alike.setdefault(program.key, []).append((group, program))
+    for members in alike.values():
+        chosen, tau, y = _gathered([group for group, _ in members])
+        which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
+        series = LaneMotion([program for _, program in members], which, tau, order)
+        yield chosen, lanes.integrate(series, y, plan.t_end, angle[chosen], aims)
+
+
+def _gathered(groups: list[Group]) -> tuple[Indices, Array, Array]:
+    """The points of groups, their torques, and their states at the start."""
+    chosen = np.concatenate([group.points for group in groups])
+    tau = np.concatenate([group.tau for group in groups])
+    return chosen, tau, np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g in groups])
+
+
+def _simple(mechanism: Mechanism) -> bool:
+    """Whether compiled lanes serve it."""
+    return not mechanism.has_state_forces and not mechanism.description.couplings
+
+
+def _compiled(
+    plan: Plan, groups: list[Group], angle: Array, aims: Aims, order: int
+) -> Iterator[tuple[Indices, Ends]]:
+    from robodyn.sweeps.lanes_compiled import integrate
+
     alike: dict[tuple[object, ...], list[tuple[Group, Array]]] = {}
     structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
     for group in groups:
         if len(group.points):
             whole, real, at = numbers(group.mechanism, Actuation((0.0,) * group.q.shape[1]), order)
-            key = (at, whole.tobytes(), *_forces_of(group.mechanism))
+            key = (at, whole.tobytes())
             alike.setdefault(key, []).append((group, real))
             structures[key] = whole, at
     for key, members in alike.items():
         whole, at = structures[key]
-        chosen = np.concatenate([group.points for group, _ in members])
-        tau = np.concatenate([group.tau for group, _ in members])
-        y = np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g, _ in members])
-        shared = len(members) == 1 and (tau == tau[0]).all()
-        if shared:
+        chosen, tau, y = _gathered([group for group, _ in members])
+        if len(members) == 1 and (tau == tau[0]).all():
             reals = members[0][1][None]
             reals[0, at.torque : at.torque + at.n] = tau[0]
         else:
             reals = np.concatenate([np.tile(real, (len(g.points), 1)) for g, real in members])
             reals[:, at.torque : at.torque + at.n] = tau
-        given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
-        if not members[0][0].mechanism.has_state_forces:
-            yield chosen, compiled(*given)
-            continue
-        which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
-        forces = LaneForces([group.mechanism for group, _ in members], which)
-        yield chosen, lanes.integrate(*given, forces)
-
-
-def _forces_of(mechanism: Mechanism) -> tuple[object, ...]:
-    """What must agree where lanes share the structure of their forces."""
-    return (
-        len(mechanism.springs),
-        tuple(spring.joint for spring in mechanism.joint_springs),
-        tuple((force.link, force.turns) for force in mechanism.forces),
-    )
+        yield chosen, integrate(whole, reals, at, y, plan.t_end, angle[chosen], aims)
