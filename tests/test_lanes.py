@@ -51,9 +51,9 @@ def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None
 
 def together(made: list[Mechanism], tau, order: int) -> LaneMotion:
     """Lanes of mechanisms, as many of each, under torques tau (L, n)."""
-    programs = [LaneProgram(mechanism, np.any(tau, axis=0).tolist()) for mechanism in made]
+    programs = [LaneProgram(mechanism, np.any(tau, axis=0), order) for mechanism in made]
     which = np.repeat(np.arange(len(made)), len(tau) // len(made))
-    return LaneMotion(programs, which, tau, order)
+    return LaneMotion(programs, which, tau)
 
 
 @cache

@@ -166,9 +166,10 @@ class EquationsOfMotion:
                 half = program.number(0.5 * value.real)
                 terms.append((half, program.add(Product(self.w(j), self.w(j)))))
             else:
-                moving = [program.add(Derivative(self.E[i])) for i in (j, k)]
-                one = program.add(PlanarSum((0.0, 0.0), ((program.planar_number(value), moving[1]),)))
-                terms.append((1.0, program.add(Inner(moving[0], one))))
+                one, other = (program.add(Derivative(self.E[i])) for i in (j, k))
+                turned = ((program.planar_number(value), other),)
+                moved = program.add(PlanarSum((0.0, 0.0), turned))
+                terms.append((1.0, program.add(Inner(one, moved))))
         return program.sum(*terms)
 
     def _potential(self) -> Slot:

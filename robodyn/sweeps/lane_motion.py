@@ -2,33 +2,41 @@
 
 Mechanisms whose programs have one shape differ in numbers alone, and go together.  Joint and link
 values are arrays (n, B), B lanes along the last axis; series have their orders along the first.
+
+What the program tells is evaluated as straight-line numpy code, written once for each shape; of
+large mechanisms, whose code would be long, row by row.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.expression import Graph
 from robodyn.engines.factors import Factors
-from robodyn.engines.series import Arithmetic, Series
+from robodyn.engines.formulas import RECORDED, Formula
+from robodyn.engines.series import Arithmetic, Series, State, Value
+from robodyn.engines.straightline import compile_arrays
 from robodyn.loops.closing import CLOSED, loop_size
+from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.program import Program, Slot
+from robodyn.mechanics.program import Slot
 from robodyn.sweeps.step_extremes import powers
 from robodyn.taylor import HOPELESS, PASSES
 
 Array = NDArray[np.float64]
 Lanes = NDArray[Any]
 Number = Any  # a float that all lanes share, or an array (B,)
-Row = dict[int, Number]
 
+STRAIGHT = 1000  # entries of A and P, times the order, up to which straight-line code is written
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 
 
@@ -70,46 +78,161 @@ class Expanded(NamedTuple):
         return Expanded(self.rates[:, :, lanes], None, self.watched[:, :, lanes])
 
 
-class LaneProgram:
-    """The program of one mechanism, for lanes; `driven` (n) tells where there are torques."""
+class _Start(NamedTuple):
+    """Where something is evaluated, over any kind of numbers; q and qd (n)."""
 
-    def __init__(self, mechanism: Mechanism, driven: Sequence[bool]) -> None:
-        self.mechanism = mechanism
+    arithmetic: Arithmetic
+    numbers: Sequence[Value]
+    sizes: Sequence[Value]  # of rows
+    q: Sequence[Value]
+    qd: Sequence[Value]
+    state: State
+
+
+class LaneProgram:
+    """The program of one mechanism, for lanes; `driven` (n) tells where there are torques.
+
+    Those of one `key` are equal: they differ in `numbers` alone.
+    """
+
+    def __init__(self, mechanism: Mechanism, driven: NDArray[np.bool_], order: int) -> None:
+        self.mechanism, self.order = mechanism, order
         constants = tuple(1.0 if x else 0.0 for x in driven)
         self.motion = MotionProgram(mechanism, Actuation(constants), work=True)
-        rows, size = mechanism.rows, loop_size(mechanism)
-        inertias = [a.real for j, k, a in mechanism.A if j == k and a.real > 0.0]
-        # besides the numbers of the program: sizes of rows, and of the loops; the lightest link
-        self.sizes = [*(row.size**2 for row in rows), CLOSED * size, min(inertias)]
+        self.n, self.r = mechanism.n, len(mechanism.rows)
+        program = self.program = self.motion.program
+        self.closures = replace(program, residuals=program.residuals[self.n :])
+        self.states = replace(program, residuals=[])
+        lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
+        self.sizes = [row.size**2 for row in mechanism.rows]
+        self.others = [CLOSED * loop_size(mechanism), lightest, *self.motion.arms]
+        self.straight = loop_terms(mechanism) * order <= STRAIGHT
 
     @property
     def numbers(self) -> list[float]:
-        """All that may differ between mechanisms of one key."""
-        return [*self.motion.program.numbers, *self.motion.arms, *self.sizes]
+        """All that may differ between those of one key."""
+        return [*self.program.numbers, *self.sizes, *self.others]
 
-    @property
+    @cached_property
     def key(self) -> tuple[object, ...]:
         """What lanes of one `LaneMotion` share."""
-        return self.motion.program.shape, self.mechanism.parent
+        return self.program.shape, self.mechanism.parent, self.order
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LaneProgram) and self.key == other.key
+
+    # -- what is evaluated, in one list ------------------------------------------------------------
+
+    def series(self, at: _Start) -> list[Value]:
+        """rho (order + 2, n), theta likewise, power (order + 1), what may bend (order, k)."""
+        found = self.motion.expand(at.arithmetic, at.numbers, self.order, at.state)
+        values = [*zip(*found.rho, strict=True), *zip(*found.theta, strict=True)]
+        values += [*zip(found.power), *zip(*found.watched, strict=True)]
+        return [x for each in values for x in each]
+
+    def watched(self, at: _Start) -> list[Value]:
+        """The values (k) of what may bend."""
+        return self._values(at, self.motion.bends)
+
+    def energies(self, at: _Start) -> list[Value]:
+        """KE and PE less its constant, J."""
+        return self._values(at, [*self.program.named["KE"], *self.program.named["PE"]])
+
+    def _values(self, at: _Start, slots: Sequence[Slot]) -> list[Value]:
+        series = Series(self.states, at.arithmetic, at.numbers, 0, at.state, slots=slots)
+        series.residuals(0)
+        return [series.real[slot][0] for slot in slots]
+
+    def closing(self, at: _Start) -> list[Value]:
+        """A Newton step of q (n), the rates' projection (n), gaps (r), relative pivots (r)."""
+        gaps, Psi = self._closures(at)
+        normal = [
+            {s: total for s, other in enumerate(Psi) if (total := _dot(row, other)) is not None}
+            for row in Psi
+        ]
+        factors = Factors(normal, self.r)
+        speeds = [_dot(row, dict(enumerate(at.qd))) for row in Psi]
+        values: list[Value] = []
+        for right in (gaps, speeds):
+            multipliers = dict(enumerate(factors.solve(right)))
+            for k in range(self.n):
+                step = _dot({r: row[k] for r, row in enumerate(Psi) if k in row}, multipliers)
+                values.append(0.0 if step is None else step)
+        pivots = zip(factors.pivots, at.sizes, strict=True)
+        return [*values, *gaps, *(pivot / size for pivot, size in pivots)]
+
+    def jacobian(self, at: _Start) -> list[Value]:
+        """Psi (r, n)."""
+        return [row.get(k, 0.0) for row in self._closures(at)[1] for k in range(self.n)]
+
+    def _closures(self, at: _Start) -> tuple[list[Value], list[dict[int, Value]]]:
+        """The gaps, and the rows of Psi by joint."""
+        gaps = self.program.named["gap"]
+        series = Series(self.closures, at.arithmetic, at.numbers, 1, at.state, slots=gaps)
+        series.residuals(0)
+        Psi = [{k: x for k, x in row.items() if k < self.n} for row in series.matrix()]
+        for row in Psi:
+            for k in reversed(self.mechanism.order):
+                above = self.mechanism.parent[k]
+                if above is not None and k in row:
+                    row[above] = row[above] + row[k] if above in row else row[k]
+        return [series.real[slot][0] for slot in gaps], Psi
+
+
+def _dot(a: dict[int, Value], b: dict[int, Value]) -> Value | None:
+    products = [a[k] * b[k] for k in a if k in b]
+    return sum(products[1:], products[0]) if products else None
+
+
+Quantity = Callable[[LaneProgram, _Start], list[Value]]
+
+
+class _Code(NamedTuple):
+    function: Callable[..., None]
+    buffers: int
+    outputs: int
+
+
+@lru_cache(maxsize=64)
+def _code(what: Quantity, program: LaneProgram) -> _Code:
+    """Straight-line code of what programs of one key tell."""
+    graph, n = Graph(), program.n
+
+    def variables(name: str, count: int) -> list[Value]:
+        return [graph.variable(f"{name}{k}") for k in range(count)]
+
+    lists = {name: variables(name, n) for name in ("q", "qd", "alpha", "rate", "c", "s", "tau")}
+    numbers, sizes = variables("number", len(program.program.numbers)), variables("size", program.r)
+    state = _state(program, *lists.values())
+    outputs = what(program, _Start(RECORDED, numbers, sizes, lists["q"], lists["qd"], state))
+    names = [str(x.args[0]) for each in (*lists.values(), numbers, sizes) for x in each]
+    function, buffers = compile_arrays(Formula(tuple(names), tuple(outputs), ()), what.__name__)
+    return _Code(function, buffers, len(outputs))
+
+
+def _state(
+    program: LaneProgram, q: Any, qd: Any, alpha: Any, w: Any, c: Any, s: Any, tau: Any
+) -> State:
+    given = program.motion.given(0.0, q, qd, alpha, ((), ()))
+    given |= {f"tau{j}": (x,) for j, x in enumerate(tau)}
+    return State(list(zip(c, s, strict=True)), w, given)
 
 
 class LaneMotion:
     """Series, energies and closings of lanes.
 
-    Lane b is of `programs[which[b]]`, which have one key, under the torques tau[b] (n,).
+    Lane b is of `programs[which[b]]`, which are equal, under the torques tau[b] (n,).
     """
 
-    def __init__(
-        self, programs: Sequence[LaneProgram], which: Lanes, tau: Array, order: int
-    ) -> None:
-        first = programs[0]
-        mechanism, self.motion = first.mechanism, first.motion
-        self.n, self.r, self.order = mechanism.n, len(mechanism.rows), order
-        self.parent, self.outward = mechanism.parent, mechanism.order
-        self.rubs = bool(mechanism.friction)
-        program = self.program = self.motion.program
-        self.closures = replace(program, residuals=program.residuals[self.n :])
-        self.states = replace(program, residuals=[])
+    def __init__(self, programs: Sequence[LaneProgram], which: Lanes, tau: Array) -> None:
+        first = self.program = programs[0]
+        self.n, self.r, self.order = first.n, first.r, first.order
+        self.parent, self.outward = first.mechanism.parent, first.mechanism.order
+        self.rubs = bool(first.mechanism.friction)
+        self.driven = bool(tau.any())
         self.numbers: list[Number] = [
             x[0] if (np.array(x) == x[0]).all() else np.array(x)[which]
             for x in zip(*(each.numbers for each in programs), strict=True)
@@ -117,6 +240,7 @@ class LaneMotion:
         self.tau: list[Number] = [
             float(x[0]) if (x == x[0]).all() else np.ascontiguousarray(x) for x in tau.T
         ]
+        self._work = np.zeros(0)
 
     def kept(self, lanes: Lanes) -> LaneMotion:
         """Another of these lanes alone."""
@@ -128,11 +252,6 @@ class LaneMotion:
         other.__dict__ |= self.__dict__
         other.numbers, other.tau = of(self.numbers), of(self.tau)
         return other
-
-    def _rest(self, begin: int, count: int) -> list[Number]:
-        """Numbers behind those of the program."""
-        begin += len(self.program.numbers)
-        return self.numbers[begin : begin + count]
 
     # -- kinematics --------------------------------------------------------------------------------
 
@@ -155,23 +274,32 @@ class LaneMotion:
 
     # -- the program -------------------------------------------------------------------------------
 
-    def _series(
-        self, program: Program, q: Array, qd: Array, orders: int, slots: Sequence[Slot] = ()
-    ) -> Series:
-        arithmetic = over_lanes(q.shape[1])
-        start = self.motion.state(arithmetic, 0.0, [*q, *qd], ((), ()))
-        start.given.update((f"tau{j}", (tau,)) for j, tau in enumerate(self.tau))
-        return Series(program, arithmetic, self.numbers, orders, start, slots=slots)
+    def _evaluate(self, what: Quantity, q: Array, qd: Array) -> Array:
+        """What the program tells at states (n, B)."""
+        program, B = self.program, q.shape[1]
+        alpha, w = self.absolute(q), self.absolute(qd)
+        lists: list[Any] = [q, qd, alpha, w, np.cos(alpha), np.sin(alpha), self.tau]
+        count = len(program.program.numbers)
+        numbers, sizes = self.numbers[:count], self.numbers[count : count + self.r]
+        if not program.straight:
+            state = _state(program, *lists)
+            values = what(program, _Start(over_lanes(B), numbers, sizes, list(q), list(qd), state))
+            return np.array([np.broadcast_to(x, B) for x in values])
+        code = _code(what, program)
+        if self._work.size < code.buffers * B:
+            self._work = np.empty(code.buffers * B)
+        work = self._work[: code.buffers * B].reshape(code.buffers, B)
+        found = np.empty((code.outputs, B))
+        code.function(*(x for each in lists for x in each), *numbers, *sizes, *found, *work)
+        return found
 
     def expand(self, q: Array, qd: Array) -> Expanded:
         """The series of motions from states (n, B)."""
-        order, motion = self.order, self.motion
-        series = self._series(self.program, q, qd, order, [*motion.power, *motion.bends])
-        series.expand()
-        if motion.power:
-            series.residuals(order)
-        turns = [series.turn(slot) for slot in motion.turns]
-        rho, theta = (np.stack([turn[i][: order + 2] for turn in turns], 1) for i in (0, 1))
+        order, n, B = self.order, self.n, q.shape[1]
+        found = self._evaluate(LaneProgram.series, q, qd)
+        size = (order + 2) * n
+        rho, theta = (found[i * size : (i + 1) * size].reshape(order + 2, n, B) for i in (0, 1))
+        rest = found[2 * size :]
         orders = np.arange(1.0, order + 2)[:, None, None]
         rising, turning = orders * rho[1:], orders * theta[1:]
         rates = np.empty_like(rising)
@@ -180,15 +308,15 @@ class LaneMotion:
             if m > 1:  # rho_0 = 1, rho_1 = theta_0 = 0
                 rates[m] += _sums(rho[m:1:-1], turning[: m - 1])
                 rates[m] -= _sums(theta[m - 1 : 0 : -1], rising[1:m])
-        power = np.array(series.real[motion.power[0]][: order + 1]) if motion.power else None
-        if any(np.any(tau) for tau in self.tau):
-            power = np.zeros((order + 1, q.shape[1])) if power is None else power
+        power = None
+        if self.program.motion.power:
+            power, rest = rest[: order + 1].copy(), rest[order + 1 :]
+        if self.driven:
+            power = np.zeros((order + 1, B)) if power is None else power
             own = self.relative(rates)
             for j, tau in enumerate(self.tau):
                 power += tau * own[:, j]
-        watched = [series.real[slot][:order] for slot in motion.bends]
-        empty = np.zeros((order, 0, q.shape[1]))
-        return Expanded(rates, power, np.stack(watched, 1) if watched else empty)
+        return Expanded(rates, power, rest.reshape(order, -1, B))
 
     def agrees(
         self, series: Expanded, x: Array, q: Array, qd: Array, rtol: float, atol: float
@@ -198,18 +326,21 @@ class LaneMotion:
         It is not where friction is flat, or springs' ends pass one another; what a series misses by
         may be rounding of its terms, or what moves no link by more than the tolerance.
         """
-        bends = self.motion.bends
-        there = self._series(self.states, q, qd, 0, bends)
-        there.residuals(0)
+        there = self._evaluate(LaneProgram.watched, q, qd)
+        lightest, *arms = self._others[1:]
         miss = (atol + rtol * np.abs(series.rates[0]).max(axis=0)) * (self.order + 1)
-        miss = miss * self._rest(len(bends) + self.r + 1, 1)[0] / np.abs(x)
-        terms = series.watched * powers(x, len(series.watched))[:, None]
+        miss = miss * lightest / np.abs(x)
+        terms = series.watched * powers(x, self.order)[:, None]
         found = np.ones(len(x), bool)
-        for k, (slot, arm) in enumerate(zip(bends, self._rest(0, len(bends)), strict=True)):
+        for k, arm in enumerate(arms):
             total, most = terms[:, k].sum(axis=0), np.abs(terms[:, k]).max(axis=0)
             allowed = np.maximum(miss / arm, max(math.sqrt(rtol), KINK) * most)
-            found &= np.abs(total - there.real[slot][0]) <= allowed
+            found &= np.abs(total - there[k]) <= allowed
         return found
+
+    @property
+    def _others(self) -> list[Number]:
+        return self.numbers[len(self.program.program.numbers) + self.r :]
 
     def longest(self, W: Array, rtol: float, atol: float) -> Array:
         """The steps whose last terms are within the tolerance (B,), s; nan if not finite."""
@@ -225,67 +356,44 @@ class LaneMotion:
 
     def energies(self, q: Array, qd: Array) -> tuple[Array, Array]:
         """KE and PE less its constant (B,), J."""
-        slots = [slot for name in ("KE", "PE") for slot in self.program.named[name]]
-        series = self._series(self.states, q, qd, 0, slots)
-        series.residuals(0)
-        KE, PE = (series.real[slot][0] for slot in slots)
+        KE, PE = self._evaluate(LaneProgram.energies, q, qd)
         return KE, PE
 
     # -- closures ----------------------------------------------------------------------------------
 
     def close(self, q: Array, qd: Array) -> Array:
         """Move states (n, B) in place to the nearest that close; their qualities (B,)."""
-        B = q.shape[1]
-        if not self.r:
+        B, n, r = q.shape[1], self.n, self.r
+        if not r:
             return np.full(B, math.inf)
-        *sizes, closed = self._rest(len(self.motion.bends), self.r + 1)
+        closed = self._others[0]
         before, moving = np.full(B, math.inf), np.ones(B, bool)
         for trial in range(PASSES + 1):
-            gap, Psi = self._closures(q, qd)
-            factors = Factors(_products(Psi), self.r)
-            pivots = [pivot / size for pivot, size in zip(factors.pivots, sizes, strict=True)]
-            least = np.min([np.broadcast_to(pivot, B) for pivot in pivots], axis=0)
-            quality = np.nan_to_num(least, nan=-math.inf)
-            largest = np.max(np.abs(gap), axis=0)
+            found = self._evaluate(LaneProgram.closing, q, qd)
+            quality = np.nan_to_num(found[2 * n + r :].min(axis=0), nan=-math.inf)
+            largest = np.abs(found[2 * n : 2 * n + r]).max(axis=0)
             # what is closed to rounding stays: moving it would add noise
             done = (largest <= closed) | (largest > 0.5 * before)
             moving &= ~done & (quality > HOPELESS)
             if trial == PASSES or not moving.any():
                 break
             before = np.where(moving, largest, before)
-            _step(q, Psi, factors.solve(gap), moving)
-        speeds = [_sum_of({k: x * qd[k] for k, x in row.items()}, B) for row in Psi]
-        _step(qd, Psi, factors.solve(speeds), quality > HOPELESS)
-        return quality
+            q -= np.where(moving, found[:n], 0.0)
+        qd -= np.where(quality > HOPELESS, found[n : 2 * n], 0.0)
+        return np.asarray(quality)
 
     def leaps(self, q: Array, new_q: Array) -> NDArray[np.bool_]:
         """Which steps (B,) cross a singular configuration, as `change_points.Misses` tells it."""
+        B = q.shape[1]
         if not self.r:
-            return np.zeros(q.shape[1], bool)
-        rates = np.zeros_like(q)
-        Psi, other = (self._dense(self._closures(x, rates)[1], q.shape) for x in (q, new_q))
+            return np.zeros(B, bool)
+        still = np.zeros_like(q)
+        Psi, other = (
+            self._evaluate(LaneProgram.jacobian, x, still).reshape(self.r, self.n, B)
+            for x in (q, new_q)
+        )
         product = np.einsum("rnb,snb->brs", Psi, other)
         return np.asarray(np.linalg.slogdet(product)[0] < 0.0)
-
-    def _dense(self, Psi: list[Row], shape: tuple[int, ...]) -> Array:
-        dense = np.zeros((self.r, *shape))
-        for r, row in enumerate(Psi):
-            for k, x in row.items():
-                dense[r, k] = x
-        return dense
-
-    def _closures(self, q: Array, qd: Array) -> tuple[list[Number], list[Row]]:
-        """The gaps, and the rows of Psi by joint."""
-        gaps = self.program.named["gap"]
-        series = self._series(self.closures, q, qd, 1, gaps)
-        series.residuals(0)
-        Psi = [{k: x for k, x in row.items() if k < self.n} for row in series.matrix()]
-        for row in Psi:
-            for k in reversed(self.outward):
-                above = self.parent[k]
-                if above is not None and k in row:
-                    row[above] = row[above] + row[k] if above in row else row[k]
-        return [series.real[slot][0] for slot in gaps], Psi
 
 
 def _sums(a: Array, b: Array) -> Array:
@@ -293,34 +401,3 @@ def _sums(a: Array, b: Array) -> Array:
     if a.shape[2] == 1:  # of one lane numpy would add in another order
         return np.asarray(np.einsum("knb,knb->nb", a.repeat(2, axis=2), b.repeat(2, axis=2))[:, :1])
     return np.asarray(np.einsum("knb,knb->nb", a, b))
-
-
-def _sum_of(terms: Row, B: int) -> Array:
-    total = np.zeros(B)
-    for value in terms.values():
-        total += value
-    return total
-
-
-def _products(Psi: list[Row]) -> list[Row]:
-    """Psi Psi^T."""
-    products: list[Row] = []
-    for row in Psi:
-        products.append({})
-        for s, other in enumerate(Psi):
-            common = [row[k] * other[k] for k in row if k in other]
-            if common:
-                products[-1][s] = sum(common[1:], common[0])
-    return products
-
-
-def _step(values: Array, Psi: list[Row], multipliers: list[Number], where: Lanes) -> None:
-    """Subtract Psi^T multipliers in place, in some of the lanes."""
-    steps: Row = {}
-    for row, multiplier in zip(Psi, multipliers, strict=True):
-        for k, x in row.items():
-            steps[k] = steps[k] + x * multiplier if k in steps else x * multiplier
-    for k, step in steps.items():
-        values[k] -= np.where(where, step, 0.0)
-
-

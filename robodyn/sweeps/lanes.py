@@ -100,9 +100,7 @@ def _integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: A
         now.status[np.isnan(longest)] = Status.NOT_FINITE
         longest = np.nan_to_num(longest, nan=0.0)
         left = np.abs(t_end - now.t)
-        h, q, qd, now.quality = _landed(
-            series, expanded, own, now, longest, left, direction, aims
-        )
+        h, q, qd, now.quality = _landed(series, expanded, own, now, longest, left, direction, aims)
         end = np.where(np.abs(h) >= left, t_end, now.t + h)
         now.status[(end == now.t) & (now.status < 0)] = Status.STUCK
         h = end - now.t

@@ -133,15 +133,15 @@ def _integrated(
         simple = [group for group in groups if _simple(group.mechanism)]
         yield from _compiled(plan, simple, angle, aims, order)
         groups = [group for group in groups if not _simple(group.mechanism)]
-    alike: dict[tuple[object, ...], list[tuple[Group, LaneProgram]]] = {}
+    alike: dict[LaneProgram, list[tuple[Group, LaneProgram]]] = {}
     for group in groups:
         if len(group.points):
-            program = LaneProgram(group.mechanism, group.tau.any(axis=0).tolist())
-            alike.setdefault(program.key, []).append((group, program))
+            program = LaneProgram(group.mechanism, np.any(group.tau, axis=0), order)
+            alike.setdefault(program, []).append((group, program))
     for members in alike.values():
         chosen, tau, y = _gathered([group for group, _ in members])
         which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
-        series = LaneMotion([program for _, program in members], which, tau, order)
+        series = LaneMotion([program for _, program in members], which, tau)
         yield chosen, lanes.integrate(series, y, plan.t_end, angle[chosen], aims)
 
 
@@ -162,8 +162,8 @@ def _compiled(
 ) -> Iterator[tuple[Indices, Ends]]:
     from robodyn.sweeps.lanes_compiled import integrate
 
-    alike: dict[tuple[object, ...], list[tuple[Group, Array]]] = {}
-    structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
+    alike: dict[tuple[Layout, bytes], list[tuple[Group, Array]]] = {}
+    structures: dict[tuple[Layout, bytes], tuple[NDArray[np.int64], Layout]] = {}
     for group in groups:
         if len(group.points):
             whole, real, at = numbers(group.mechanism, Actuation((0.0,) * group.q.shape[1]), order)
