@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 from program_cases import KINDS, ROBOTS, SEEDS, accelerations, cases, known, torques
 
-from robodyn.engines import blocks, formulas, machine, straightline
+from robodyn.engines import array_blocks, formulas, machine, straightline
 from robodyn.engines.expansion import MotionProgram, expansion
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine_rows import Rows
@@ -106,7 +106,7 @@ def run_blocks(formula, arrays):
     """By numpy calls on blocks; of three equal states the last."""
     function, buffers = straightline.compile_arrays(formula, "blocks")
     outputs = [np.empty((3, len(part))) for part in (formula.outputs, formula.pivots)]
-    blocks.evaluate(function, buffers, [np.tile(x, (3, 1)) for x in arrays], outputs)
+    array_blocks.evaluate(function, buffers, [np.tile(x, (3, 1)) for x in arrays], outputs)
     return outputs[0][-1]
 
 
