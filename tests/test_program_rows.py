@@ -22,14 +22,18 @@ from robodyn.mechanics.program import (
     Derivative,
     Function,
     Given,
+    Inner,
     Integral,
     Number,
+    PlanarSum,
     Power,
     Primitive,
     Product,
     Program,
     Quotient,
     Rate,
+    RealPart,
+    Scaled,
     Sum,
     Turn,
     Unknown,
@@ -191,28 +195,47 @@ class TestSchedule:
 
     @pytest.mark.parametrize("name", [*KINDS, *ROBOTS], ids=lambda x: getattr(x, "stem", x))
     def test_what_is_completed_is_what_the_rows_say(self, name):
-        """Each slot evaluated anew, after unknowns were added, is what it was made by adding."""
         for one in cases(name, SEEDS[:2]):
             motion = MotionProgram(one.mech, Actuation(tuple(one.tau.tolist())), work=True)
             program, y = motion.program, [*one.q.tolist(), *one.qd.tolist()]
             start = motion.state(FLOATS, 0.0, y, ((), ()))
             wanted = [*program.named["gap"], *motion.power]
             series = Series(program, FLOATS, program.numbers, 4, start, slots=wanted)
-            rng = np.random.default_rng(0)
-            for p in range(4):
-                series.residuals(p)
-                series.complete(rng.normal(size=len(program.unknowns)).tolist())
-                for slot, row in series.rows:
-                    if isinstance(row, Turn | Unknown):
-                        continue
-                    m = p + series.ahead[slot]
-                    if slot in series.planar:
-                        made, anew = series.ground(slot, m), series._known(slot, row, m)
-                        anew = series.into(None, anew)
-                    else:
-                        made, anew = series.real[slot][m], series._known(slot, row, m)
-                    size = 1.0 + np.max(np.abs([made, anew]))
-                    assert np.max(np.abs(np.subtract(made, anew))) <= 1e-9 * size, (row, p)
+            completed_anew(series)
+
+    def test_all_rows_that_unknowns_may_change(self):
+        """Second derivatives of products of what moves."""
+        program = self.program
+        add = program.add
+        other = add(Turn(1))
+        d = add(PlanarSum((0.3, -0.2), (((1.0, 0.0), self.E), ((0.5, 0.2), other))))
+        q = add(Integral(add(Anchored(self.w, "qd0")), "q0"))
+        products = [add(Inner(d, d)), add(Inner(d, other)), add(Product(q, q))]
+        products += [add(RealPart(add(Scaled(q, d)))), add(Product(q, products[0]))]
+        products.append(add(RealPart(add(Scaled(add(Given("t")), d)))))
+        program.residuals = [add(Derivative(add(Derivative(x)))) for x in products]
+        given = {"qd0": (1.5,), "q0": (0.8,), "t": (0.4, 1.0)}
+        state = State([(0.6, 0.8), (-0.8, 0.6)], [1.5, -0.7], given)
+        completed_anew(Series(program, FLOATS, program.numbers, 4, state))
+
+
+def completed_anew(series):
+    """Each slot evaluated anew, after unknowns were added, is what it was made by adding."""
+    rng = np.random.default_rng(0)
+    for p in range(4):
+        series.residuals(p)
+        series.complete(rng.normal(size=len(series.program.unknowns)).tolist())
+        for slot, row in series.rows:
+            if isinstance(row, Turn | Unknown):
+                continue
+            m = p + series.ahead[slot]
+            anew = series._known(slot, row, m)
+            if slot in series.planar:
+                made, anew = series.ground(slot, m), series.into(None, anew)
+            else:
+                made = series.real[slot][m]
+            size = 1.0 + np.max(np.abs([made, anew]))
+            assert np.max(np.abs(np.subtract(made, anew))) <= 1e-9 * size, (row, p)
 
 
 FOUR_BAR = """
