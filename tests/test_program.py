@@ -261,10 +261,8 @@ def test_recorded_series(name, engine):
     for one in cases(name, SEEDS[:seeds]):
         n = one.mech.n
         actuation = Actuation(tuple(one.tau.tolist()))
-        found = expansion(one.mech, actuation, order, False)
-        outputs = tuple(
-            x for part in (found.series.rho, found.series.theta) for c in part for x in c
-        )
+        found = expansion(MotionProgram(one.mech, actuation, False), order)
+        outputs = tuple(x for part in (found.rho, found.theta) for c in part for x in c)
         outputs = (*outputs, found.longest)
         names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
         formula = Formula((*names, "rtol", "atol"), outputs, ())

@@ -226,7 +226,7 @@ def completed_anew(series):
             if isinstance(row, Turn | Unknown):
                 continue
             m = p + series.ahead[slot]
-            anew = series._known(slot, row, m)
+            anew = series.known(slot, row, m)
             if slot in series.planar:
                 made, anew = series.ground(slot, m), series.into(None, anew)
             else:
