@@ -103,7 +103,12 @@ class Recorded:
         return sums
 
     def series(
-        self, torques: Sequence[float] | None, power: bool = False, orders: int = 1
+        self,
+        torques: Sequence[float] | None,
+        power: bool = False,
+        orders: int = 1,
+        chained: bool = False,
+        accelerated: bool = False,
     ) -> Series:
         """The series from this state; `torques` (n) are constant, or None: those called tau."""
         mechanism = self.mechanism
@@ -116,14 +121,16 @@ class Recorded:
             given[f"tau{j}"] = (tau,)
             zero = isinstance(tau, float) and tau == 0.0
             driven.append(None if zero else program.add(Given(f"tau{j}")))
-        equations.write(driven, power)
+        equations.write(driven, power, chained=chained)
         self.torques = equations.torques
         alpha = self.absolute("q")
         for j in range(mechanism.n):
             given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
             given[f"qd{j}"] = (self.relative["qd"][j],)
         self.E = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
-        state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
+        turn = None if self.by_direction else self._turn
+        accelerations = self.absolute("qdd") if accelerated else None
+        state = State(self.E, self.absolute("qd"), given, turn, accelerations)
         return Series(
             program,
             self.arithmetic,
@@ -193,7 +200,8 @@ def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula |
 def inverse_of(state: Recorded) -> Formula:
     """The same of a state whose rates and accelerations may be formulas themselves."""
     mechanism, n = state.mechanism, state.mechanism.n
-    series = state.series([0.0] * n)
+    deep = len(mechanism.A) > 2 * n
+    series = state.series([0.0] * n, chained=state.by_direction and deep, accelerated=True)
     series.residuals(0)
     load, Psi = balance(state, series)
     if not mechanism.rows:
@@ -221,10 +229,7 @@ def inverse_of(state: Recorded) -> Formula:
 
 def balance(state: Recorded, series: Series) -> tuple[list[Value], list[list[Value]]]:
     """M qdd + C qd + D qd + G - Q (n), and Psi row by row; after `series.residuals(0)`."""
-    n = state.mechanism.n
     Psi = joint_jacobian(state, series)
-    given = {"qdd": state.absolute("qdd")} if "qdd" in state.relative else {"qdd": [0.0] * n}
-    series.complete([*given["qdd"], *[0.0] * len(state.mechanism.rows)])
     load = state.to_joints([series.real[slot][0] for slot in series.program.named["load"]])
     for j, slot in enumerate(state.torques):
         if slot is not None:  # not summed and taken off again: no rounding of what is large

@@ -142,11 +142,15 @@ class Rules(Frames):
     def _planar_sum(
         self, terms: Sequence[tuple[PlanarCoefficient, Slot]], value: Callable[[Slot], Framed]
     ) -> Framed:
+        if self.grounded:  # one sum in the ground's frame
+            total = ZERO
+            for c, z in terms:
+                number = self.coefficient(c[0]), self.coefficient(c[1])
+                total = planar_plus(total, planar_times(number, self.into(None, value(z))))
+            return ((None, None, total),)
         parts: list[tuple[int | None, PlanarCoefficient | None, Planar]] = []
         for c, z in terms:
             framed = value(z)
-            if self.grounded and any(frame is not None for frame, _, _ in framed):
-                framed = ((None, None, self.into(None, framed)),)
             for frame, inner, (a, b) in framed:
                 if inner is not None:
                     a, b = planar_times(
@@ -163,7 +167,9 @@ class Rules(Frames):
             rho[1], theta[1] = value = (0.0, self.state.w[link])
         else:
             square = plus(self._half_square(rho, m), self._half_square(theta, m))
-            rho[m], theta[m] = value = (self.arithmetic.keep(times(-1.0, square)), 0.0)
+            given = self.state.accelerations
+            turning = over(given[link], 2) if given is not None and m == 2 else 0.0
+            rho[m], theta[m] = value = (self.arithmetic.keep(times(-1.0, square)), turning)
         return ((link, None, value),)
 
     def _half_square(self, x: Any, m: int) -> Value:

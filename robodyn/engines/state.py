@@ -13,10 +13,12 @@ class State:
     """Where a series starts: the links' directions E (n), rates w, and the values of `Given`s.
 
     `given` maps a name to its first coefficients, or to a function of the order that returns one.
-    `turn` (j, k) gives conj(E_j) E_k where there is a cheaper way than to multiply.
+    `turn` (j, k) gives conj(E_j) E_k where there is a cheaper way than to multiply.  Where the
+    links' `accelerations` (n) are given, the residuals of order 0 are what they leave open.
     """
 
     E: Sequence[Planar]
     w: Sequence[Value]
     given: dict[str, Sequence[Value] | Callable[[int], Value]]
     turn: Callable[[int, int], Planar] | None = None
+    accelerations: Sequence[Value] | None = None

@@ -114,13 +114,18 @@ class EquationsOfMotion:
     # -- dynamics ----------------------------------------------------------------------------------
 
     def write(
-        self, torques: Sequence[Slot | None], work: bool = False, steady: bool = False
+        self,
+        torques: Sequence[Slot | None],
+        work: bool = False,
+        steady: bool = False,
+        chained: bool = False,
     ) -> Program:
         """The residuals, with the joint torques tau (n; None where there is none).
 
         With `work` the energies are among `named` (PE less its constant), and the power of torques
         and of what has no potential; that of `steady` torques is left out, as their work is tau
-        times the way.
+        times the way.  With
+        `chained` the sums over A run along the tree, which takes fewer terms in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         links = _Links(
@@ -132,10 +137,12 @@ class EquationsOfMotion:
         for j, k, value in mechanism.A:
             if j == k:
                 inertia[j] = program.number(value.real)
-            else:
+            elif not chained:
                 re, im = program.planar_number(value)
                 links.F[j].append(((re, im), self.P[k]))
                 links.F[k].append(((re, -im), self.P[j]))
+        if chained:
+            self._chain(links)
         program.named["bends"] = []
         self._scene_forces(links, work)
         self._joints(links, torques, work, steady)
@@ -197,6 +204,32 @@ class EquationsOfMotion:
             way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
             terms.append((number(0.5 * turned.stiffness), program.add(Product(way, way))))
         return program.sum(*terms)
+
+    def _chain(self, links: _Links) -> None:
+        """The sums over A in O(links): A_jk = conj(p_jk) B_k, with p_jk where the path leaves j.
+
+        So what is above link k acts through the acceleration h_k of its joint, less gravity, and
+        what is below through the sums s_c of B P.
+        """
+        program, mechanism = self.program, self.mechanism
+        B = [program.planar_number(b) for b in mechanism.B]
+        at = [program.planar_number(x.hangs_from.at) for x in mechanism.description.links]
+        h: list[Slot] = [-1] * mechanism.n
+        for k in mechanism.order:
+            above, (re, im) = mechanism.parent[k], B[k]
+            if above is None:
+                h[k] = program.add(PlanarSum(program.planar_number(-mechanism.gamma), ()))
+            else:
+                terms = (((1.0, 0.0), h[above]), (at[k], self.P[above]))
+                h[k] = program.add(PlanarSum((0.0, 0.0), terms))
+            links.F[k].append(((re, -im), h[k]))
+            links.constants[k] += mechanism.gamma * mechanism.B[k].conjugate()
+        s: list[Slot] = [-1] * mechanism.n
+        for k in reversed(mechanism.order):
+            below: list[PlanarTerm] = [((1.0, 0.0), s[c]) for c in self.children[k]]
+            for c, (re, im) in ((c, at[c]) for c in self.children[k]):
+                links.F[k].append(((re, -im), s[c]))
+            s[k] = program.add(PlanarSum((0.0, 0.0), ((B[k], self.P[k]), *below)))
 
     def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
         """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
