@@ -240,6 +240,7 @@ class LaneMotion:
         self.tau: list[Number] = [
             float(x[0]) if (x == x[0]).all() else np.ascontiguousarray(x) for x in tau.T
         ]
+        self._codes: dict[str, _Code] = {}
         self._work = np.zeros(0)
 
     def kept(self, lanes: Lanes) -> LaneMotion:
@@ -285,7 +286,10 @@ class LaneMotion:
             state = _state(program, *lists)
             values = what(program, _Start(over_lanes(B), numbers, sizes, list(q), list(qd), state))
             return np.array([np.broadcast_to(x, B) for x in values])
-        code = _code(what, program)
+        name = what.__name__
+        if name not in self._codes:
+            self._codes[name] = _code(what, program)
+        code = self._codes[name]
         if self._work.size < code.buffers * B:
             self._work = np.empty(code.buffers * B)
         work = self._work[: code.buffers * B].reshape(code.buffers, B)
@@ -302,12 +306,10 @@ class LaneMotion:
         rest = found[2 * size :]
         orders = np.arange(1.0, order + 2)[:, None, None]
         rising, turning = orders * rho[1:], orders * theta[1:]
-        rates = np.empty_like(rising)
-        for m in range(order + 1):  # Im(conj(z) z')
-            rates[m] = turning[m]
-            if m > 1:  # rho_0 = 1, rho_1 = theta_0 = 0
-                rates[m] += _sums(rho[m:1:-1], turning[: m - 1])
-                rates[m] -= _sums(theta[m - 1 : 0 : -1], rising[1:m])
+        rates = turning.copy()
+        for m in range(2, order + 1):  # Im(conj(z) z'); rho_0 = 1, rho_1 = theta_0 = 0
+            rates[m] += _sums(rho[m:1:-1], turning[: m - 1])
+            rates[m] -= _sums(theta[m - 1 : 0 : -1], rising[1:m])
         power = None
         if self.program.motion.power:
             power, rest = rest[: order + 1].copy(), rest[order + 1 :]
