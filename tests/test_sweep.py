@@ -113,7 +113,8 @@ class TestMotions:
             motion = simulate(build(scene), assemble(build(scene), [row[1]]), [0, 0], 0.5)
             assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
-    def test_friction_and_gears_go_one_by_one(self, engine) -> None:
+    def test_friction_and_gears_go_together(self, engine, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweeps.sweep_motions.single", None)
         axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
         crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
         rubbing = crank.scene.replace(
