@@ -133,6 +133,14 @@ class TestMotions:
             found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]
             assert found == pytest.approx(motion.q[-1], abs=1e-7)
 
+    def test_a_spring_that_has_no_direction_is_told(self, engine) -> None:
+        links = ", ".join(f"{{name: {x}, m: 1, l: 1, r: 0.5, I: 0.1}}" for x in "ab")
+        ends = "[{link: a, at: [1, 0]}, {link: b, at: [0, 0]}]"
+        spring = f"{{between: {ends}, stiffness: 10, length: 1}}"
+        arm = plan("2r", Axis("q1", (0.1, 0.2)), t_end=0.1, engine=engine)
+        rows = whole(replace(arm, scene=f"links: [{links}]\nsprings: [{spring}]\n"))
+        assert rows.outcomes == ["singular"] * 2
+
     def test_change_points_are_passed(self, engine) -> None:
         bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, engine=engine)
         rows = whole(bars)
