@@ -107,7 +107,7 @@ class TestAgainstDOP853:
 
 
 class TestForces:
-    """Springs, their dampers, and forces that turn with a link, in numpy."""
+    """Springs, their dampers, friction, forces that turn with a link, and couplings, in numpy."""
 
     @pytest.mark.parametrize("seed", range(6))
     def test_against_dop853(self, seed) -> None:
@@ -134,6 +134,67 @@ class TestForces:
         energy = kinetic_energy(mechanism, motion.q, motion.qd)
         energy = energy + potential_energy(mechanism, motion.q) - mechanism.energy_offset
         assert found.energy[0, 0] == pytest.approx(energy.min(), rel=0.05, abs=0.5)
+
+    @pytest.mark.parametrize("speed", [1e-3, 0.1, 10.0])
+    @pytest.mark.parametrize("seed", range(2))
+    def test_friction_against_single_runs(self, seed, speed) -> None:
+        text = forced(seed, seeded_tree(seed, 1 + seed)).text
+        text = re.sub(r"speed: [^}]*}", f"speed: {speed}}}", text)
+        mechanism = build(from_text(text, "x"))
+        assert mechanism.friction
+        n = mechanism.n
+        y = np.random.default_rng(seed).normal(size=(4, 2 * n))
+        found = run("python", mechanism, y, 0.4, rtol=1e-11, atol=1e-11)
+        assert (found.status == Status.REACHED).all()
+        assert found.drift.max() < 1e-7
+        for k, state in enumerate(y):
+            motion = simulate(
+                mechanism, state[:n], state[n:], 0.4, method="Radau", rtol=1e-10, atol=1e-10
+            )
+            expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+            assert found.y[k] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+    @pytest.mark.parametrize("name", ["geared-five-bar", "spring-slider-crank"])
+    def test_loops_against_single_runs(self, name) -> None:
+        mechanism = scene(name)
+        y, n = turning(mechanism, 3), mechanism.n
+        tau = np.zeros(n)
+        tau[mechanism.actuated[0]] = 1.0
+        found = run("python", mechanism, y, 0.5, tau)
+        assert np.abs(closure_gap(mechanism, found.y[:, :n])).max() < 1e-14
+        for k, state in enumerate(y):
+            motion = simulate(mechanism, state[:n], state[n:], 0.5, tau=tau, rtol=1e-12, atol=1e-12)
+            expected = np.concatenate([motion.q[-1], motion.qd[-1]])
+            assert found.y[k] == pytest.approx(expected, rel=1e-8, abs=1e-8)
+            assert found.drift[k] < 1e-9
+
+    @pytest.mark.parametrize("name", ["2r", "geared-five-bar", "spring-slider-crank"])
+    def test_row_by_row_as_in_code(self, name, monkeypatch) -> None:
+        mechanism = scene(name)
+        y = turning(mechanism, 3) if mechanism.rows else swings(3)
+        found = run("python", mechanism, y, 0.3)
+        monkeypatch.setattr("robodyn.sweeps.lane_motion.STRAIGHT", 0)
+        other = run("python", mechanism, y, 0.3)
+        for each in ("t", "y", "low", "high", "energy"):
+            assert getattr(other, each) == pytest.approx(getattr(found, each), rel=1e-9, abs=1e-9)
+
+    @pytest.mark.parametrize("straight", [0, 1000])
+    @pytest.mark.parametrize("name", ["pendulum", "2r", "four-bar", "spring-slider-crank"])
+    def test_lanes_are_the_same_to_the_last_bit(self, name, straight, monkeypatch) -> None:
+        """However many go together."""
+        monkeypatch.setattr("robodyn.sweeps.lane_motion.STRAIGHT", straight)
+        mechanism, n = scene(name), scene(name).n
+        rng = np.random.default_rng(5)
+        y = turning(mechanism, 9) if mechanism.rows else rng.normal(size=(9, 2 * n))
+        tau = np.zeros((9, n))
+        tau[:, mechanism.actuated[0]] = rng.normal(size=9)
+        options = {"rtol": 1e-9, "atol": 1e-9, "link": n - 1}
+        together = run("python", mechanism, y, 1.0, tau, **options)
+        for some in (slice(0, 1), slice(1, 3), slice(3, 8), slice(8, 9)):
+            alone = run("python", mechanism, y[some], 1.0, tau[some], **options)
+            for each in Ends.__slots__:
+                expected = getattr(together, each)[some]
+                assert np.array_equal(getattr(alone, each), expected, equal_nan=True), each
 
     def test_each_lane_may_have_springs_of_its_own(self) -> None:
         scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()

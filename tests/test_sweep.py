@@ -113,7 +113,8 @@ class TestMotions:
             motion = simulate(build(scene), assemble(build(scene), [row[1]]), [0, 0], 0.5)
             assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
-    def test_friction_and_gears_go_one_by_one(self, engine) -> None:
+    def test_friction_and_gears_go_together(self, engine, monkeypatch) -> None:
+        monkeypatch.setattr("robodyn.sweeps.sweep_motions.single", None)
         axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
         crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
         rubbing = crank.scene.replace(
@@ -131,6 +132,14 @@ class TestMotions:
             motion = simulate(mechanism, start, 0.0 * start, 0.3, rtol=1e-11, atol=1e-11)
             found = [column(each, rows, f"q{k + 1}_end")[0] for k in range(mechanism.n)]
             assert found == pytest.approx(motion.q[-1], abs=1e-7)
+
+    def test_a_spring_that_has_no_direction_is_told(self, engine) -> None:
+        links = ", ".join(f"{{name: {x}, m: 1, l: 1, r: 0.5, I: 0.1}}" for x in "ab")
+        ends = "[{link: a, at: [1, 0]}, {link: b, at: [0, 0]}]"
+        spring = f"{{between: {ends}, stiffness: 10, length: 1}}"
+        arm = plan("2r", Axis("q1", (0.1, 0.2)), t_end=0.1, engine=engine)
+        rows = whole(replace(arm, scene=f"links: [{links}]\nsprings: [{spring}]\n"))
+        assert rows.outcomes == ["singular"] * 2
 
     def test_change_points_are_passed(self, engine) -> None:
         bars = plan("parallelogram", Axis("q1", (1.0, 2.0)), qd=(3.0,), t_end=2.0, engine=engine)

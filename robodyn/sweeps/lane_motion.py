@@ -29,7 +29,7 @@ from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Slot
-from robodyn.sweeps.step_extremes import powers
+from robodyn.sweeps.step_extremes import powers, sums
 from robodyn.taylor import HOPELESS, PASSES
 
 Array = NDArray[np.float64]
@@ -42,10 +42,7 @@ KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 
 def _convolve(x: Array, y: Array, m: int, first: int, last: int) -> Array:
     """Sum of x_j y_{m-j} for j from first to last."""
-    a, b = x[first : last + 1], y[m - last : m - first + 1][::-1]
-    if a.shape[1] == 1:  # of one lane numpy would add in another order
-        return np.asarray(np.einsum("kb,kb->b", a.repeat(2, axis=1), b.repeat(2, axis=1))[:1])
-    return np.asarray(np.einsum("kb,kb->b", a, b))
+    return sums(x[first : last + 1], y[m - last : m - first + 1][::-1])
 
 
 def _power(x: Number, exponent: float) -> Number:
@@ -240,6 +237,7 @@ class LaneMotion:
         self.tau: list[Number] = [
             float(x[0]) if (x == x[0]).all() else np.ascontiguousarray(x) for x in tau.T
         ]
+        self._codes: dict[str, _Code] = {}
         self._work = np.zeros(0)
 
     def kept(self, lanes: Lanes) -> LaneMotion:
@@ -285,7 +283,10 @@ class LaneMotion:
             state = _state(program, *lists)
             values = what(program, _Start(over_lanes(B), numbers, sizes, list(q), list(qd), state))
             return np.array([np.broadcast_to(x, B) for x in values])
-        code = _code(what, program)
+        name = what.__name__
+        if name not in self._codes:
+            self._codes[name] = _code(what, program)
+        code = self._codes[name]
         if self._work.size < code.buffers * B:
             self._work = np.empty(code.buffers * B)
         work = self._work[: code.buffers * B].reshape(code.buffers, B)
@@ -302,12 +303,10 @@ class LaneMotion:
         rest = found[2 * size :]
         orders = np.arange(1.0, order + 2)[:, None, None]
         rising, turning = orders * rho[1:], orders * theta[1:]
-        rates = np.empty_like(rising)
-        for m in range(order + 1):  # Im(conj(z) z')
-            rates[m] = turning[m]
-            if m > 1:  # rho_0 = 1, rho_1 = theta_0 = 0
-                rates[m] += _sums(rho[m:1:-1], turning[: m - 1])
-                rates[m] -= _sums(theta[m - 1 : 0 : -1], rising[1:m])
+        rates = turning.copy()
+        for m in range(2, order + 1):  # Im(conj(z) z'); rho_0 = 1, rho_1 = theta_0 = 0
+            rates[m] += sums(rho[m:1:-1], turning[: m - 1])
+            rates[m] -= sums(theta[m - 1 : 0 : -1], rising[1:m])
         power = None
         if self.program.motion.power:
             power, rest = rest[: order + 1].copy(), rest[order + 1 :]
@@ -394,10 +393,3 @@ class LaneMotion:
         )
         product = np.einsum("rnb,snb->brs", Psi, other)
         return np.asarray(np.linalg.slogdet(product)[0] < 0.0)
-
-
-def _sums(a: Array, b: Array) -> Array:
-    """Sums of a_k b_k over the orders, (n, B)."""
-    if a.shape[2] == 1:  # of one lane numpy would add in another order
-        return np.asarray(np.einsum("knb,knb->nb", a.repeat(2, axis=2), b.repeat(2, axis=2))[:, :1])
-    return np.asarray(np.einsum("knb,knb->nb", a, b))

@@ -1,9 +1,9 @@
 """One motion of a sweep by a single simulation, for what lanes do not serve.
 
-Friction, couplings, and motions that pass change points go this way: by DOP853 where the scene has
-forces of its own (friction that sets in sharply shows in no series ahead of it), else by the Taylor
-series.  Between the quarter points of its steps q is the polynomial of degree 5 that
-has q, qd and qdd of both: extremes and crossings are those of these polynomials.
+Motions that pass change points, closures that depend on one another, and forces whose series end on
+the way go so: by DOP853 where the scene has forces of its own, else by the Taylor series.  Between
+the quarter points of its steps q is the polynomial of degree 5 that has q, qd and qdd of both:
+extremes and crossings are those of these polynomials.
 """
 
 from __future__ import annotations

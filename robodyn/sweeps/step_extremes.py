@@ -31,9 +31,9 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
     orders = np.arange(len(rates), dtype=float)
     for p in range(1, QUARTERS + 1):
         u = (p / QUARTERS) ** orders
-        turn[p] = edges[p] * np.einsum("k,knb->nb", u / (orders + 1.0), scaled)
-        rate[p] = np.einsum("k,knb->nb", u, scaled)
-        slope[p] = np.einsum("k,knb->nb", u[1:] * orders[1:], scaled[1:])
+        turn[p] = edges[p] * sums((u / (orders + 1.0))[:, None, None], scaled)
+        rate[p] = sums(u[:, None, None], scaled)
+        slope[p] = sums((u[1:] * orders[1:])[:, None, None], scaled[1:])
         slope[p] /= edges[p]
     turn_low, turn_high = turn.min(axis=0), turn.max(axis=0)
     rate_low, rate_high = rate.min(axis=0), rate.max(axis=0)
@@ -103,10 +103,17 @@ def values(rates: Array, x: Array) -> tuple[Array, Array, Array]:
     K = len(rates)
     power = powers(x, K)
     orders = np.arange(K, dtype=float)[:, None]
-    turn = np.einsum("kb,knb->nb", power * x / (orders + 1.0), rates)
-    rate = np.einsum("kb,knb->nb", power, rates)
-    slope = np.einsum("kb,knb->nb", power[:-1] * orders[1:], rates[1:])
+    turn = sums((power * x / (orders + 1.0))[:, None], rates)
+    rate = sums(power[:, None], rates)
+    slope = sums((power[:-1] * orders[1:])[:, None], rates[1:])
     return turn, rate, slope
+
+
+def sums(a: Array, b: Array) -> Array:
+    """The sums of a b (K, ..., B) over the first axis, the same however many lanes there are."""
+    if b.shape[-1] == 1:  # numpy would add them up in another order
+        return np.asarray(sums(a, b.repeat(2, axis=-1))[..., :1])
+    return np.asarray(np.einsum("k...,k...->...", a, b))
 
 
 def powers(x: Array, K: int) -> Array:
@@ -138,6 +145,7 @@ def roots(series: Array, begin: Array, end: Array, at_begin: Array) -> Array:
     low, high = begin.copy(), end.copy()
     sign = np.sign(at_begin)
     x = 0.5 * (low + high)
+    found = np.zeros(len(x), bool)  # each by itself: what is found does not depend on the others
     with np.errstate(all="ignore"):
         for _ in range(NEWTON):
             value, steep = horner(series, x)
@@ -145,8 +153,10 @@ def roots(series: Array, begin: Array, end: Array, at_begin: Array) -> Array:
             low, high = np.where(same, x, low), np.where(same, high, x)
             newton = x - value / steep
             inside = (newton - low) * (newton - high) <= 0.0
-            last, x = x, np.where(inside, newton, 0.5 * (low + high))
-            if (np.abs(x - last) <= NEAR * np.abs(end - begin)).all():
+            new = np.where(inside, newton, 0.5 * (low + high))
+            last, x = x, np.where(found, x, new)
+            found |= np.abs(x - last) <= NEAR * np.abs(end - begin)
+            if found.all():
                 break
     return x
 

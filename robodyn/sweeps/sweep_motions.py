@@ -80,8 +80,10 @@ def motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str])
             getattr(ends, name)[chosen] = getattr(found, name)
         for lane, status in zip(chosen, found.status.tolist(), strict=True):
             outcomes[lane] = _OUTCOMES[Status(status)].label
-    poor = {Status.SINGULAR, Status.STUCK} if base.rows else set()
     for group in [*(group for group, _ in fast), *together]:
+        poor = {Status.SINGULAR, Status.STUCK} if base.rows else set()
+        if group.mechanism.has_state_forces:  # a series may not get beyond where they bend
+            poor.add(Status.STUCK)
         alone += [(group, i) for i, k in enumerate(group.points) if ends.status[k] in poor]
     for group, i in alone:
         k = int(group.points[i])
@@ -128,8 +130,12 @@ def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
 
 
 def _served(mechanism: Mechanism) -> bool:
-    """Whether lanes serve it: M is regular."""
-    return elimination_is_safe(mechanism)
+    """Whether lanes serve it: M is regular, and every spring has a direction somewhere."""
+    nowhere = any(
+        (x.length or x.damping) and not x.between.terms and not x.between.constant
+        for x in mechanism.springs
+    )
+    return not nowhere and elimination_is_safe(mechanism)
 
 
 def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
