@@ -12,45 +12,45 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from robodyn.assembly import assemble as assemble
-    from robodyn.closed_form import closure_gap as closure_gap
-    from robodyn.closed_form import closure_jacobian as closure_jacobian
-    from robodyn.closed_form import coriolis_matrix as coriolis_matrix
-    from robodyn.closed_form import gravity_vector as gravity_vector
-    from robodyn.closed_form import kinetic_energy as kinetic_energy
-    from robodyn.closed_form import mass_matrix as mass_matrix
-    from robodyn.closed_form import other_forces as other_forces
-    from robodyn.closed_form import potential_energy as potential_energy
     from robodyn.control.laws import controller as controller
     from robodyn.control.tracking import ReferenceTable as ReferenceTable
-    from robodyn.dynamics import coupling_torques as coupling_torques
-    from robodyn.dynamics import forward_dynamics as forward_dynamics
-    from robodyn.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
-    from robodyn.dynamics import inverse_dynamics as inverse_dynamics
-    from robodyn.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
-    from robodyn.dynamics import pin_forces as pin_forces
+    from robodyn.dynamics.closed_form import closure_gap as closure_gap
+    from robodyn.dynamics.closed_form import closure_jacobian as closure_jacobian
+    from robodyn.dynamics.closed_form import coriolis_matrix as coriolis_matrix
+    from robodyn.dynamics.closed_form import gravity_vector as gravity_vector
+    from robodyn.dynamics.closed_form import kinetic_energy as kinetic_energy
+    from robodyn.dynamics.closed_form import mass_matrix as mass_matrix
+    from robodyn.dynamics.closed_form import other_forces as other_forces
+    from robodyn.dynamics.closed_form import potential_energy as potential_energy
+    from robodyn.dynamics.dynamics import coupling_torques as coupling_torques
+    from robodyn.dynamics.dynamics import forward_dynamics as forward_dynamics
+    from robodyn.dynamics.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
+    from robodyn.dynamics.dynamics import inverse_dynamics as inverse_dynamics
+    from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
+    from robodyn.dynamics.dynamics import pin_forces as pin_forces
+    from robodyn.dynamics.reaction_forces import reactions as reactions
+    from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.loop_rates import loop_accelerations as loop_accelerations
-    from robodyn.loop_rates import loop_velocities as loop_velocities
-    from robodyn.mechanism import Mechanism as Mechanism
-    from robodyn.mechanism import load as load
-    from robodyn.reaction_forces import reactions as reactions
-    from robodyn.reaction_forces import shaking_force as shaking_force
-    from robodyn.simulation import Motion as Motion
-    from robodyn.simulation import simulate as simulate
+    from robodyn.loops.assembly import assemble as assemble
+    from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
+    from robodyn.loops.loop_rates import loop_velocities as loop_velocities
+    from robodyn.mechanics.mechanism import Mechanism as Mechanism
+    from robodyn.mechanics.mechanism import load as load
+    from robodyn.simulation.simulation import Motion as Motion
+    from robodyn.simulation.simulation import simulate as simulate
+    from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
+    from robodyn.trajectories.reference import reference_motion as reference_motion
     from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
-    from robodyn.trajectories.trajectory import ReferenceMotion as ReferenceMotion
-    from robodyn.trajectories.trajectory import reference_motion as reference_motion
 
 __version__ = "0.1.0"
 
 _ROOMS = {
-    "assembly": ["assemble"],
-    "closed_form": [
+    "loops.assembly": ["assemble"],
+    "dynamics.closed_form": [
         "closure_gap",
         "closure_jacobian",
         "coriolis_matrix",
@@ -61,7 +61,7 @@ _ROOMS = {
         "potential_energy",
     ],
     "control.laws": ["controller"],
-    "dynamics": [
+    "dynamics.dynamics": [
         "coupling_torques",
         "forward_dynamics",
         "forward_dynamics_and_forces",
@@ -70,13 +70,13 @@ _ROOMS = {
         "pin_forces",
     ],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
-    "loop_rates": ["loop_accelerations", "loop_velocities"],
-    "mechanism": ["Mechanism", "load"],
-    "reaction_forces": ["reactions", "shaking_force"],
-    "simulation": ["Motion", "simulate"],
+    "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
+    "mechanics.mechanism": ["Mechanism", "load"],
+    "dynamics.reaction_forces": ["reactions", "shaking_force"],
+    "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.time_scaling": ["shortest_motion"],
-    "trajectories.trajectory": ["ReferenceMotion", "reference_motion"],
+    "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+LONGEST_PART = 1000  # characters of a part of a message; names of the input may be many or long
+MOST_FAULTS = 200  # of a scene; it is read no further
+
 
 class RobodynError(Exception):
     """Root of robodyn's errors: the computation could not be done (exit code 1).
@@ -28,8 +31,7 @@ class RobodynError(Exception):
         super().__init__(what)
 
     def __str__(self) -> str:
-        subject = self.what if self.value is None else f"{self.what} = {self.value}"
-        return printable(": ".join(part for part in (self.where, subject, self.limit) if part))
+        return _message(self.where, self.what, self.value, self.limit)
 
     def add_place(self, place: str) -> None:
         """Put `place` (a row of a table, say) before where the error already is."""
@@ -54,8 +56,16 @@ class Fault:
     def text(self, source: str) -> str:
         """The fault as one line, `source:line: place = value: limit`."""
         at = source if self.line is None else f"{source}:{self.line}"
-        subject = self.place if self.value is None else f"{self.place} = {self.value}"
-        return printable(": ".join(part for part in (at, subject, self.limit) if part))
+        return _message(at, self.place, self.value, self.limit)
+
+
+def _message(where: str, what: str, value: object, limit: str) -> str:
+    subject = what if value is None else f"{what} = {value}"
+    parts = (
+        part if len(part) <= LONGEST_PART else part[:LONGEST_PART] + "..."
+        for part in (where, subject, limit)
+    )
+    return printable(": ".join(part for part in parts if part))
 
 
 def printable(text: str) -> str:
@@ -71,7 +81,7 @@ def printable_lines(text: str) -> str:
 
 
 class DescriptionError(InputError):
-    """A scene file has faults; all of them are told, one a line."""
+    """A scene file has faults; all of them are told, one a line, up to MOST_FAULTS."""
 
     def __init__(self, source: str, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
@@ -79,7 +89,10 @@ class DescriptionError(InputError):
         super().__init__(f"{len(self.faults)} faults", where=source)
 
     def __str__(self) -> str:
-        return "\n".join(fault.text(self.source) for fault in self.faults)
+        lines = [fault.text(self.source) for fault in self.faults[:MOST_FAULTS]]
+        if len(self.faults) > MOST_FAULTS:
+            lines.append(f"{self.source}: there are more faults than these {MOST_FAULTS}")
+        return "\n".join(lines)
 
 
 class AssemblyError(RobodynError):

@@ -30,14 +30,14 @@ from bench_sweep import sweeps
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.actuation import Actuation
-from robodyn.description import from_text
 from robodyn.engines import formula_rows, machine
 from robodyn.engines.formulas import inverse_formula
-from robodyn.loop_rates import loop_accelerations, loop_velocities
-from robodyn.mechanism import build
-from robodyn.right_hand_side import right_hand_side
-from robodyn.straightline import compile_floats
+from robodyn.engines.straightline import compile_floats
+from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
+from robodyn.simulation.right_hand_side import right_hand_side
 from yardsticks import four_bar_rates, two_link_rates
 
 Array = NDArray[np.float64]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.integrate import ode, odeint
 
 import robodyn
-from robodyn.actuation import Actuation
 from robodyn.engines import machine
+from robodyn.mechanics.actuation import Actuation
 from robodyn.taylor.run import compiled_engine, stepping_engine
 from yardsticks import four_bar_rates, two_link_rates
 

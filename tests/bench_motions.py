@@ -16,14 +16,14 @@ from scipy.integrate import ode
 import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
-from robodyn.actuation import Actuation
-from robodyn.benchmark import benchmark
-from robodyn.description import from_text
 from robodyn.engines.step_text import step_text
-from robodyn.mechanism import build
-from robodyn.right_hand_side import right_hand_side
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
+from robodyn.simulation.benchmark import benchmark
+from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.taylor.run import compiled_engine, stepping_engine
-from robodyn.taylor.steps import ArrayEngine, StraightEngine
+from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal
 LOOPS = (1, 2, 5, 10, 20, 40)
@@ -141,7 +141,7 @@ def series_engines(bench: Any) -> list[Any]:
         y = np.concatenate([q, np.zeros(n)]).tolist()
         free = Actuation((0.0,) * n)
         arguments = (mechanism, None, 14, 1e-9, 1e-9, free, False)
-        kinds = [kind(*arguments) for kind in (StraightEngine, ArrayEngine)]
+        kinds = [kind(*arguments) for kind in (StraightEngine, InterpretedEngine)]
         steps = [partial(engine.expand, 0.0, y, 1.0, 1.0) for engine in kinds]
         times = in_turn(
             lambda steps=steps: [steps[0]() for _ in range(20)],

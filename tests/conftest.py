@@ -11,7 +11,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,14 @@ FOUR_BAR = oracles.FourBar(
     *(1.0, 0.80, 0.36, 0.061),  # rocker
     *(1.1, 0.0),  # ground pivot
 )
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Assert that a block takes no more of the processor: far more than it needs anywhere."""
+    start = time.process_time()
+    yield
+    assert time.process_time() - start < seconds
 
 
 def relative_error(actual: object, expected: object) -> float:

@@ -16,9 +16,9 @@ import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
-from robodyn.description import from_text
-from robodyn.mechanism import Mechanism, build
-from robodyn.scene import Description
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
+from robodyn.scene.scene import Description
 
 # ---------------------------------------------------------------------------------------------
 # Where the numbers come from

@@ -11,13 +11,21 @@ import pytest
 from conftest import ROOT
 
 from random_mechanisms import LOOPS, seeded, seeded_scene, seeded_tree
-from robodyn import accuracy, actuation, load
-from robodyn.accuracy import AUTO, AccuracyError, best_method, error_estimate, settings_for
-from robodyn.actuation import Actuation
+from robodyn import load
 from robodyn.errors import InputError
-from robodyn.extended import reference
-from robodyn.recording import Outcome
-from robodyn.simulation import METHODS, Settings, run
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation import accuracy
+from robodyn.simulation.accuracy import (
+    AUTO,
+    AccuracyError,
+    best_method,
+    error_estimate,
+    settings_for,
+)
+from robodyn.simulation.extended import reference
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import METHODS, Settings, run
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)

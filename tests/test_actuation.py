@@ -12,9 +12,10 @@ from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robodyn import actuation, load
-from robodyn.actuation import Actuation
+from robodyn import load
 from robodyn.errors import InputError
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
 
 ARM = load(ROOT / "robots/2r.yaml")
 FOUR_BAR = load(ROOT / "robots/four-bar.yaml")

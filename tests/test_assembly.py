@@ -22,10 +22,10 @@ from random_mechanisms import (
     seeded_scene,
     sizes,
 )
-from robodyn import assembly, loop_rates
-from robodyn import closed_form as cf
+from robodyn.dynamics import closed_form as cf
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
-from robodyn.mechanism import load
+from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.mechanism import load
 
 SEEDS = range(8)
 BRANCHES = ("open", "crossed")

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from robodyn import actuation, benchmark, load
-from robodyn.actuation import Actuation
-from robodyn.benchmark import Measurement, _mark_front
+from robodyn import load
 from robodyn.errors import RobodynError
-from robodyn.extended import reference
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation import benchmark
+from robodyn.simulation.benchmark import Measurement, _mark_front
+from robodyn.simulation.extended import reference
 
 TOLERANCES = (1e-4, 1e-8, 1e-13)
 ARM = np.array([-1.3, -0.2, 0.5, 0.25])

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import within
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -63,6 +64,15 @@ def test_a_column_that_is_not_there_is_told_with_those_that_are(pattern: str) ->
     assert str(caught.value) == f"x.csv: --y = {pattern}: is no column; there are " + ", ".join(
         MOTION
     )
+
+
+def test_many_stars_take_little_time() -> None:
+    with within(5.0):
+        for pattern in ("*a" * 40 + "b", "*" * 200 + "b"):
+            with pytest.raises(InputError, match="is no column"):
+                choose_columns(["a" * 5000 + "c", "1" * 5000], [pattern], None, "t.csv")
+    assert choose_columns(["q1a2", "q1a", "qba2", "x"], ["q*a*"], None, "t.csv") == ["q1a2"]
+    assert choose_columns(["q1a2", "xq", "1q2"], ["**q**"], None, "t.csv") == ["1q2"]
 
 
 def test_the_only_column_cannot_be_drawn_against_itself() -> None:

@@ -7,8 +7,9 @@ import math
 
 import pytest
 
-from robodyn import benchmark, evaluators
 from robodyn.cli import bench, figures
+from robodyn.dynamics import evaluators
+from robodyn.simulation import benchmark
 
 ARM = ("bench", "robots/2r.yaml", "--q=-1.3,-0.2", "--qd", "0.5,0.25", "--time", 0.2)
 SHORT = (*ARM, "--repeats", 1)

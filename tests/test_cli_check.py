@@ -212,7 +212,7 @@ def test_a_wrong_coriolis_matrix_is_found_out(
     robodyn: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The self-test must be able to fail: here C is made 1 % too large."""
-    from robodyn import closed_form
+    from robodyn.dynamics import closed_form
 
     right = closed_form.coriolis_matrix
     monkeypatch.setattr(closed_form, "coriolis_matrix", lambda *given: 1.01 * right(*given))
@@ -325,3 +325,19 @@ def test_all_faults_of_a_scene_are_told_one_a_line(
         f"       {path}:3: links[0] (a).r = 1 values: must be two numbers, [x, y]",
         f"       {path}:3: links[0] (a).I = nan: must be a finite number",
     ]
+
+
+@pytest.mark.parametrize("more", ["damping: 1e308", "friction: {torque: 1e308, speed: 0.01}"])
+def test_terms_beyond_all_numbers_are_told_quietly(robodyn, scene, more):
+    """Every state's motion is doubtful then, and there is no closure whose forces could be."""
+    path = scene(f"links: [{{name: a, m: 1, l: 1, r: 0.5, I: 0.1, {more}}}]")
+    given = robodyn("check", path).fails(1, "the result is not finite", "the scene is too large")
+    assert "encountered" not in given.err
+
+
+def test_lengths_whose_squares_are_no_numbers(robodyn, scene, four_bar_text):
+    path = scene(four_bar_text.replace("l: 0.95", "l: 1e-320"))
+    given = robodyn("check", path)
+    assert given.code in (0, 1)
+    assert "defect" not in given.err
+    assert "encountered" not in given.err

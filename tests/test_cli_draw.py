@@ -235,6 +235,26 @@ def test_tables_that_are_refused(robodyn: Run, stdin: str, parts: tuple[str, ...
     robodyn("draw", "robots/2r.yaml", "-", "--format", "text", stdin=stdin).fails(2, *parts)
 
 
+@pytest.mark.parametrize("form", ["text", "svg"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "links: [{name: a, m: 1, l: 1e150, r: 0, I: 1}]",
+        "links: [{name: a, m: 1, l: 1e-150, r: 0, I: 1}]",
+        "links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\n"
+        "springs: [{between: [{link: a, at: [1e200, 0]}, [0, 1]], stiffness: 1, length: 1}]",
+    ],
+)
+def test_what_is_too_large_or_too_small(robodyn: Run, scene: Run, text: str, form: str) -> None:
+    robodyn("draw", scene(text), "--q", "0", "--format", form).fails(1, "cannot be drawn", "large")
+
+
+@pytest.mark.parametrize("form", ["text", "svg"])
+def test_angles_whose_sum_is_no_number(robodyn: Run, form: str) -> None:
+    draw = ("draw", "robots/2r.yaml", "--q=1e308,1e308", "--format", form)
+    robodyn(*draw).fails(1, "cannot be drawn", "the angles are too large")
+
+
 def test_a_pose_that_cannot_close(robodyn: Run, four_bar_text: str, scene: Run) -> None:
     path = scene(four_bar_text.replace("l: 0.80", "l: 0.01"))
     robodyn("draw", path, "--q", "60deg", "--format", "text").fails(1, "cannot be closed")

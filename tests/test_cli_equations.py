@@ -105,8 +105,31 @@ def test_numbers_that_overflow(robodyn: Run, scene: Callable[[str], Path]) -> No
     """A of the closed form is finite, the sum of its entries in M is not."""
     link = "{{name: {}, m: 1, l: 1, r: 1, I: 1e308}}"
     path = scene(f"links: [{link.format('a')}, {link.format('b')}]")
-    robodyn("equations", path).succeeds()
-    robodyn("equations", path, "--numeric").fails(2, "links", "overflow", path.name)
+    for format in FORMATS:
+        arguments = ["equations", path, "--format", format]
+        robodyn(*arguments).succeeds()
+        robodyn(*arguments, "--numeric").fails(2, "links", "overflow", path.name)
+    spring = "springs: [{between: [a, [2, 0]], stiffness: 1e200, length: 1e200}]"
+    path = scene(f"links: [{{name: a, m: 1, l: 1, r: 1, I: 1}}]\n{spring}\n")
+    for format in ("python", "c"):
+        robodyn("equations", path, "--format", format).succeeds()
+        robodyn("equations", path, "--format", format, "--numeric").fails(2, "overflow", path.name)
+
+
+def test_a_spring_without_a_direction(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """Its ends coincide at every state: code would divide by zero."""
+    head = (
+        "links: [{name: a, m: 1, l: 1, r: 1, I: 1}]\nsprings: [{joint: a, stiffness: 1, angle: 0}"
+    )
+    ends = "{between: [{link: a, at: [0, 0]}, [0, 0]], stiffness: 2"
+    told = "spring 2", "coincide"
+    for rest in ("length: 0.4", "length: 0, damping: 1"):
+        path = scene(f"{head}, {ends}, length: 0}}, {ends}, {rest}}}]\n")
+        for format in ("python", "c"):
+            robodyn("equations", path, "--format", format).fails(1, path.name, *told)
+        robodyn("torque", path, "--q", "0.3").fails(1, path.name, *told)
+    path = scene(f"{head}, {ends}, length: 0}}]\n")
+    robodyn("equations", path, "--format", "python").succeeds()
 
 
 def test_head_ends_it_quietly(shell: Run) -> None:
@@ -136,6 +159,25 @@ def test_a_terminal_sets_the_width(shell: Run) -> None:
     formulas = given.out.replace("\r", "").split("\nwhere\n")[0].splitlines()
     assert max(map(len, formulas)) <= 60
     assert "M33       = m3 r3² + I3" in given.out
+
+
+def test_a_terminal_shows_how_far_a_long_text_is(shell: Run, tmp_path: Path) -> None:
+    """A pseudo-terminal as stderr; nothing of the bar is in the file."""
+    links = "".join(f"{{name: n{k}, m: 1, l: 1, r: 0.5, I: 0.1}}, " for k in range(4))
+    (tmp_path / "long.yaml").write_text(f"gravity: 9.81\nlinks: [{links}]\n", encoding="utf-8")
+    code = (
+        "import pty, sys; from robodyn.cli import progress; progress.SILENT = 0.0; "
+        "from robodyn import cli; sys.exit(cli.run(sys.argv[1:]))"
+    )
+    spawn = "import pty, sys; pty.spawn([sys.executable, *sys.argv[1:]])"
+    for format in ("text", "latex", "json", "c"):
+        given = shell(
+            f"{sys.executable} -c {spawn!r} -c {code!r} equations long.yaml --format {format} "
+            "-o out < /dev/null",
+            cwd=tmp_path,
+        ).succeeds()
+        assert ("writing" in given.out) == (format != "c")
+        assert "writing" not in (tmp_path / "out").read_text(encoding="utf-8")
 
 
 def test_numpy_is_not_imported() -> None:

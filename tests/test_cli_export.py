@@ -15,7 +15,7 @@ import oracles
 from model_readers import read_mjcf, read_urdf
 from robodyn.export.mjcf import mjcf
 from robodyn.export.urdf import urdf
-from robodyn.mechanism import load
+from robodyn.mechanics.mechanism import load
 
 Run = Callable[..., Outcome]
 SCENES = sorted(path.stem for path in (ROOT / "robots").glob("*.yaml"))

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from conftest import ROOT, Outcome
 
-from robodyn import cli, example_scenes
-from robodyn.description import read
-from robodyn.scene_schema import scene_schema
+from robodyn import cli
+from robodyn.scene import example_scenes
+from robodyn.scene.description import read
+from robodyn.scene.scene_schema import scene_schema
 
 Run = Callable[..., Outcome]
 SCENES = sorted(path.stem for path in ROOT.glob("robots/*.yaml"))

@@ -584,7 +584,10 @@ def check_whole_lines(text: str) -> int:
     return len(t)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+ENDING = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.mark.parametrize("number", ENDING)
 def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.Signals) -> None:
     rows, report = tmp_path / "rows.csv", tmp_path / "report.json"
     run = (*ARM, "--time", 3000, "--every", 0.01, "--report", report)
@@ -599,7 +602,7 @@ def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.
     assert count == math.floor(facts["t_reached"] / 0.01 + 1e-9) + 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", ENDING)
 def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal.Signals) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
@@ -612,6 +615,58 @@ def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal
     assert out.read_text() == "old\n"
     assert check_whole_lines(kept(Outcome(1, "", said)).read_text()) > 500
     assert len(list(folder.iterdir())) == 2
+
+
+@pytest.mark.parametrize("method", ["DOP853", "LSODA", "taylor"])
+def test_a_run_within_one_long_step_is_interrupted(tmp_path: Path, method: str) -> None:
+    rows = tmp_path / "rows.csv"
+    run = (
+        "simulate",
+        "robots/pendulum.yaml",
+        "--q=-90deg",
+        "--points",
+        20_000_000,
+        "--method",
+        method,
+    )
+    with running(*run, stdout=rows, stderr=subprocess.PIPE) as child:
+        wait_until(lambda: rows.stat().st_size > 100_000)
+        said = end(child, signal.SIGTERM)
+    assert "Error: interrupted at t = " in said
+    text = rows.read_text()
+    assert text.endswith("\n")
+    assert len(text.splitlines()) < 10_000_000
+
+
+def test_a_run_whose_reader_waits_is_ended() -> None:
+    read, write = os.pipe()
+    with subprocess.Popen(
+        [sys.executable, "-m", "robodyn", *map(str, ARM), "--points", "1000000"],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+    ) as child:
+        os.close(write)
+        os.read(read, 1)
+        time.sleep(0.5)  # until the pipe is full
+        child.send_signal(signal.SIGTERM)
+        assert child.wait(PATIENCE) in (1, 143)
+        assert child.stderr is not None
+        assert b"Traceback" not in child.stderr.read()
+    os.close(read)
+
+
+def test_what_nohup_ignores_is_ignored(tmp_path: Path) -> None:
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    rows = tmp_path / "rows.csv"
+    command = [sys.executable, "-m", "robodyn", *map(str, ARM), "--points", "50000", "-o", rows]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=ROOT, preexec_fn=ignore) as child:
+        wait_until(lambda: any(file.stat().st_size > 10_000 for file in tmp_path.iterdir()))
+        child.send_signal(signal.SIGHUP)
+        assert child.wait(PATIENCE) == 0
+    assert len(rows.read_text().splitlines()) == 50_001
 
 
 def test_a_progress_bar_on_a_terminal(tmp_path: Path) -> None:

@@ -184,7 +184,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     def plan(**options: object) -> sweep_plan.Plan:
         return small(**{**options, "chunk": 100})  # type: ignore[arg-type]
 
-    monkeypatch.setattr("robodyn.cli.sweep_plan.Plan", plan)
+    monkeypatch.setattr("robodyn.cli.sweep_options.Plan", plan)
 
 
 @pytest.mark.usefixtures("_small_chunks")

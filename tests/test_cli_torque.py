@@ -611,3 +611,8 @@ def test_results_do_not_replace_the_scene(
     assert given.code == 2
     assert "would write over MODEL" in given.err
     assert path.read_text() == before
+
+
+def test_angles_whose_sum_is_no_number(robodyn: Run) -> None:
+    given = robodyn("torque", "robots/2r.yaml", "--q=1e308,1e308")
+    assert given.fails(1, "the result is not finite").out == ""

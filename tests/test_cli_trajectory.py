@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -441,3 +445,74 @@ def test_no_way_has_no_shortest_time(robodyn: Run) -> None:
     given = robodyn("trajectory", ROOT / "robots/2r.yaml", *ends)
     assert given.code == 2
     assert "nothing moves" in given.err
+
+
+# Long motions
+
+
+def test_many_turns_of_a_closed_mechanism(robodyn: Run) -> None:
+    given = robodyn(*BAR, "--speed", "1", "--turns", "1e6", "--points", "3").succeeds()
+    q, qd = array(given, "q", 3), array(given, "qd", 3)
+    assert q[:, 0] == pytest.approx(2 * np.pi * np.array([0.0, 5e5, 1e6]), rel=1e-15)
+    assert np.exp(1j * q) == pytest.approx(np.exp(1j * q[[0, 0, 0]]), abs=1e-8)
+    assert qd[1:] == pytest.approx(qd[[0, 0]], rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("scene", "arguments", "parts"),
+    [
+        ("four-bar", "--speed 1 --turns 1e9", ["--turns = 1e9", "6.28319e+09 rad", "1e+09 rad"]),
+        ("four-bar", "--speed 1 --time 1e10", ["--time = 1e10", "1e+10 rad", "at most"]),
+        ("four-bar", "--from 0 --to 1e6 --time 1", ["--to = 1e6", "500,000 closed states"]),
+        (
+            "five-bar",
+            "--from 120deg,60deg --speed 1,0.7071 --turns 1e5",
+            ["--turns = 1e5", "500,000 closed states", "does not repeat"],
+        ),
+        (
+            "four-bar",
+            "--profile sweep --from 1 --amplitude 0.1 --frequencies 1,999 --time 190",
+            ["--amplitude = 0.1", "190000 pieces", "71,428"],
+        ),
+        (
+            "2r",
+            "--speed 1,0.7071 --turns 1e6 --max-tau 100",
+            ["--turns = 1e6", "6.28319e+06 rad", "1,000,000 samples"],
+        ),
+    ],
+)
+def test_a_motion_that_is_too_long(
+    robodyn: Run, scene: str, arguments: str, parts: list[str]
+) -> None:
+    given = robodyn("trajectory", f"robots/{scene}.yaml", *arguments.split())
+    assert given.fails(2, *parts).out == ""
+
+
+@pytest.mark.parametrize("format", ["csv", "json", "table"])
+def test_rows_leave_as_they_are_made(format: str) -> None:
+    command = [sys.executable, "-m", "robodyn", *ARM, *TO, "--time", "2", "--points", "100000000"]
+    with subprocess.Popen(
+        [*command, "--format", format], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT
+    ) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        for _ in range(20_000):
+            assert child.stdout.readline()
+        child.stdout.close()
+        assert child.stderr.read() == b""
+        assert child.wait() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_file(tmp_path: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "robodyn", *ARM, *TO, "--time", "2", "--points", "100000000"]
+    with subprocess.Popen(
+        [*command, "-o", str(tmp_path / "out.csv")], stderr=subprocess.PIPE, cwd=ROOT
+    ) as child:
+        while not any(tmp_path.iterdir()):
+            sleep(0.02)
+        child.send_signal(number)
+        assert child.wait() == 128 + number
+        assert child.stderr is not None
+        assert child.stderr.read() == b""
+    assert not list(tmp_path.iterdir())

@@ -19,7 +19,7 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import closed_form as cf
+from robodyn.dynamics import closed_form as cf
 from robodyn.errors import InputError
 
 SEEDS = range(10)

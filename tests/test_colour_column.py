@@ -10,7 +10,7 @@ import pytest
 
 from robodyn.errors import InputError
 from robodyn.pictures.colour_column import MOST_WORDS, ColourColumn
-from robodyn.table import Reader
+from robodyn.tables.table import Reader
 
 
 def read(fields: list[str], *, positive: bool = False, parts: int = 1) -> ColourColumn:

@@ -28,10 +28,10 @@ from robodyn import (
     mass_matrix,
     simulate,
 )
-from robodyn.accuracy import error_estimate, settings_for
-from robodyn.actuation import Actuation
-from robodyn.mechanism import Mechanism
-from robodyn.simulation import Settings
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.accuracy import error_estimate, settings_for
+from robodyn.simulation.simulation import Settings
 from robodyn.taylor.solver import TaylorSolver
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

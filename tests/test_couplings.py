@@ -14,21 +14,21 @@ from robodyn import (
     coupling_torques,
     forward_dynamics,
     gravity_vector,
-    identities,
     inverse_dynamics,
     loop_velocities,
     mass_matrix,
     simulate,
 )
-from robodyn.actuation import Actuation
-from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics import identities
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics.evaluators import _accelerations
 from robodyn.engines.step_text import step_text
 from robodyn.errors import InputError
-from robodyn.evaluators import _accelerations
-from robodyn.extended import reference
-from robodyn.quantities import parse_coupling
-from robodyn.right_hand_side import right_hand_side
-from robodyn.taylor.arrays import ArraySeries
+from robodyn.mechanics.actuation import Actuation
+from robodyn.scene.quantities import parse_coupling
+from robodyn.simulation.extended import reference
+from robodyn.simulation.right_hand_side import right_hand_side
+from robodyn.taylor.steps import InterpretedEngine
 
 FIVE_BAR = """
 gravity: 9.81
@@ -152,7 +152,9 @@ class TestEvaluators:
         mech = mechanism(FIVE_BAR)
         q, qd = self.state(mech)
         torques = (0.4, 0.0, 0.0, 0.0)
-        z, _ = ArraySeries(mech, 12, np.array(torques)).expand(q, qd)
+        rows = InterpretedEngine(mech, None, 12, 1e-9, 1e-9, Actuation(torques), False)
+        _, _, known = rows.expand(0.0, [*q, *qd], 0.01, 1.0)
+        z = np.array(known[:4]) + 1j * np.array(known[4:])
         expand = step_text(mech, Actuation(torques), 12, False).expand
         _, _, series = expand(0.0, [*q, *qd], (), (), 0.01, 1.0, 1e-9, 1e-9)
         size = np.abs(z).max(axis=0)

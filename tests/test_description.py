@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, within
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robodyn.description import from_text, read
-from robodyn.errors import DescriptionError, InputError
-from robodyn.mechanism import build
-from robodyn.scene import Closure, Description, Link, Point
+from robodyn.errors import MOST_FAULTS, DescriptionError, InputError
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text, read
+from robodyn.scene.scene import Closure, Description, Link, Point
 
 ROBOTS = ROOT / "robots"
 NAMES = [
@@ -735,3 +735,47 @@ def test_any_bytes_are_refused(data: bytes) -> None:
         file.flush()
         with pytest.raises(DescriptionError, match=file.name):
             read(file.name)
+
+
+class TestManyFaults:
+    """What is refused takes time by its length, and says no more than anyone reads."""
+
+    LINKS = "links:\n" + "".join(
+        f"  - {{name: link{k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [0, 0]}}\n" for k in range(5000)
+    )
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            LINKS.replace("from: [0, 0]", "from: a link that is not there"),
+            LINKS.replace("from: [0, 0]", "frm: 1"),
+            LINKS.replace("name: link", "name: same # "),
+            LINKS + "actuated: [" + ", ".join(f"linx{k}" for k in range(5000)) + "]\n",
+            LINKS + "start: {" + ", ".join(f"linx{k}: 1" for k in range(5000)) + "}\n",
+            LINKS + "closures:\n" + "  - [linx, [0, 1]]\n" * 5000,
+            LINKS + "couplings: [" + ", ".join(["q2 = q1"] * 20_000) + "]\n",
+        ],
+        ids=["from", "key", "lines", "actuated", "start", "closures", "couplings"],
+    )
+    def test_of_many_names(self, text: str) -> None:
+        with within(10.0), pytest.raises(DescriptionError) as caught:
+            from_text(text, "many.yaml")
+        told = str(caught.value).splitlines()
+        assert len(told) <= MOST_FAULTS + 1
+        if len(told) > MOST_FAULTS:
+            assert told[-1] == f"many.yaml: there are more faults than these {MOST_FAULTS}"
+
+    def test_of_one_among_many(self) -> None:
+        text = self.LINKS.replace("from: [0, 0]", "from: nowhere", 1)
+        (place, value, limit, line) = faults_of(text)[0]
+        assert (place, value, line) == ("links[0] (link0).from", "nowhere", 2)
+        assert limit.startswith("names no link; known: link0, link1, link2, ")
+        named = ", ".join(f"link{k}" for k in range(5000))
+        found = faults_of(f"{self.LINKS}actuated: [{named}, link1]\n")
+        assert [fault[:3] for fault in found] == [("actuated[5000]", "link1", "is named twice")]
+
+    def test_a_long_name_is_not_told_in_full(self) -> None:
+        text = ARM.replace("upper", "u" * 100_000).replace("m: 1.5", "m: x")
+        with pytest.raises(DescriptionError) as caught:
+            from_text(text, "long.yaml")
+        assert len(str(caught.value)) < 3000

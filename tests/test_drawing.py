@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
-from robodyn.description import from_text
 from robodyn.errors import AssemblyError
-from robodyn.mechanism import build
+from robodyn.mechanics.mechanism import build
 from robodyn.pictures.bodies import link_points
 from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
 from robodyn.pictures.outlines import rounded_hull
 from robodyn.pictures.picture_plan import frame, free_place, head_places, label_places, scale_bar
-from robodyn.scene import JointSpring, Spring
+from robodyn.scene.description import from_text
+from robodyn.scene.scene import JointSpring, Spring
 
 ROBOTS = sorted(ROOT.glob("robots/*.yaml"))
 

@@ -21,7 +21,7 @@ from robodyn import (
 )
 from robodyn.control import driven_torques
 from robodyn.control.driven_torques import driving_torques, rest_torques
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 

@@ -27,9 +27,9 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import closed_form as cf
-from robodyn import dense_dynamics
-from robodyn import dynamics as dyn
+from robodyn.dynamics import closed_form as cf
+from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import formulas
 from robodyn.errors import InputError, RobodynError, SingularError
 
@@ -559,7 +559,7 @@ class TestRedundantClosures:
     """
 
     K = np.array([1.0, -1.0, 1.0, 1.0])
-    pytestmark = pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+    pytestmark = pytest.mark.filterwarnings("ignore::robodyn.dynamics.dynamics.RobodynWarning")
 
     def reduced(self, theta, speed):
         mech = mechanism(THREE_CRANKS_YAML)
@@ -755,7 +755,7 @@ ZERO_EVERYWHERE = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+@pytest.mark.filterwarnings("ignore::robodyn.dynamics.dynamics.RobodynWarning")
 @pytest.mark.parametrize(("text", "q"), ZERO_EVERYWHERE.values(), ids=ZERO_EVERYWHERE)
 class TestZeroEverywhere:
     """Where no formula can be written the numpy evaluators answer, for one state and for many."""
@@ -809,7 +809,7 @@ class TestBatch:
         alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q, qd, tau))
         assert_close(found, alone, size / least)
 
-    @pytest.mark.filterwarnings("ignore::robodyn.dynamics.RobodynWarning")
+    @pytest.mark.filterwarnings("ignore::robodyn.dynamics.dynamics.RobodynWarning")
     @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-9, 0.0])
     def test_states_near_a_change_point(self, angle):
         """Among good states one near, or at, the change point of a parallelogram."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -21,11 +22,11 @@ from random_mechanisms import (
     seeded_tree,
     sizes,
 )
-from robodyn import closed_form
-from robodyn.equations import equations
+from robodyn.dynamics import closed_form
 from robodyn.equations.c_code import c99
 from robodyn.equations.python_code import python
-from robodyn.mechanism import Mechanism, load
+from robodyn.equations.recorded import recorded
+from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
@@ -53,7 +54,7 @@ def test_python_runs_without_robodyn(tmp_path: Path) -> None:
     """In an interpreter that sees no package at all."""
     mech = load(ROBOTS / "four-bar.yaml")
     q, qd, qdd = np.random.default_rng(3).uniform(-3, 3, (3, 3))
-    (tmp_path / "motion.py").write_text(python(equations(mech)), encoding="utf-8")
+    (tmp_path / "motion.py").write_text(python(recorded(mech)), encoding="utf-8")
     known = expected(mech, q, qd, qdd)
     known = {name: known[name] for name in known if name not in "DQ"}  # the scene has neither
     calls = {name: [x.tolist() for x in arguments] for name, (arguments, _) in known.items()}
@@ -95,7 +96,7 @@ def compiled(source: str, folder: Path) -> ctypes.CDLL:
 def assert_c_gives_the_same(
     mech: Mechanism, states: tuple[np.ndarray, ...], numeric: bool, folder: Path
 ) -> None:
-    found = equations(mech, numeric)
+    found = recorded(mech, numeric)
     library = compiled(c99(found), folder)
     has = {block.name for block in found.blocks}
     scale = 1.0 + max(float(np.abs(y).max()) for _, y in expected(mech, *states).values())
@@ -145,10 +146,10 @@ links:
 @needs_compiler
 def test_names_cannot_end_a_comment(tmp_path: Path) -> None:
     mech = mechanism(HOSTILE)
-    library = compiled(c99(equations(mech)), tmp_path)
+    library = compiled(c99(recorded(mech)), tmp_path)
     assert hasattr(library, "inverse_dynamics")
     names: dict = {}
-    exec(compile(python(equations(mech)), "equations.py", "exec"), names)
+    exec(compile(python(recorded(mech)), "equations.py", "exec"), names)
     q = [0.3, 0.4, 0.5]
     assert_close(names["G"](q), closed_form.gravity_vector(mech, q), 10.0)
 
@@ -162,16 +163,57 @@ def test_twelve_links_have_names_of_their_own() -> None:
     mech = mechanism("gravity: 9.81\nlinks:\n" + links)
     q, qd, qdd = np.random.default_rng(2).uniform(-3, 3, (3, 12))
     names: dict = {}
-    exec(compile(python(equations(mech)), "equations.py", "exec"), names)
+    exec(compile(python(recorded(mech)), "equations.py", "exec"), names)
     for name, (arguments, values) in expected(mech, q, qd, qdd).items():
         if name in names:
             assert_close(names[name](*arguments), values, 1.0 + float(np.abs(values).max()))
 
 
+def chain(n: int) -> Mechanism:
+    rng = np.random.default_rng(n)
+    numbers = rng.uniform(0.2, 1.5, (n, 4)).round(3)
+    links = "".join(
+        f"  - {{name: n{k}, m: {m}, l: {l}, r: {r}, I: {I}}}\n"
+        for k, (m, l, r, I) in enumerate(numbers)
+    )
+    return mechanism(f"gravity: 9.81\nlinks:\n{links}")
+
+
+@needs_compiler
+def test_twenty_links_are_short(tmp_path: Path) -> None:
+    mech = chain(20)
+    assert max(len(write(recorded(mech)).encode()) for write in (python, c99)) < 200_000
+    states = tuple(np.random.default_rng(2).uniform(-3, 3, (3, 20)))
+    assert_c_gives_the_same(mech, states, False, tmp_path)
+    names: dict = {}
+    exec(compile(python(recorded(mech)), "equations.py", "exec"), names)
+    for name, (arguments, values) in expected(mech, *states).items():
+        if name in names:
+            assert_close(names[name](*arguments), values, float(np.abs(values).max()))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parameters_may_be_given_other_values(seed: int) -> None:
+    """Of another scene of the same shape: no entry holds a number of the first."""
+    shape = list(LOOPS.values())[3 * seed % len(LOOPS)]
+    scene = forced(seed, seeded_scene(seed, shape) if seed % 2 else seeded_tree(seed, 4))
+    digits = re.compile(r"\d+\.\d+")
+    changed = digits.sub(lambda found: repr(1.1 * float(found[0]) + 0.01), scene.text)
+    one, other = recorded(scene.mechanism), recorded(mechanism(changed))
+    names: dict = {}
+    exec(compile(python(one), "equations.py", "exec"), names)
+    assert [x.name for x in one.parameters] == [x.name for x in other.parameters]
+    names |= {x.name: x.value for x in other.parameters}
+    for name, (arguments, values) in expected(other.mechanism, *scene.states).items():
+        if name in names:
+            size = 1.0 + float(np.abs(values).max())
+            assert_close(names[name](*arguments), values, size, 1e-12)
+
+
 @pytest.mark.parametrize("write", [python, c99])
 def test_lines_are_not_too_long(write) -> None:
     scene = forced(1, seeded_scene(1, LOOPS["six-bar, dyad on the coupler"]))
-    found = write(equations(scene.mechanism)).splitlines()
+    found = [line for x in (scene.mechanism, chain(25)) for line in write(recorded(x)).splitlines()]
     comments = ("#", "/*", " *", "static")
     code = [line for line in found if not line.startswith(comments) and "  # " not in line]
     assert max(map(len, code)) <= 100

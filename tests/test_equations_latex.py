@@ -13,7 +13,7 @@ from matplotlib.mathtext import MathTextParser
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
 from robodyn.equations import equations
 from robodyn.equations.latex import latex, measure, subscripted
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))

@@ -5,9 +5,10 @@ import pytest
 from conftest import ROOT
 
 from random_mechanisms import mechanism
-from robodyn import dynamics, evaluators, identities, load
+from robodyn import load
+from robodyn.dynamics import dynamics, evaluators, identities
+from robodyn.dynamics.evaluators import COLUMNS, measure_evaluators
 from robodyn.errors import RobodynError
-from robodyn.evaluators import COLUMNS, measure_evaluators
 
 BATCHES = (1, 7, 50)  # fewer and more than the states that are checked
 

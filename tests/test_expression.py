@@ -7,9 +7,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Expression, Graph, cost
 from robodyn.engines.source_text import array_source, float_source
-from robodyn.expression import Expression, Graph, cost
 
 NAMES = ("x", "y", "z")
 examples = settings(deadline=None, max_examples=150)
@@ -241,6 +241,32 @@ class TestFloatSource:
         x = Graph().variable("x")
         for constant in (1e-300, 0.1 + 0.2, -1.7976931348623157e308, 5e-324):
             assert evaluate_floats([constant * x], [1.0, 0.0, 0.0]) == (constant,)
+
+    def test_names_of_nodes_and_a_limit_of_length(self):
+        graph = Graph()
+        a, b, c = (graph.variable(name) for name in "abc")
+        angle, total = a + b, b * (a * c) + (a + c)
+        outputs = [expression.cos(angle), expression.sin(angle), total]
+        names = {outputs[0].index: "cab", angle.index: "", total.index: "T"}
+        lines, shown = float_source(outputs, names, str.upper, readable=True)
+        assert lines == ["T = B*A*C + A + C", "cab = cos(A + B)"]
+        assert shown == ["cab", "sin(A + B)", "T"]
+        quotient = expression.multiply(1.0 / a, expression.multiply(b, c))
+        assert float_source([quotient], readable=True) == ([], ["b*c/a"])
+        lines, shown = float_source([total], longest=9)
+        assert max(map(len, lines + shown)) <= len("t1 = ") + 9
+        values = {"a": 2.0, "b": 3.0, "c": 5.0}
+        for line in lines:
+            exec(line, values)
+        assert eval(shown[0], values) == 37.0
+
+    def test_a_factor_two_moves_into_a_sum_with_factors(self):
+        """Where that is exact and saves work: in 2 (0.5 x - 0.5 y + 3 z), not in 2 (x + y)."""
+        graph = Graph()
+        x, y, z = (graph.variable(name) for name in "xyz")
+        assert float_source([2.0 * (0.5 * x - 0.5 * y + 3.0 * z)]) == ([], ["x - y + 6.0*z"])
+        assert float_source([2.0 * (x + y)]) == ([], ["2.0*(x + y)"])
+        assert float_source([2.0 * (0.5 * x + y)]) == ([], ["2.0*(y + 0.5*x)"])
 
 
 class TestArraySource:

@@ -9,10 +9,12 @@ from conftest import ROOT
 from mpmath import mp, mpf
 
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
-from robodyn import actuation, extended, load
-from robodyn.actuation import Actuation
+from robodyn import load
 from robodyn.errors import RobodynError
-from robodyn.extended import EXTRAPOLATED, ORDER, SUBSTEPS, TOLERANCE, reference
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation import extended
+from robodyn.simulation.extended import EXTRAPOLATED, ORDER, SUBSTEPS, TOLERANCE, reference
 
 EPS = float(np.finfo(float).eps)
 REFERENCES = Path(__file__).parent / "references"

@@ -8,9 +8,11 @@ from conftest import ROOT
 
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
-from robodyn import description, dynamics, mechanism
+from robodyn.dynamics import dynamics
+from robodyn.mechanics import mechanism
 from robodyn.pictures.force_arrows import LONGEST, forces, metres_a_newton
-from robodyn.scene import Load, Spring
+from robodyn.scene import description
+from robodyn.scene.scene import Load, Spring
 
 
 def found_at(name: str, q, qd=None, qdd=None):

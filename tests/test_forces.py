@@ -21,7 +21,6 @@ from robodyn import (
     assemble,
     forward_dynamics,
     gravity_vector,
-    identities,
     inverse_dynamics,
     kinetic_energy,
     load,
@@ -32,15 +31,13 @@ from robodyn import (
     shaking_force,
     simulate,
 )
-from robodyn.actuation import Actuation, expressions, table
-from robodyn.closed_form import scene_torques
-from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics import identities
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.errors import InputError, SingularError
-from robodyn.extended import reference
-from robodyn.right_hand_side import right_hand_side
-from robodyn.scene import Description, JointSpring, Load, Moment, Point
-from robodyn.straightline import compile_forces
-from robodyn.taylor.arrays import ArraySeries
+from robodyn.mechanics.actuation import Actuation, expressions, table
+from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
+from robodyn.simulation.extended import reference
+from robodyn.simulation.right_hand_side import right_hand_side
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}
@@ -121,16 +118,6 @@ class TestTorques:
         assert damped == pytest.approx(other, abs=1e-13 * size)
         added = potential_energy(mech, scene.q) - potential_energy(plain, scene.q)
         assert added == pytest.approx(PE, abs=1e-12 * (1.0 + abs(PE)))
-
-    @pytest.mark.parametrize("scene", SCENES)
-    def test_generated_code_agrees(self, scene):
-        mech = scene.mechanism
-        functions = {"sin": math.sin, "cos": math.cos, "sqrt": math.sqrt, "tanh": math.tanh}
-        values = compile_forces(mech, functions)(*scene.q.tolist(), *scene.qd.tolist())
-        E = np.exp(1j * (mech.arrays.J @ scene.q))
-        expected = scene_torques(mech, scene.q, scene.qd, E)
-        found = np.array(values).reshape(2, -1).sum(axis=0)
-        assert found == pytest.approx(expected, abs=1e-13 * (1.0 + np.abs(expected).max()))
 
     @pytest.mark.parametrize("scene", SOME)
     def test_batches_are_single_states(self, scene):
@@ -458,19 +445,12 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
         raise AssertionError("forces were asked for")
 
     for name in ("potential_torques", "other_torques", "spring_energy", "forces_on_links"):
-        monkeypatch.setattr(f"robodyn.forces.{name}", refuse)
+        monkeypatch.setattr(f"robodyn.dynamics.forces.{name}", refuse)
     mech = load(ROOT / "robots/2r.yaml")
     assert not mech.has_state_forces
     gravity_vector(mech, [0.1, 0.2])
     simulate(mech, [0.1, 0.2], [0, 0], 0.1)
     simulate(mech, [0.1, 0.2], [0, 0], 0.1, method="taylor")
-
-
-def test_no_series_forgets_them():
-    """Constant torques alone are not what acts where there are springs."""
-    mech = load(ROOT / "robots/balanced-arm.yaml")
-    with pytest.raises(ValueError, match="push"):
-        ArraySeries(mech, 8, np.zeros(2))
 
 
 class TestCoincidingEnds:

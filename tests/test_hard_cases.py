@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hard_cases.cases import CASES, Row
+from hard_cases.cases import CASES, Row, near_misses
+
+CHOSEN = [case for case in CASES if case is not near_misses]  # test_near_misses.py is smaller
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+@pytest.mark.parametrize("case", CHOSEN, ids=lambda case: case.__name__)
 def test_hard_case(case: Callable[[], Iterator[Row]]) -> None:
     rows = list(case())
     assert rows

@@ -23,10 +23,10 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import closed_form as cf
-from robodyn import dynamics as dyn
-from robodyn import identities as selftest
-from robodyn.mechanism import load
+from robodyn.dynamics import closed_form as cf
+from robodyn.dynamics import dynamics as dyn
+from robodyn.dynamics import identities as selftest
+from robodyn.mechanics.mechanism import load
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
 examples = settings(deadline=None, max_examples=60)

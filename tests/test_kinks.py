@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from robodyn.kinks import NEAR, kink_at, next_kink
+from robodyn.mechanics.kinks import NEAR, kink_at, next_kink
 
 KINKS = (-1.0, 0.0, 0.5, 2.0)
 

@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 import oracles
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energy, simulate
-from robodyn.actuation import Actuation
-from robodyn.description import from_text
 from robodyn.engines import machine
-from robodyn.loop_rates import loop_velocities
-from robodyn.mechanism import Mechanism, build
-from robodyn.projection import suspect_quality
+from robodyn.loops.loop_rates import loop_velocities
+from robodyn.loops.projection import suspect_quality
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
 from robodyn.sweeps import lanes, lanes_compiled
 from robodyn.sweeps.lane_forces import LaneForces
 from robodyn.sweeps.lane_single import single

@@ -8,9 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from random_mechanisms import LOOPS, mechanism, seeded_scene
-from robodyn import assembly
-from robodyn.loop_class import loop_class
-from robodyn.mechanism import load
+from robodyn.loops import assembly
+from robodyn.mechanics.loop_class import loop_class
+from robodyn.mechanics.mechanism import load
 
 ROBOTS = Path(__file__).parent.parent / "robots"
 CRANK_ROCKER = (0.35, 0.95, 0.8, 1.1)

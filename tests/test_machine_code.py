@@ -18,11 +18,11 @@ from conftest import ROOT
 import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
-from robodyn import dense_dynamics, dynamics, expression
-from robodyn.engines import bits, formula_rows, formulas, machine, object_cache, sines
+from robodyn.dynamics import dense_dynamics, dynamics
+from robodyn.engines import bits, expression, formula_rows, formulas, machine, object_cache, sines
 from robodyn.engines.assembler import Kernel, Module
+from robodyn.engines.expression import Expression, Graph
 from robodyn.engines.machine_rows import Rows
-from robodyn.expression import Expression, Graph
 
 FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "plain"])
 

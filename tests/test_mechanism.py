@@ -23,9 +23,9 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn.description import from_text
 from robodyn.errors import InputError
-from robodyn.mechanism import build, joint_index, load
+from robodyn.mechanics.mechanism import build, joint_index, load
+from robodyn.scene.description import from_text
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
 examples = settings(deadline=None, max_examples=40)
@@ -257,7 +257,7 @@ class TestObject:
 
     def test_loading_needs_no_numpy(self):
         code = (
-            "import sys, robodyn.mechanism as m\n"
+            "import sys, robodyn.mechanics.mechanism as m\n"
             f"m.load({str(ROBOTS[0])!r})\n"
             "sys.exit('numpy' in sys.modules)"
         )

@@ -26,7 +26,7 @@ from random_mechanisms import (
 from robodyn.errors import InputError
 from robodyn.export.mjcf import MINIMUM, TIMESTEP, mjcf
 from robodyn.export.mjcf_elements import DEEPEST
-from robodyn.mechanism import build, load
+from robodyn.mechanics.mechanism import build, load
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)

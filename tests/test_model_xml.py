@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 import robodyn
 from model_readers import read_mjcf, read_urdf
 from random_mechanisms import mechanism
-from robodyn.description import Description, Link
 from robodyn.errors import InputError
 from robodyn.export.mjcf import mjcf
 from robodyn.export.model_xml import RESERVED, Names, link_names, number, refuse_unsaid
 from robodyn.export.urdf import urdf
-from robodyn.mechanism import build
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import Description, Link
 
 FORMATS = pytest.mark.parametrize("write", [urdf, mjcf])
 

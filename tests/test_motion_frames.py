@@ -8,7 +8,7 @@ from conftest import FOUR_BAR, ROOT
 
 import oracles
 import robodyn
-from robodyn.closed_form import phases
+from robodyn.dynamics.closed_form import phases
 from robodyn.errors import InputError
 from robodyn.pictures.bodies import at
 from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point, unwrapped
@@ -112,8 +112,8 @@ def test_points_that_are_none(name: str) -> None:
 
 
 def test_a_link_named_like_a_point_is_the_link() -> None:
-    from robodyn.description import from_text
-    from robodyn.mechanism import build
+    from robodyn.mechanics.mechanism import build
+    from robodyn.scene.description import from_text
 
     text = (
         "links:\n  - {name: tip2, m: 1, l: 1, r: 0, I: 0}\n  - {name: b, m: 1, l: 2, r: 0, I: 0}\n"

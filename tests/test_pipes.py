@@ -661,3 +661,12 @@ def test_tables_load_where_they_are_wanted(shell: Run, line: str) -> None:
     assert list(table.dtype.names) == header
     assert all(table[name].dtype.kind == "f" for name in header if name not in ("flip", "outcome"))
     assert "\r" not in given.out
+
+
+def test_a_closed_stderr_costs_nothing(shell: Run) -> None:
+    """Notes, errors and progress go nowhere: not among the results, and not in their way."""
+    run = "robodyn simulate robots/2r.yaml --q 0,0 --time 0.1 --points 2"
+    assert shell(f"{run} 2>&-").succeeds().out == shell(f"{run} --quiet").succeeds().out
+    for refused in ("torque robots/2r.yaml --q 0,x", "check robots/2r.yaml --bad"):
+        done = shell(f"robodyn {refused} 2>&-")
+        assert (done.code, done.out) == (2, "")

@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 
 import pytest
+from conftest import within
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.quantities import parse_angle, parse_number, parse_rate, parse_time, parse_vector
+from robodyn.scene.quantities import (
+    parse_angle,
+    parse_coupling,
+    parse_number,
+    parse_rate,
+    parse_time,
+    parse_vector,
+)
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 NEAR_NUMBERS = st.text(alphabet="0123456789.eE+-pi*/degra, ", max_size=12)
@@ -244,3 +252,19 @@ def test_a_vector_is_finite_or_an_input_error(text: str, angles: bool) -> None:
         return
     assert values
     assert all(map(math.isfinite, values))
+
+
+NINES = "9" * 200_000
+
+
+@pytest.mark.parametrize(
+    "text",
+    [NINES + "x", f"0.{NINES}x", f".{NINES}e", f"1e{NINES}x", f"{NINES}/{NINES}x", f"pi/{NINES}x"],
+)
+def test_long_text_that_is_no_number_takes_time_by_its_length(text: str) -> None:
+    for parse in (parse_number, parse_angle, parse_rate, parse_time):
+        with within(5.0), pytest.raises(ValueError, match=r"is not|is too large"):
+            parse(text)
+    for coupling in (f"q2 = {text} q1", f"q2 = q1 + {text}", f"q{NINES} = q1"):
+        with within(5.0), pytest.raises(ValueError, match="must be"):
+            parse_coupling(coupling)

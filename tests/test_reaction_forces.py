@@ -29,8 +29,8 @@ from random_mechanisms import (
     seeded_tree,
     trees,
 )
-from robodyn.dynamics import RobodynWarning
-from robodyn.reaction_forces import dependent_rows, not_unique, reactions, shaking_force
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.reaction_forces import dependent_rows, not_unique, reactions, shaking_force
 
 RTOL = 1e-11
 

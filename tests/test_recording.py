@@ -1,13 +1,22 @@
 """Statistics of a run: nearness to singular configurations, energies, accelerations on demand."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from conftest import ROOT
 
 from random_mechanisms import LOOPS, seeded_scene, seeded_tree
-from robodyn import closed_form, dynamics, load, simulate
-from robodyn.assembly import loop_size
-from robodyn.recording import Recorder, Report
+from robodyn import load, simulate
+from robodyn.dynamics import closed_form, dynamics
+from robodyn.loops import assembly
+from robodyn.loops.assembly import loop_size
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.simulation.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
+from robodyn.simulation.simulation import METHODS, Settings, run
+from robodyn.taylor import Status
+from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 
 
 def least_singular(mech, q):
@@ -70,3 +79,115 @@ def test_accelerations_are_computed_when_they_are_asked_for(monkeypatch, method)
 def test_a_motion_without_rows_has_no_accelerations():
     mech = load(ROOT / "robots/2r.yaml")
     assert simulate(mech, [0.3, 0.1], [1.0, 0.0], 1.0, t_eval=[]).qdd.shape == (0, 2)
+
+
+# Rows
+
+
+RUNS = [
+    *((method, "auto") for method in METHODS[:-1]),
+    ("taylor", "python"),
+    ("taylor", "compiled"),
+]
+
+
+def rows_of(name, q, t_end, times, settings, watch=None):
+    """The blocks (t, y) in which rows leave a run, its outcome and its report."""
+    mech = load(ROOT / f"robots/{name}.yaml")
+    start = np.concatenate([q, np.zeros(mech.n)])
+    blocks = []
+
+    def sink(t, y):
+        blocks.append((t, y))
+
+    torques = Actuation((0.0,) * mech.n)
+    return blocks, *run(mech, start, t_end, torques, settings, sink, times, watch)
+
+
+@pytest.mark.parametrize(("method", "engine"), RUNS)
+@pytest.mark.parametrize("t_end", [0.5, -0.5])
+def test_many_rows_of_one_step_leave_in_blocks(method, engine, t_end):
+    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+    count = 6001
+    blocks, outcome, report = rows_of("2r", [1.0, 0.3], t_end, even(t_end, count), settings)
+    assert outcome is Outcome.FINISHED
+    assert max(len(t) for t, _ in blocks) <= 2 * ROWS_AT_ONCE
+    t, y = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    assert np.array_equal(t, np.linspace(0.0, t_end, count))
+    few, _, other = rows_of("2r", [1.0, 0.3], t_end, t[::1000].copy(), settings)
+    assert (other.steps, other.t_reached) == (report.steps, report.t_reached)
+    known = np.concatenate([y for _, y in few])
+    assert y[::1000] == pytest.approx(known, rel=1e-13, abs=1e-13)
+    assert np.abs(np.diff(y, axis=0)).max() < 0.01  # no row is from elsewhere
+
+
+@pytest.mark.parametrize(("method", "engine"), RUNS)
+def test_many_rows_of_a_loop_close(method, engine):
+    mech = load(ROOT / "robots/four-bar.yaml")
+    q = assembly.assemble(mech, [1.0])
+    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+    blocks, outcome, _ = rows_of("four-bar", q, 0.1, even(0.1, 2001), settings)
+    assert outcome is Outcome.FINISHED
+    t, y = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    assert np.array_equal(t, np.linspace(0.0, 0.1, 2001))
+    assert np.abs(closed_form.closure_gap(mech, y[:, :3])).max() < 1e-12
+    assert np.abs(np.diff(y, axis=0)).max() < 0.01
+
+
+@pytest.mark.parametrize(("method", "engine"), [("DOP853", "auto"), *RUNS[-2:]])
+def test_memory_does_not_grow_with_the_rows(method, engine):
+    def peak(count):
+        mech = load(ROOT / "robots/2r.yaml")
+        settings = Settings(method, 1e-6, 1e-6, engine=engine)
+        start = np.array([1.0, 0.3, 0.0, 0.0])
+        tracemalloc.start()
+        rows = []
+        run(
+            mech, start, 0.5, Actuation((0.0, 0.0)), settings,
+            lambda t, y: rows.append(len(t)), even(0.5, count),
+        )  # fmt: skip
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert sum(rows) == count
+        return most
+
+    peak(1001)
+    assert peak(100_001) < peak(10_001) + 200_000
+
+
+@pytest.mark.parametrize(("method", "engine"), RUNS)
+def test_a_run_ends_between_the_rows_of_a_step(method, engine):
+    settings = Settings(method, 1e-6, 1e-6, engine=engine)
+    blocks, outcome, report = rows_of(
+        "pendulum", [-np.pi / 2], 10.0, even(10.0, 1_000_001), settings, lambda t: t > 0.1
+    )
+    assert outcome is Outcome.INTERRUPTED
+    t = np.concatenate([t for t, _ in blocks])
+    assert t == pytest.approx(np.arange(len(t)) * 1e-5, rel=1e-12)
+    assert t[-1] == report.t_reached < 0.2 + 2 * ROWS_AT_ONCE * 1e-5
+
+
+@pytest.mark.parametrize("kind", [StraightEngine, InterpretedEngine])
+def test_an_engine_can_be_halted_after_a_step(kind):
+    mech = load(ROOT / "robots/2r.yaml")
+    engine = kind(mech, None, 12, 1e-9, 1e-9, Actuation((0.0, 0.0)), False)
+    seen = []
+    engine.halts = lambda t: seen.append(t) or len(seen) == 3
+    chunk = engine.advance(0.0, np.array([1.0, 0.3, 0, 0]), 10.0, np.zeros(0), 100)
+    assert chunk.status is Status.FULL
+    assert chunk.t.tolist() == seen
+
+
+def even(t_end, count):
+    return EvenTimes(t_end / (count - 1), count, t_end)
+
+
+def test_even_times_are_a_sequence():
+    times = EvenTimes(0.3, 4, 1.0)
+    assert list(times) == [0.0, 0.3, 0.6, 1.0]
+    assert len(times) == 4
+    assert times[-1] == 1.0
+    for part in (slice(0, 2), slice(1, 9), slice(3, 4), slice(4, 5), slice(2, 1)):
+        assert times[part].tolist() == [0.0, 0.3, 0.6, 1.0][part]
+    with pytest.raises(IndexError):
+        times[4]

@@ -18,20 +18,14 @@ from random_mechanisms import (
     seeded_tree,
     trees,
 )
-from robodyn import (
-    actuation,
-    closure_gap,
-    closure_jacobian,
-    dense_dynamics,
-    load,
-    loop_velocities,
-    simulate,
-)
-from robodyn.actuation import Actuation, expressions
-from robodyn.assembly import close_positions
-from robodyn.closed_form import closure_bias, mass_matrix
-from robodyn.dynamics import forward_dynamics
-from robodyn.right_hand_side import RightHandSide, right_hand_side
+from robodyn import closure_gap, closure_jacobian, load, loop_velocities, simulate
+from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics.closed_form import closure_bias, mass_matrix
+from robodyn.dynamics.dynamics import forward_dynamics
+from robodyn.loops.assembly import close_positions
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation, expressions
+from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 
 KINDS = ("straight-line", "sparse", "dense")
 EACH_KIND = pytest.mark.parametrize("kind", KINDS)

@@ -14,9 +14,9 @@ from json_schema import accepts
 from test_description import ARM, EVERYTHING, LOOP
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
-from robodyn.description import from_text
 from robodyn.errors import DescriptionError
-from robodyn.scene_schema import scene_schema
+from robodyn.scene.description import from_text
+from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
 
@@ -184,7 +184,7 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 def read_keys() -> set[tuple[frozenset[str], frozenset[str]]]:
     """(needed, optional) of every mapping that the reader of scenes knows."""
     found = set()
-    for source in (ROOT / "robodyn").glob("*.py"):
+    for source in (ROOT / "robodyn" / "scene").glob("*.py"):
         for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
             if (
                 isinstance(node, ast.Call)

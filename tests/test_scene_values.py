@@ -3,8 +3,8 @@
 import pytest
 from conftest import ROOT
 
-from robodyn.description import from_text
 from robodyn.errors import DescriptionError, InputError
+from robodyn.scene.description import from_text
 from robodyn.sweeps.scene_values import SceneValues, is_angle
 
 TEXT = """

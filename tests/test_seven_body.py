@@ -6,7 +6,7 @@ from conftest import ROOT
 
 import oracles
 from robodyn import assemble, closure_gap, closure_jacobian, forward_dynamics, load, mass_matrix
-from robodyn.closed_form import closure_bias, coriolis_matrix, gravity_vector
+from robodyn.dynamics.closed_form import closure_bias, coriolis_matrix, gravity_vector
 
 MECH = load(ROOT / "tests/hard_cases/seven-body.yaml")
 START = np.array(oracles.SEVEN_BODY_START)

@@ -21,14 +21,15 @@ from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import mechanism
-from robodyn import actuation, assemble, closure_gap, closure_jacobian, load, simulate
-from robodyn.actuation import Actuation
+from robodyn import assemble, closure_gap, closure_jacobian, load, simulate
 from robodyn.errors import InputError, RobodynError, SingularError
-from robodyn.loop_rates import loop_velocities
-from robodyn.recording import Outcome
-from robodyn.right_hand_side import right_hand_side
-from robodyn.simulation import Settings, run
-from robodyn.solvers import METHODS, projected
+from robodyn.loops.loop_rates import loop_velocities
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.right_hand_side import right_hand_side
+from robodyn.simulation.simulation import Settings, run
+from robodyn.simulation.solvers import METHODS, projected
 
 REFERENCES = Path(__file__).parent / "references"
 EXPLICIT = ("RK23", "RK45", "DOP853")

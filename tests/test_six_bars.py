@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, Outcome
 
-from robodyn.description import read
+from robodyn.scene.description import read
 
 Run = Callable[..., Outcome]
 SIX_BARS = ("watt-six-bar", "stephenson-six-bar")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from robodyn.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
+from robodyn.simulation.solvers import EXPLICIT, METHODS, STIFF_STEPS, StiffError, projected
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS)
 TOLERANCE = 1e-8

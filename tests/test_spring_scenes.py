@@ -15,7 +15,7 @@ from robodyn import (
     potential_energy,
     simulate,
 )
-from robodyn.forces import forces_on_links
+from robodyn.dynamics.forces import forces_on_links
 
 ARM = load(ROOT / "robots/balanced-arm.yaml")
 SLIDER = load(ROOT / "robots/spring-slider-crank.yaml")

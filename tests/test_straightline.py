@@ -18,13 +18,14 @@ from random_mechanisms import (
     sizes,
     trees,
 )
-from robodyn import blocks, expression, straightline
-from robodyn import closed_form as cf
-from robodyn import dynamics as dyn
-from robodyn.engines import formulas, source_text
+from robodyn.dynamics import closed_form as cf
+from robodyn.dynamics import dynamics as dyn
+from robodyn.engines import array_blocks, expression, formulas, source_text, straightline
 
 examples = settings(deadline=None, max_examples=40)
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])
+
+BLOCK = array_blocks.BLOCK
 
 
 @pytest.fixture
@@ -282,7 +283,7 @@ links:
 
 
 class TestBlocks:
-    @pytest.mark.parametrize("count", [0, 1, blocks.BLOCK - 1, blocks.BLOCK, 2 * blocks.BLOCK + 3])
+    @pytest.mark.parametrize("count", [0, 1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
     def test_every_row_is_computed_once(self, count):
         x = np.arange(2.0 * count).reshape(count, 2)
         y = np.full((count, 1), np.nan)
@@ -292,12 +293,12 @@ class TestBlocks:
             assert np.isnan(out).all()
             out[...] = work
 
-        blocks.evaluate(add, 1, [x], [y])
+        array_blocks.evaluate(add, 1, [x], [y])
         assert np.array_equal(y[:, 0], x.sum(axis=1))
 
     def test_many_states_are_shared_among_threads(self, monkeypatch):
         monkeypatch.setattr("os.cpu_count", lambda: 4)
-        count = 16 * blocks.BLOCK + 5
+        count = 16 * array_blocks.BLOCK + 5
         x, y = np.arange(float(count))[:, None], np.full((count, 1), np.nan)
         threads = set()
 
@@ -305,13 +306,13 @@ class TestBlocks:
             threads.add(threading.current_thread())
             np.multiply(a, 2.0, out)
 
-        blocks.evaluate(double, 0, [x], [y])
+        array_blocks.evaluate(double, 0, [x], [y])
         assert np.array_equal(y, 2.0 * x)
-        assert len(threads) == min(4, blocks.MAX_THREADS)
+        assert len(threads) == min(4, array_blocks.MAX_THREADS)
 
     def test_a_failure_in_any_thread_is_raised(self, monkeypatch):
         monkeypatch.setattr("os.cpu_count", lambda: 2)
-        x = np.arange(8.0 * blocks.BLOCK)[:, None]
+        x = np.arange(8.0 * array_blocks.BLOCK)[:, None]
 
         def fail_late(a, out):
             if a[-1] == x[-1]:
@@ -319,9 +320,9 @@ class TestBlocks:
             out[...] = a
 
         with pytest.raises(MemoryError, match="late"):
-            blocks.evaluate(fail_late, 0, [x], [np.empty_like(x)])
+            array_blocks.evaluate(fail_late, 0, [x], [np.empty_like(x)])
 
     def test_singular_states_raise_no_numpy_warning(self):
         x, y = np.zeros((3, 1)), np.empty((3, 1))
-        blocks.evaluate(lambda a, out: np.divide(1.0, a, out), 0, [x], [y])
+        array_blocks.evaluate(lambda a, out: np.divide(1.0, a, out), 0, [x], [y])
         assert np.isinf(y).all()

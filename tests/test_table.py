@@ -22,13 +22,14 @@ from typing import BinaryIO, Literal, cast
 
 import numpy as np
 import pytest
+from conftest import within
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
-from robodyn.output_file import open_output
-from robodyn.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
-from robodyn.table_writer import WRITERS, JsonWriter, Writer
+from robodyn.tables.output_file import open_output
+from robodyn.tables.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
+from robodyn.tables.table_writer import WRITERS, JsonWriter, Writer
 
 
 class Pieces(io.RawIOBase):
@@ -419,6 +420,39 @@ def test_a_quote_that_is_never_closed() -> None:
     assert [chunk.lines for chunk in chunks] == [["x,1"]]
     assert error.where == "states.csv: line 3"
     assert "quote left open" in error.limit
+
+
+LINES = b'a, ""b"" c\n' * 40_000
+
+
+def test_a_quoted_field_of_many_lines_takes_time_by_its_length() -> None:
+    pieces = [b'note,q\n"', *LINES.splitlines(keepends=True), b'",1\n']
+    for data in (b"".join(pieces), pieces):
+        with within(5.0):
+            lines, values = table(data, ["q"])
+        assert lines == ['"' + LINES.decode() + '",1']
+        assert values.tolist() == [[1.0]]
+
+
+def test_a_quote_left_open_takes_time_by_what_follows() -> None:
+    pieces = [b'note,q\n"', *(3 * LINES).splitlines(keepends=True)]
+    for data in (b"".join(pieces), pieces):
+        with within(5.0):
+            _, error = fault(data, ["q"])
+        assert "quote left open" in error.limit
+
+
+def test_many_columns_take_time_by_their_number() -> None:
+    names = [f"c{k}" for k in range(60_000)]
+    row = ",".join(["1"] * len(names))
+    header = ",".join(names)
+    with within(5.0):
+        lines, _ = table(f"{header}\n{row}\n".encode(), names[-3:])
+        assert lines == [row]
+        with pytest.raises(InputError, match="column = c7: the name occurs twice"):
+            reader(f"{header},c7\n".encode())
+        _, error = fault(f"{header}\n{row}\n".encode(), ["q1"])
+    assert len(str(error)) < 2000
 
 
 @pytest.mark.parametrize("start", [b"t", b't\n1\n"'])

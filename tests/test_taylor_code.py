@@ -11,9 +11,9 @@ from test_simulation import reference, scene, slope
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import forward_dynamics
-from robodyn.actuation import Actuation, constant, expressions
 from robodyn.engines.step_text import step_text
-from robodyn.taylor.arrays import ArraySeries
+from robodyn.mechanics.actuation import Actuation, constant, expressions
+from robodyn.simulation.extended import _Motion
 from robodyn.taylor.steps import StraightEngine, relative_matrix
 
 ORDER = 12
@@ -69,7 +69,10 @@ class TestCoefficients:
         found = drawn(name)
         mech = found.mechanism
         q, qd = (np.asarray(x, np.longdouble) for x in (found.q, found.qd))
-        known, _ = ArraySeries(mech, ORDER, np.array(torques(mech)), np.longdouble).expand(q, qd)
+        y = np.concatenate([q, qd])
+        motion = _Motion(mech, Actuation(torques(mech)))
+        fine, _, _ = motion.expand(np.longdouble(0), y, ORDER)
+        known = np.array(fine.rho) + 1j * np.array(fine.theta)
         z, _ = straight(mech, [*found.q, *found.qd])
         assert apart(z, known) < 2e-12
 

@@ -22,15 +22,15 @@ from robodyn import (
     potential_energy,
     simulate,
 )
-from robodyn.actuation import Actuation, constant, expressions
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.actuation import Actuation, constant, expressions
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Status
 
 pytest.importorskip("llvmlite")
 
-from robodyn.description import from_text
 from robodyn.engines import machine
-from robodyn.mechanism import build
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
 from robodyn.taylor import NoCodeError
 from robodyn.taylor.compiled import CompiledEngine, serves
 from robodyn.taylor.run import stepping_engine

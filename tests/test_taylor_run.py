@@ -15,12 +15,12 @@ from hard_cases.cases import n_four_bar, scaled
 from hard_cases.cases import scene as hard_case
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn import assemble, load, simulate
-from robodyn.actuation import Actuation
 from robodyn.engines import machine_motion
 from robodyn.errors import InputError, SingularError
-from robodyn.extended import reference as longdouble_reference
-from robodyn.loop_rates import loop_velocities
-from robodyn.recording import Outcome
+from robodyn.loops.loop_rates import loop_velocities
+from robodyn.mechanics.actuation import Actuation
+from robodyn.simulation.extended import reference as longdouble_reference
+from robodyn.simulation.recording import Outcome
 from robodyn.taylor import compiled
 from robodyn.taylor import run as taylor_run
 

@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from test_simulation import SENSITIVITY, reference, scene
 
 from random_mechanisms import seeded_tree
-from robodyn import actuation, closure_gap, simulate
+from robodyn import closure_gap, simulate
+from robodyn.mechanics import actuation
 from robodyn.taylor.solver import TaylorSolver
 
 EACH = pytest.mark.parametrize("name", SENSITIVITY)

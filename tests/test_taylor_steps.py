@@ -8,12 +8,13 @@ from test_simulation import SENSITIVITY, reference, scene
 
 from random_mechanisms import mechanism
 from robodyn import closure_gap, closure_jacobian
-from robodyn.actuation import Actuation, constant, expressions
-from robodyn.projection import float_closing
-from robodyn.taylor import Status, default_order, step_size
-from robodyn.taylor.steps import ArrayEngine, StraightEngine
+from robodyn.engines.expansion import Coefficients, longest_step
+from robodyn.loops.projection import float_closing
+from robodyn.mechanics.actuation import Actuation, constant, expressions
+from robodyn.taylor import Status, default_order
+from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 
-ENGINES = pytest.mark.parametrize("kind", [StraightEngine, ArrayEngine])
+ENGINES = pytest.mark.parametrize("kind", [StraightEngine, InterpretedEngine])
 EACH = pytest.mark.parametrize("name", SENSITIVITY)
 ALL = 10**6
 NONE = np.zeros(0)
@@ -53,7 +54,7 @@ class TestReferences:
 
     @EACH
     def test_both_engines_take_the_same_steps(self, name):
-        first, second = (run(kind, name, rtol=1e-8) for kind in (StraightEngine, ArrayEngine))
+        first, second = (run(kind, name, rtol=1e-8) for kind in (StraightEngine, InterpretedEngine))
         assert len(first.t) == len(second.t)
         assert first.t == pytest.approx(second.t, rel=1e-5)
         assert np.abs(first.y[-1] - second.y[-1]).max() < 1e-9 * SENSITIVITY[name] * 10
@@ -198,15 +199,15 @@ class TestStatus:
 class TestStepSize:
     def test_the_last_two_orders_meet_the_tolerance(self):
         for p in (6, 14, 30):
-            z = np.zeros((1, p + 2), complex)
-            z[0, 1], z[0, -1], z[0, -2] = 1j, 3.0**p, 3.0 ** (p - 1)
-            h = step_size(z, 1e-9, 1e-9)
+            rho, theta = np.zeros((2, 1, p + 2))
+            theta[0, 1], rho[0, -1], rho[0, -2] = 1.0, 3.0**p, 3.0 ** (p - 1)
+            h = longest_step(Coefficients(rho, theta, [], []), [1.0], 1e-9, 1e-9)
             terms = (p + 1) * 3.0**p * h**p, p * 3.0 ** (p - 1) * h ** (p - 1)
             assert max(terms) == pytest.approx(2e-9, rel=1e-6)
 
     def test_no_more_than_two_radians(self):
-        z = np.array([[1, 10j, 0, 0, 0, 0, 0, 0]])
-        assert step_size(z, 0.5, 0.5) <= 0.2
+        rho, theta = np.array([[[1.0, *[0.0] * 7]], [[0.0, 10.0, *[0.0] * 6]]])
+        assert longest_step(Coefficients(rho, theta, [], []), [10.0], 0.5, 0.5) <= 0.2
 
     def test_both_engines_have_the_same(self):
         known = reference("3r")
@@ -215,7 +216,7 @@ class TestStepSize:
                 engine(kind, known.mechanism, rtol=rtol).expand(
                     0.0, known.states[0].tolist(), math.inf, 1.0
                 )[0]
-                for kind in (StraightEngine, ArrayEngine)
+                for kind in (StraightEngine, InterpretedEngine)
             ]
             assert sizes[0] == pytest.approx(sizes[1], rel=1e-8)
 

@@ -13,20 +13,21 @@ import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.trajectories.continuation import TravelError
+from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through
+from robodyn.trajectories.reference import (
+    ReferenceMotion,
+    all_joints,
+    motion_along,
+    reference_motion,
+)
 from robodyn.trajectories.time_scaling import (
     LimitError,
     check_limits,
     limits_of,
     shortest_along,
     shortest_motion,
-)
-from robodyn.trajectories.trajectory import (
-    ReferenceMotion,
-    all_joints,
-    motion_along,
-    reference_motion,
 )
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
@@ -218,7 +219,7 @@ def test_torques_of_geared_joints() -> None:
 
 
 def test_the_fastest_constant_speed() -> None:
-    path = constant_speed(np.zeros(1), np.array([2 * np.pi]))
+    path = ConstantSpeed(np.zeros(1), np.array([2 * np.pi]))
     found = shortest_along(BAR, path, all_joints(BAR, [[0.0]]), limits_of(BAR, tau=20.0))
     assert found.bound.startswith("tau1 (crank) at t = ")
     assert_shortest(found.motion, np.array([20.0]))
@@ -302,3 +303,35 @@ def test_a_sweep_has_no_shortest_duration() -> None:
     sweep = Sweep(np.zeros(2), np.ones(2), 1.0, 2.0, 3.0)
     with pytest.raises(InputError, match="another path"):
         shortest_along(ARM, sweep, np.zeros((1, 2)), limits_of(ARM, qd=1.0))
+
+
+# Many turns
+
+
+@pytest.mark.parametrize("turns", [30.0, 30.3, -29.75])
+def test_limits_hold_in_every_turn(turns: float) -> None:
+    """A spring at the crank takes the more torque the further it is wound."""
+    spring = "\nsprings:\n  - {joint: crank, stiffness: 0.5, angle: 20}\n"
+    for text in ("", spring):
+        mech = mechanism((ROOT / "robots/four-bar.yaml").read_text() + text)
+        path = ConstantSpeed(np.array([1.0]), np.array([2 * np.pi * turns]))
+        motion = motion_along(mech, path, all_joints(mech, [[1.0]]), 20.0)
+        q, qd, qdd = motion.states(np.linspace(0.0, 20.0, 60_001))
+        largest = np.abs(robodyn.inverse_dynamics(mech, q, qd, qdd)[:, 0]).max()
+        check_limits(motion, limits_of(mech, tau=1.00001 * largest))
+        with pytest.raises(LimitError):
+            check_limits(motion, limits_of(mech, tau=0.99999 * largest))
+
+
+def test_limits_of_an_open_chain_hold_in_every_turn() -> None:
+    """Also where a limit is met in one turn of thousands alone."""
+    way = 2 * np.pi * 3000 * np.array([1.0, 1.0])
+    motion = motion_along(ARM, ConstantSpeed(np.zeros(2), way), np.zeros((1, 2)), 1e5)
+    largest = np.abs(robodyn.inverse_dynamics(ARM, np.zeros(2), way / 1e5, np.zeros(2)))
+    check_limits(motion, limits_of(ARM, tau=1.01 * largest))
+    with pytest.raises(LimitError):
+        check_limits(motion, limits_of(ARM, tau=[0.9999 * largest[0], 1e3]))
+    path = ConstantSpeed(np.zeros(2), 1e6 * np.array([1.0, 1 / math.sqrt(3)]))
+    motion = motion_along(ARM, path, np.zeros((1, 2)), 1e5)
+    with pytest.raises(TravelError, match=r"1e.06 rad.*more than the 1,000,000 samples"):
+        check_limits(motion, limits_of(ARM, tau=100.0))

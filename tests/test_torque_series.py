@@ -14,10 +14,13 @@ from mpmath import mp, mpf
 from test_simulation import START, scene
 
 from robodyn import simulate
-from robodyn.actuation import FUNCTIONS, callback, expressions, table
+from robodyn.engines.series import FLOATS, Series, State
 from robodyn.errors import InputError, RobodynError
-from robodyn.recording import Outcome
-from robodyn.taylor.torques import TorqueSeries
+from robodyn.mechanics.actuation import FUNCTIONS, callback, expressions, table
+from robodyn.mechanics.program import Given, Program
+from robodyn.mechanics.torque_rows import linear_piece, torque_slots
+from robodyn.simulation.recording import Outcome
+from robodyn.taylor.steps import StraightEngine, _agree
 
 ORDER = 10
 T0 = 0.3
@@ -45,14 +48,43 @@ def coefficients(function, count=ORDER + 1):
         return [float(c) for c in mpmath.taylor(function, mpf(T0), count - 1)]
 
 
-def series(text, mech=None):
-    """The coefficients (order + 1, 2) of torques, pushed as an engine does."""
-    mech = mech or scene("2r")
-    rates = np.array([coefficients(rate) for rate in RATES])
-    with mp.workdps(50):
-        y = [float(way(mpf(T0))) for way in (*WAYS, *RATES)]
-    push = TorqueSeries(expressions(mech, text, "test"), mech).begin(T0, y, 1.0)
-    return np.array([push(rates[:, k].tolist()) for k in range(ORDER + 1)])
+class Along:
+    """In place of the equations of motion: angles and rates of the joints are given."""
+
+    def __init__(self, mech):
+        self.mechanism, self.program = mech, Program()
+
+    def slot(self, name):
+        return self.program.add(Given(name))
+
+    def q(self, j):
+        return self.slot(f"q{j}")
+
+    def v(self, j):
+        return self.slot(f"qd{j}")
+
+    def t(self):
+        return self.slot("t")
+
+
+def torque_series(text, t, q, qd):
+    """The coefficients (order + 1, 2) of torques, given those of q and qd."""
+    along = Along(scene("2r"))
+    slots = torque_slots(along, expressions(along.mechanism, text, "test"))
+    given = {"t": (t, 1.0)} | {f"q{j}": x for j, x in enumerate(q)}
+    given |= {f"qd{j}": x for j, x in enumerate(qd)}
+    program = along.program
+    wanted = [slot for slot in slots if slot is not None]
+    series = Series(program, FLOATS, program.numbers, ORDER, State([], [], given), slots=wanted)
+    for k in range(ORDER + 1):
+        series.residuals(k)
+    rows = [[0.0] * (ORDER + 1) if x is None else series.real[x][: ORDER + 1] for x in slots]
+    return np.array(rows).T
+
+
+def series(text):
+    """Those along the motion above."""
+    return torque_series(text, T0, *(list(map(coefficients, part)) for part in (WAYS, RATES)))
 
 
 class TestFunctions:
@@ -85,12 +117,10 @@ class TestFunctions:
         assert not found[1:].any()
 
     def test_begun_again_it_forgets(self):
-        mech = scene("2r")
-        torques = TorqueSeries(expressions(mech, "sin(q1)*tanh(t), cos(q2)", "test"), scene("2r"))
-        first, second = ([], [])
-        for found in (first, second):
-            push = torques.begin(0.5, [0.1, 0.2, 0.3, 0.4], 1.0)
-            found += [push([0.3 / (k + 1), 0.4]) for k in range(6)]
+        y = [0.1, 0.2, 0.3, 0.4]
+        free = expressions(scene("2r"), "sin(q1)*tanh(t), cos(q2)", "test")
+        engine = StraightEngine(scene("2r"), None, 8, 1e-9, 1e-9, free, False)
+        first, second = (engine.expand(0.5, y, 1.0, 1.0) for _ in range(2))
         assert first == second
 
 
@@ -131,13 +161,13 @@ class TestTable:
         ],
     )
     def test_value_and_slope_of_the_piece_ahead(self, t, direction, piece):
-        torques = TorqueSeries(table(scene("2r"), TIMES, ROWS), scene("2r"))
-        push = torques.begin(t, [0.1, 0.2, 0.3, 0.4], direction)
+        torques = table(scene("2r"), TIMES, ROWS)
+        y = [0.1, 0.2, 0.3, 0.4]
+        found = linear_piece(torques, torques.function(2), t, y, direction)
         begin, end = (np.array(ROWS[k]) for k in (piece, piece + 1))
         slope = (end - begin) / (TIMES[piece + 1] - TIMES[piece])
-        assert push([0, 0]) == pytest.approx(begin + slope * (t - TIMES[piece]), abs=1e-14)
-        assert push([0, 0]) == pytest.approx(slope, abs=1e-13)
-        assert push([0, 0]) == [0.0, 0.0]
+        assert found[0] == pytest.approx(begin + slope * (t - TIMES[piece]), abs=1e-14)
+        assert found[1] == pytest.approx(slope, abs=1e-13)
 
     @pytest.mark.parametrize("way", [1.0, -1.0])
     def test_steps_end_on_kinks_and_the_motion_is_dop853s(self, way):
@@ -167,12 +197,19 @@ class TestAgrees:
     )
     def test_what_bends(self, text, smooth, bent):
         y = [0.1, 0.2, 0.0, 0.0]
-        torques = TorqueSeries(expressions(scene("2r"), text, "test"), scene("2r"))
-        push = torques.begin(T0, y, 1.0)
-        for _ in range(ORDER + 1):
-            push([0.0, 0.0])
-        assert torques.agrees(smooth - T0, smooth, y, 1e-7, 1e-12)
-        assert not torques.agrees(bent - T0, bent, y, 1e-7, 1e-12)
+        found = torque_series(text, T0, [[x] for x in y[:2]], [[x] for x in y[2:]])
+        torques = expressions(scene("2r"), text, "test").function(2)
+
+        def agrees(t):
+            try:
+                values = torques(t, y)
+            except ValueError:  # outside the domain
+                return False
+            pairs = zip(found.T.tolist(), values, strict=True)
+            return all(_agree(each, t - T0, value, 1e-7, 1e-12) for each, value in pairs)
+
+        assert agrees(smooth)
+        assert not agrees(bent)
 
     @pytest.mark.parametrize("text", ["sqrt((t - 0.5)**2), 0", "0, ((q1 - 0.25)**2)**0.5"])
     def test_a_kink_is_found(self, text):

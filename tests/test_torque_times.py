@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from robodyn import actuation, load, simulate
-from robodyn.accuracy import AUTO, settings_for
+from robodyn import load, simulate
 from robodyn.errors import InputError
-from robodyn.extended import reference
-from robodyn.kinks import next_stop
-from robodyn.recording import Outcome
-from robodyn.simulation import METHODS, Settings
-from robodyn.torque_times import over_a_run
+from robodyn.mechanics import actuation
+from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.torque_times import over_a_run
+from robodyn.simulation.accuracy import AUTO, settings_for
+from robodyn.simulation.extended import reference
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import METHODS, Settings
 
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
 ARM = load(ROOT / "robots/2r.yaml")

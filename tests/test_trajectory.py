@@ -12,12 +12,13 @@ from conftest import FOUR_BAR, ROOT
 import oracles
 import robodyn
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
-from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import Sweep, constant_speed, path_through, piece_at
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.trajectories.continuation import TravelError
+from robodyn.trajectories.joint_paths import ConstantSpeed, Sweep, path_through, piece_at
 from robodyn.trajectories.loop_path import LoopPath
-from robodyn.trajectories.trajectory import (
+from robodyn.trajectories.reference import (
     ReferenceMotion,
     all_joints,
     motion_along,
@@ -33,7 +34,7 @@ every_profile = pytest.mark.parametrize("profile", PROFILES)
 
 def turning(mech: Mechanism, begin: float, turns: float = 1.0) -> ReferenceMotion:
     """A crank at constant speed, a turn a second."""
-    path = constant_speed(np.array([begin]), np.array([2 * np.pi * turns]))
+    path = ConstantSpeed(np.array([begin]), np.array([2 * np.pi * turns]))
     return motion_along(mech, path, all_joints(mech, [[begin]]), abs(turns))
 
 
@@ -143,7 +144,7 @@ def test_a_sweep_is_a_chirp_with_its_derivatives() -> None:
 
 def test_constant_speed() -> None:
     motion = motion_along(
-        ARM, constant_speed(np.zeros(2), np.array([3.0, -1.0])), np.zeros((1, 2)), 2
+        ARM, ConstantSpeed(np.zeros(2), np.array([3.0, -1.0])), np.zeros((1, 2)), 2
     )
     q, qd, qdd = motion.states(np.linspace(0, 2, 5))
     assert np.abs(qd - [1.5, -0.5]).max() < 1e-15
@@ -190,7 +191,7 @@ def test_a_four_bar_turns_on_its_branch(assembly: str, whole: bool) -> None:
     text = (ROOT / "robots/four-bar.yaml").read_text()
     mech = BAR if whole else mechanism(text.replace("assembly: open", f"assembly: {assembly}"))
     start = oracles.four_bar_position(FOUR_BAR, 1.0, assembly)
-    path = constant_speed(np.array([1.0]), np.array([-4 * np.pi]))
+    path = ConstantSpeed(np.array([1.0]), np.array([-4 * np.pi]))
     points = start[None] if whole else all_joints(mech, [[1.0]])
     motion = motion_along(mech, path, points, 2.0)
     t = np.linspace(0, 2, 501)
@@ -299,11 +300,96 @@ def test_geared_joints_count_turns() -> None:
     text = (ROOT / "robots/2r.yaml").read_text()
     mech = mechanism(text + '\ncouplings: ["q2 = -20/37 q1"]\nactuated: [upper arm]\n')
     motion = motion_along(
-        mech, constant_speed(np.zeros(1), np.array([74 * np.pi])), all_joints(mech, [[0.0]]), 1.0
+        mech, ConstantSpeed(np.zeros(1), np.array([74 * np.pi])), all_joints(mech, [[0.0]]), 1.0
     )
     q, qd, _ = motion.states([0.0, 0.5, 1.0])
     assert q[:, 1] == pytest.approx([0.0, -20 * np.pi, -40 * np.pi], rel=1e-14)
     assert qd[:, 1] == pytest.approx(np.full(3, -40 * np.pi), rel=1e-14)
+
+
+# Many turns
+
+
+GEARS = (ROOT / "robots/geared-five-bar.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "begin", "after"),
+    [
+        ((ROOT / "robots/four-bar.yaml").read_text(), 0.0, 1),
+        ((ROOT / "robots/watt-six-bar.yaml").read_text(), 0.0, 1),
+        ((ROOT / "robots/slider-crank.yaml").read_text(), 0.5, 1),
+        (GEARS, 1.3, 1),
+        (GEARS.replace("-2 q1", "-5/3 q1"), 1.3, 3),
+        (GEARS.replace("-2 q1", "-1.41421 q1"), 1.3, None),
+    ],
+)
+@pytest.mark.parametrize("turns", [40.0, -40.3])
+def test_a_turn_that_repeats_itself_is_followed_once(
+    text: str, begin: float, after: int | None, turns: float
+) -> None:
+    mech = mechanism(text)
+    motion = turning(mech, begin, turns)
+    once = turning(mech, begin, math.copysign(after or 40.3, turns))
+    assert isinstance(motion.path, LoopPath)
+    assert isinstance(once.path, LoopPath)
+    assert len(motion.path._nodes.u) < 1.1 * len(once.path._nodes.u) + 20
+    t = np.linspace(0.0, abs(turns), 1201)
+    assert_closed(motion, t, abs(turns))
+    if after:
+        q, qd, qdd = motion.states(t)
+        _, known, bend = once.states(np.clip(t % after, 0.0, after))
+        assert qd == pytest.approx(known, abs=1e-9 * np.abs(known).max())
+        assert qdd == pytest.approx(bend, abs=1e-9 * np.abs(bend).max())
+        first = once.states(after)[0] - once.states(0.0)[0]
+        assert motion.states(30.0)[0] - q[0] == pytest.approx(30 / after * first, rel=1e-12)
+    assert np.abs(np.diff(q if after else motion.states(t)[0], axis=0)).max() < 2.0
+
+
+@pytest.mark.parametrize("begin", [math.radians(60), math.radians(179.9), -1e-3, 1e-3])
+@pytest.mark.parametrize("turns", [50.0, -50.25])
+def test_a_parallelogram_stays_one_for_many_turns(begin: float, turns: float) -> None:
+    """Through two change points a turn, near the turn's end too."""
+    mech = mechanism((ROOT / "robots/parallelogram.yaml").read_text())
+    start = np.array([begin, -begin, begin])
+    path = ConstantSpeed(start[:1], np.array([2 * np.pi * turns]))
+    motion = motion_along(mech, path, start[None], abs(turns))
+    near = np.arange(0.0, abs(turns), 0.5) + np.linspace(-1e-3, 1e-3, 41)[:, None]
+    t = np.clip(near + (-begin / (2 * np.pi * np.sign(turns))), 0.0, abs(turns)).reshape(-1)
+    for times in (t, np.linspace(0.0, abs(turns), 5003)):
+        q, qd, qdd = motion.states(times)
+        assert np.abs(q[:, 2] - q[:, 0]).max() < 1e-9
+        assert np.abs(qd[:, 2] - qd[:, 0]).max() < 1e-8 * 2 * np.pi
+        assert np.abs(qdd[:, 2]).max() < 1e-7 * (2 * np.pi) ** 2
+
+
+def test_two_cranks_repeat_themselves_after_their_common_turns() -> None:
+    begin = np.radians([120, 60])
+    points = all_joints(FIVE, begin[None])
+    for ratio, after in ((0.5, 2), (-2 / 3, 3), (1 / math.sqrt(3), None)):
+        path = ConstantSpeed(begin, 2 * np.pi * 60 * np.array([1.0, ratio]))
+        motion = motion_along(FIVE, path, points, 60.0)
+        assert isinstance(motion.path, LoopPath)
+        assert motion.path._nodes.period == pytest.approx((after or 60) / 60)
+        assert_closed(motion, np.linspace(0, 60, 1001), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("way", "told"),
+    [
+        ([2e9], "at most 1e.09 rad"),
+        ([1e7, 1e7 / math.sqrt(3)], "more than the 500,000 closed states .* does not repeat"),
+        ([45_000.0, 45_000.0 / math.sqrt(3)], "500,000 closed states .* does not repeat"),
+    ],
+)
+def test_a_motion_that_is_too_long_is_refused_at_once(way: list[float], told: str) -> None:
+    mech, begin = (BAR, [1.0]) if len(way) == 1 else (FIVE, np.radians([120, 60]))
+    path = ConstantSpeed(np.array(begin), np.array(way))
+    heard: list[float] = []
+    with pytest.raises(TravelError, match=told):
+        motion_along(mech, path, all_joints(mech, [begin]), 1.0, watch=heard.append)
+    assert len(heard) < 5000
+    assert heard == sorted(heard)
 
 
 def test_two_cranks_of_a_five_bar() -> None:

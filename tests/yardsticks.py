@@ -12,7 +12,7 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 
 Rates = Callable[[float, NDArray[np.float64]], list[float]]
 

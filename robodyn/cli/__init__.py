@@ -10,7 +10,6 @@ import atexit
 import functools
 import gc
 import os
-import signal
 import sys
 from collections.abc import Callable
 from copy import copy
@@ -20,8 +19,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from robodyn import __version__
-from robodyn.csv_fields import plain_digits
+from robodyn.cli import signals
 from robodyn.errors import RobodynError, printable_lines
+from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 COMMANDS = (
@@ -33,13 +33,13 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    for number in ending_signals():  # so that open files are tidied up
-        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    signals.answer(signals.end)
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
     code = run(sys.argv[1:])
     try:
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
+            # after a signal what is left is let go: its pipe may have a reader that waits
+            if stream is not None and not signals.received:
                 stream.flush()
     except BrokenPipeError:
         code = _without_reader()
@@ -49,17 +49,12 @@ def main() -> NoReturn:
     os._exit(code)  # nothing is left to do, and taking down scipy's modules takes 50 ms
 
 
-def ending_signals() -> list[int]:
-    """The signals that end this process, less those that it was started to ignore (nohup)."""
-    names = ("SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
-    known = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    return [number for number in known if signal.getsignal(number) != signal.SIG_IGN]
-
-
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
+    if sys.stderr is None:  # closed: what is told to nobody must not go to stdout
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (for as long as the process lives)
     if sys.stdout is None:
         _tell("Error: stdout is closed: results have no place to go")
         return 1
@@ -82,6 +77,11 @@ def run(arguments: list[str]) -> int:
             raise
         _tell(_prefixed(str(error)))
         return error.exit_code
+    except OverflowError as error:
+        if debug:
+            raise
+        _tell(f"Error: a number of the scene, the state or an option is too large ({error})")
+        return 1
     except OSError as error:
         if debug:
             raise
@@ -89,6 +89,8 @@ def run(arguments: list[str]) -> int:
         _tell(f"Error: {named}{error.strerror or error}")
         return 1
     except Exception as error:  # the outermost boundary: a defect of robodyn's own
+        if signals.received:  # compiled code makes another error of a signal
+            return 128 + signals.received[-1]
         if debug:
             raise
         kind = type(error).__name__
@@ -146,6 +148,9 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(function)
     def guarded(*args: Any, **kwargs: Any) -> None:
+        from robodyn.cli.output import numbers_overflow_in_silence
+
+        numbers_overflow_in_silence()
         try:
             function(*args, **kwargs)
             sys.stdout.flush()

@@ -6,9 +6,9 @@ import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
 from robodyn.cli.states import Quantity, evaluate, loop_columns
-from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
-from robodyn.loop_rates import check_way_on
-from robodyn.mechanism import load
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
+from robodyn.loops.loop_rates import check_way_on
+from robodyn.mechanics.mechanism import load
 
 
 def accel(

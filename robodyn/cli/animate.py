@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -15,15 +12,16 @@ import typer
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.files import input_argument, output_file
 from robodyn.cli.options import Model, Size
+from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
-from robodyn.closed_form import phases
-from robodyn.csv_fields import shown
+from robodyn.dynamics.closed_form import phases
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.bodies import at
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames, traced_point, unwrapped
-from robodyn.table import Reader
+from robodyn.tables.csv_fields import shown
+from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
@@ -94,7 +92,7 @@ def animate(
 
     film = Film(drawn, shown_frames.t, traces, extent)
     write = write_gif if suffix == ".gif" else write_mp4
-    with _progress() as watch:
+    with progress("drawing", silent=0.0) as watch:
         write(film, fps, out, watch)
 
 
@@ -126,17 +124,3 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
     except RobodynError as error:
         error.add_place(name)
         raise
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[float], object]]:
-    """A watch that moves a bar on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda part: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("drawing", total=1.0)
-        yield lambda part: progress.update(task, completed=part)

@@ -14,10 +14,10 @@ import numpy as np
 
 from robodyn.cli.pictures import FONT, Picture
 from robodyn.errors import RobodynError
-from robodyn.output_file import open_output
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.motion_frames import FINER, time_decimals
+from robodyn.tables.output_file import open_output
 
 DOTS = 100  # an inch
 COLOURS_OF_GIF = 128

@@ -11,12 +11,12 @@ from itertools import groupby
 import numpy as np
 
 from robodyn.cli.pictures import LINK_COLOURS, LONGEST, STYLES
-from robodyn.output_file import open_output
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
 from robodyn.pictures.outlines import Shape
 from robodyn.pictures.picture_plan import Frame, frame, scale_bar
+from robodyn.tables.output_file import open_output
 
 DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
 PIXELS = 100  # an inch

@@ -6,13 +6,13 @@ from itertools import product
 
 import numpy as np
 
-from robodyn import assembly, loop_rates
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
 from robodyn.cli.states import Quantity, complete_from, option_source, overflow
-from robodyn.closed_form import point_motion
-from robodyn.mechanism import Mechanism, load
-from robodyn.scene import BRANCHES
+from robodyn.dynamics.closed_form import point_motion
+from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.scene import BRANCHES
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 PARTS = ("joint", "tip", "centre")

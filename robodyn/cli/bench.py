@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain
 from typing import Annotated, Optional
 
 import numpy as np
 import typer
 
-from robodyn import actuation
-from robodyn.actuation import Actuation
-from robodyn.benchmark import Benchmark, Watch, benchmark
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
 from robodyn.cli.output import default_format, note, row_writer
+from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
-from robodyn.mechanism import load
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import load
+from robodyn.simulation.benchmark import Benchmark, benchmark
 
 MOST_REPEATS = 10_000
 COLUMNS = (
@@ -87,8 +86,8 @@ def bench(
     if out is not None:
         check_directory(out)
     if evaluators:
-        from robodyn.evaluators import COLUMNS as names
-        from robodyn.evaluators import measure_evaluators
+        from robodyn.dynamics.evaluators import COLUMNS as names
+        from robodyn.dynamics.evaluators import measure_evaluators
 
         rows = measure_evaluators(mechanism)
         first = next(rows)  # what cannot be measured writes no header
@@ -100,7 +99,7 @@ def bench(
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")
     state = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
-    with remarks(), _progress() as watch:
+    with remarks(), progress("measuring", silent=0.0) as watch:
         result = benchmark(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
@@ -137,17 +136,3 @@ def _rows(result: Benchmark) -> Iterator[list[float | str]]:
             *([1e3 * x.median, 1e3 * x.least] if finished else ["", ""]),
             "*" if x.front else "",
         ]
-
-
-@contextmanager
-def _progress() -> Iterator[Watch]:
-    """A watch that moves a bar on a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda part: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("measuring", total=1.0)
-        yield lambda part: progress.update(task, completed=part)

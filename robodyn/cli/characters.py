@@ -7,13 +7,13 @@ import shutil
 import sys
 from collections.abc import Sequence
 
-from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.character_drawing import drawing_lines
 from robodyn.pictures.character_map import DEEP, PALETTE, map_lines
 from robodyn.pictures.character_plot import chart_lines
 from robodyn.pictures.chart import Chart
 from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.value_map import ValueMap
+from robodyn.tables.output_file import on_terminal, open_output
 
 WIDTH, HEIGHT = 80, 24  # where there is no terminal
 WIDEST, HIGHEST = 2_000, 1_000  # whatever a terminal, or the environment, tells

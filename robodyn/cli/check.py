@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import typer
 
-from robodyn import assembly, closed_form
 from robodyn.cli.options import Model, Out, OutputStructured
 from robodyn.cli.output import Grid, note, wants_tables, write_structure
 from robodyn.cli.scene_facts import force_facts, links, springs_and_loads
-from robodyn.cli.states import remarks
+from robodyn.cli.states import overflow, remarks
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
 from robodyn.errors import InputError
-from robodyn.identities import BOUND, Identity, Sample, identities, sample_states
-from robodyn.loop_class import loop_class
-from robodyn.mechanism import Mechanism, load
+from robodyn.loops import assembly
+from robodyn.mechanics.loop_class import loop_class
+from robodyn.mechanics.mechanism import Mechanism, load
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
@@ -37,13 +38,17 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     unknown = False
     try:
         count = max(2, min(STATES, ENTRIES // mechanism.n**2))
-        sample = sample_states(mechanism, count)
+        with remarks():
+            sample = sample_states(mechanism, count)
     except InputError as error:
         unknown = True
         note(f"Note: no self-test over closed states: {error}")
         sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
-    with remarks():
-        results = identities(mechanism, sample) if len(sample.q) else []
+    try:
+        with remarks():
+            results = identities(mechanism, sample) if len(sample.q) else []
+    except InputError:  # a state of ours left the range of numbers
+        raise overflow() from None
     singular = next((item.reason for item in results if item.reason), None)
     content = {
         "name": mechanism.name,

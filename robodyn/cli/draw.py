@@ -22,11 +22,19 @@ from robodyn.cli.options import (
     States,
 )
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, complete, open_input, remarks, single_state, table_source
-from robodyn.csv_fields import shown
+from robodyn.cli.states import (
+    Quantity,
+    complete,
+    open_input,
+    overflow,
+    remarks,
+    single_state,
+    table_source,
+)
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from robodyn.pictures.force_arrows import Force
@@ -164,8 +172,8 @@ def _figure(
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
     """The drawing of one state, and its forces."""
-    from robodyn.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
-    from robodyn.loop_rates import check_way_on
+    from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+    from robodyn.loops.loop_rates import check_way_on
     from robodyn.pictures.force_arrows import forces
 
     given, tau = quantities[:3], quantities[3]
@@ -176,12 +184,17 @@ def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, 
         q, qd, torques = single_state(mechanism, [*given[:2], tau])
         check_way_on(mechanism, q[None, :], qd[None, :])
         qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, torques)
-    return drawing(mechanism, q), forces(mechanism, q, qd, qdd, multipliers)
+    drawn = drawing(mechanism, q)
+    with np.errstate(all="ignore"):
+        found = forces(mechanism, q, qd, qdd, multipliers)
+    if not np.isfinite([item.force for item in found]).all():
+        raise overflow()
+    return drawn, found
 
 
 def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:
     """Closed configurations (T, n) of a table's rows, evenly chosen, the last one included."""
-    from robodyn.table import Reader
+    from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)

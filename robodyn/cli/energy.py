@@ -6,8 +6,8 @@ import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States
 from robodyn.cli.states import Quantity, evaluate
-from robodyn.closed_form import kinetic_energy, potential_energy
-from robodyn.mechanism import load
+from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
+from robodyn.mechanics.mechanism import load
 
 
 def energy(

@@ -10,14 +10,16 @@ from typing import Annotated
 import typer
 
 from robodyn.cli.options import Model, Out
+from robodyn.cli.progress import progress
 from robodyn.equations import equations as equations_of
 from robodyn.equations.c_code import c99
 from robodyn.equations.json_form import as_json
 from robodyn.equations.latex import latex
 from robodyn.equations.python_code import python
+from robodyn.equations.recorded import recorded
 from robodyn.equations.text import WIDTH, text
-from robodyn.mechanism import load
-from robodyn.output_file import open_output
+from robodyn.mechanics.mechanism import load
+from robodyn.tables.output_file import open_output
 
 
 class EquationFormat(StrEnum):
@@ -30,12 +32,9 @@ class EquationFormat(StrEnum):
     json = "json"
 
 
-WRITERS = {
-    EquationFormat.latex: latex,
-    EquationFormat.python: python,
-    EquationFormat.c: c99,
-    EquationFormat.json: as_json,
-}
+READABLE = {EquationFormat.latex: latex, EquationFormat.json: as_json}
+DERIVING = 0.8  # of the time that a long text takes, about
+CODE = {EquationFormat.python: python, EquationFormat.c: c99}
 
 
 def equations(
@@ -65,12 +64,14 @@ def equations(
       robodyn equations robots/four-bar.yaml --format latex > four-bar.tex
       robodyn equations robots/3r.yaml --format c --out arm.c
     """
-    found = equations_of(load(model), numeric)
-    if format is EquationFormat.text:
+    mechanism = load(model)
+    if format in CODE:
+        content = CODE[format](recorded(mechanism, numeric))
+    else:
         on_terminal = out is None and sys.stdout.isatty()
         width = shutil.get_terminal_size((WIDTH, 0)).columns if on_terminal else WIDTH
-        content = text(found, width)
-    else:
-        content = WRITERS[format](found)
+        with progress("writing") as watch:
+            found = equations_of(mechanism, numeric, lambda part: watch(DERIVING * part))
+            content = READABLE[format](found) if format in READABLE else text(found, width)
     with open_output(out) as stream:
         stream.write(content.encode())

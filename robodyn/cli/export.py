@@ -10,8 +10,8 @@ import typer
 from robodyn.cli.options import Model, Out, Q
 from robodyn.cli.output import note
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, load
-from robodyn.output_file import open_output
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.tables.output_file import open_output
 
 
 class ModelFormat(StrEnum):

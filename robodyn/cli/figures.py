@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robodyn.cli.options import PictureFormat
-from robodyn.csv_fields import finite, shown
 from robodyn.errors import InputError, RobodynError
-from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.chart import Chart, Panel, limits, spread
 from robodyn.pictures.colour_scale import COLOURS, Rgb
+from robodyn.tables.csv_fields import finite, shown
+from robodyn.tables.output_file import on_terminal, open_output
 
 if TYPE_CHECKING:
-    from robodyn.benchmark import Benchmark
+    from robodyn.simulation.benchmark import Benchmark
 
 SUFFIXES = (".png", ".svg", ".pdf")
 MARKS = "osD^vP*X"

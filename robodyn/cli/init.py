@@ -12,8 +12,8 @@ from robodyn.cli.files import output_file
 from robodyn.cli.options import OutputFormat
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
-from robodyn.example_scenes import example_options, scene_names, scene_text, summary
-from robodyn.output_file import open_output
+from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
+from robodyn.tables.output_file import open_output
 
 
 def init(

@@ -9,7 +9,6 @@ import numpy as np
 
 from robodyn.cli.figures import DOTS, new_figure
 from robodyn.cli.output import with_unit
-from robodyn.csv_fields import shown
 from robodyn.pictures.colour_scale import (
     COLOURS,
     LEVELS,
@@ -24,6 +23,7 @@ from robodyn.pictures.colour_scale import (
 )
 from robodyn.pictures.column_units import unit_of
 from robodyn.pictures.value_map import ValueMap
+from robodyn.tables.csv_fields import shown
 
 LONGEST = 5.6  # inches of the longer side of the map, where no size is given
 LEAST_DOTS = 640  # of a side whose cells are whole dots

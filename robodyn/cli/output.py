@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
-from robodyn.csv_fields import finite
 from robodyn.errors import printable, printable_lines
-from robodyn.output_file import on_terminal, open_output
 from robodyn.pictures.column_units import unit_of
-from robodyn.table_writer import WRITERS
+from robodyn.tables.csv_fields import finite
+from robodyn.tables.output_file import on_terminal, open_output
+from robodyn.tables.table_writer import WRITERS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,8 +44,10 @@ def row_writer(
             table = TableView(stream, on_terminal(out), columns, header)
             try:
                 yield table
-            finally:
+            except Exception:
                 table.close()
+                raise
+            table.close()
         return
     with open_output(out) as stream:
         writer = WRITERS[format.value](stream, columns, header)
@@ -185,9 +188,13 @@ def with_unit(name: str) -> str:
 
 
 def note(text: str) -> None:
-    """A remark for the person at the terminal: stderr, if there is one."""
-    if sys.stderr is not None:
-        print(printable_lines(text), file=sys.stderr)
+    """A remark for the person at the terminal: stderr."""
+    print(printable_lines(text), file=sys.stderr)
+
+
+def numbers_overflow_in_silence() -> None:
+    """Leave numpy's warnings unshown: a result that is not finite is told by an error."""
+    warnings.filterwarnings("ignore", ".* encountered in ", RuntimeWarning)
 
 
 def _short(field: str) -> str:

@@ -12,12 +12,12 @@ from robodyn.cli.files import input_argument
 from robodyn.cli.options import Ascii, OutputPicture, PictureFormat, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.pictures.chart import Array, Chart, chart, choose_columns, choose_x, place_of
 from robodyn.pictures.colour_column import ColourColumn
 from robodyn.pictures.value_map import ValueMap, value_map
-from robodyn.table import Reader
+from robodyn.tables.csv_fields import shown
+from robodyn.tables.table import Reader
 
 ONE_Y = "a map has one column along y"
 

@@ -11,22 +11,22 @@ import typer
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
-from robodyn.dynamics import (
+from robodyn.dynamics.dynamics import (
     RobodynWarning,
     forward_dynamics_and_forces,
     inverse_dynamics_and_forces,
     loop_forces,
 )
-from robodyn.errors import InputError
-from robodyn.loop_rates import check_way_on
-from robodyn.mechanism import Mechanism, load
-from robodyn.reaction_forces import (
+from robodyn.dynamics.reaction_forces import (
     dependent_couplings,
     dependent_rows,
     not_unique,
     shaking_force,
 )
-from robodyn.reaction_forces import reactions as joint_forces
+from robodyn.dynamics.reaction_forces import reactions as joint_forces
+from robodyn.errors import InputError
+from robodyn.loops.loop_rates import check_way_on
+from robodyn.mechanics.mechanism import Mechanism, load
 
 Tau = Annotated[
     Optional[str],  # noqa: UP045 (typer reads the annotation at run time)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from robodyn.cli.output import note
-from robodyn.mechanism import Mechanism
-from robodyn.recording import Report
-from robodyn.run_control import JointTracking
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import JointTracking
+from robodyn.simulation.recording import Report
 
 AT_REST = 1e-13  # part of the energy at the start below which nothing moves
 
@@ -35,6 +35,8 @@ def tell(mechanism: Mechanism, facts: Report) -> None:
             f"nearest to singular: {facts.nearest_singular:.3g} at "
             f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
         )
+    if facts.missed:
+        lines.append(facts.missed)
     note("\n".join(lines))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from robodyn.mechanism import Mechanism
-from robodyn.scene import FRAMES, Coupling, JointSpring, Moment, Point
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import FRAMES, Coupling, JointSpring, Moment, Point
 
 
 def _place(mechanism: Mechanism, point: Point) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 from robodyn.cli.options import Out
-from robodyn.output_file import open_output
-from robodyn.scene_schema import scene_schema
+from robodyn.scene.scene_schema import scene_schema
+from robodyn.tables.output_file import open_output
 
 
 def schema(out: Out = None) -> None:

@@ -12,8 +12,6 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn import closed_form
-from robodyn.actuation import Actuation
 from robodyn.cli.files import output_file
 from robodyn.cli.integrator_options import (
     Accuracy,
@@ -51,13 +49,15 @@ from robodyn.cli.torque_options import (
     torque_source,
 )
 from robodyn.cli.watching import watching
-from robodyn.dynamics import forward_dynamics_and_forces, loop_forces
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism, load
-from robodyn.output_file import open_output
-from robodyn.recording import Outcome
-from robodyn.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
-from robodyn.table_writer import Writer
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
+from robodyn.tables.output_file import open_output
+from robodyn.tables.table_writer import Writer
 
 DEFAULT_TOLERANCE = 1e-9
 
@@ -171,17 +171,18 @@ def simulate(
     begin = np.concatenate(state)
     estimate: float | None = None
     if accuracy is not None:
-        from robodyn.accuracy import AUTO, settings_for
+        from robodyn.simulation.accuracy import AUTO, settings_for
 
         wanted = replace(settings, method=AUTO) if method is None else settings
         with named_options(), remarks():
             settings, estimate = settings_for(mechanism, begin, duration, torques, wanted, accuracy)
     elif estimate_error:
-        from robodyn.accuracy import error_estimate
+        from robodyn.simulation.accuracy import error_estimate
 
         with remarks():
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
-    with open_output(out, partial=lambda name: note(f"what was computed is in {name}")) as stream:
+    kept = open_output(out, partial=lambda name: note(f"what was computed is in {name}"))
+    with watching(duration, quiet) as watch, kept as stream:
 
         @cache
         def writer() -> Writer:  # a run that cannot start writes no header
@@ -191,7 +192,7 @@ def simulate(
             writer().write_columns(_rows(mechanism, torques, t, y))
 
         with nullcontext() if report is None else open_output(report) as file:
-            with named_options(), remarks(), watching(duration, quiet) as watch:
+            with named_options(), remarks():
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )

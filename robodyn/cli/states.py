@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO
 
 from robodyn.cli.options import Format
-from robodyn.cli.output import note, row_writer
-from robodyn.csv_fields import shown
+from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism
-from robodyn.quantities import parse_vector
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.quantities import parse_vector
+from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -85,22 +85,22 @@ def table_source(
     mechanism: Mechanism, quantity: Quantity, header: Sequence[str], source: str
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
-    everything = quantity.columns(range(mechanism.n))
+    everything, there = quantity.columns(range(mechanism.n)), set(header)
     if quantity.option is not None:
-        taken = [name for name in everything if name in header]
+        taken = [name for name in everything if name in there]
         if taken:
             limit = f"{source} has the column {taken[0]}; leave one of them out"
             raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
         return option_source(mechanism, quantity)
     driven = quantity.columns(mechanism.actuated)
-    if set(everything) <= set(header):
+    if set(everything) <= there:
         return Source(quantity, None, everything, True)
-    present = [name for name in everything if name in header]
+    present = [name for name in everything if name in there]
     if driven and set(driven) == set(present):
         return Source(quantity, None, driven, False)
     if not quantity.required and not present:
         return Source(quantity, None, [], False)
-    missing = [name for name in everything if name not in header]
+    missing = [name for name in everything if name not in there]
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
         f"column {missing[0]} is missing",
@@ -133,7 +133,7 @@ def _completed(
 ) -> list[Array]:
     import numpy as np
 
-    from robodyn import assembly, loop_rates
+    from robodyn.loops import assembly, loop_rates
 
     full: list[Array] = []
     for source, given in zip(sources, values, strict=True):
@@ -185,8 +185,8 @@ def assembled_state(
     """
     import numpy as np
 
-    from robodyn import assembly, loop_rates
     from robodyn.errors import AssemblyError
+    from robodyn.loops import assembly, loop_rates
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     if not sources[0].whole or not mechanism.rows:
@@ -231,7 +231,7 @@ def evaluate(
             writer.write_row(row)
         return
 
-    from robodyn.table import Reader
+    from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
@@ -319,5 +319,7 @@ def remarks() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("always")
+        numbers_overflow_in_silence()
+        warnings.simplefilter("ignore", ResourceWarning)  # of an import that a signal broke off
         warnings.showwarning = show
         yield

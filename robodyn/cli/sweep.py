@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -15,16 +14,17 @@ import typer
 from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Model
 from robodyn.cli.output import note
-from robodyn.cli.sweep_plan import Engine, Kind, axes_of, new_plan, seed_of
-from robodyn.csv_fields import quoted
+from robodyn.cli.progress import progress
+from robodyn.cli.sweep_options import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.errors import InputError, RobodynError
+from robodyn.scene.yaml_tree import read_text
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep import Rows
 from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.sweeps.variation import Variation
-from robodyn.yaml_tree import read_text
+from robodyn.tables.csv_fields import quoted
 
 
 def _vector(flag: str, text: str) -> object:
@@ -154,22 +154,22 @@ def sweep(
     place = workers, scheduler, PATIENCE if patience is None else patience, note
     header = (",".join(map(quoted, plan.columns())) + "\n").encode()
     outcomes: Counter[str] = Counter()
+    size = plan.variation.size
     begun = time.perf_counter()
     resumable = out is not None and out != "-" and _is_file(out)
     if not resumable:
-        from robodyn.output_file import open_output
+        from robodyn.tables.output_file import open_output
 
-        with open_output(out) as stream, _progress(plan, 0, quiet) as advance:
+        with open_output(out) as stream, progress("sweeping", quiet, 0.0) as show:
             stream.write(header)
             with closing(_results(plan, 0, *place)) as chunks:
                 for rows in chunks:
                     stream.write(_lines(rows))
                     stream.flush()
                     outcomes.update(rows.outcomes)
-                    advance(len(rows.outcomes))
+                    show(sum(outcomes.values()) / size)
     else:
         assert out is not None
-        size = plan.variation.size
         with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
             done = min(file.done * plan.chunk, size)
             if file.doubted:
@@ -179,14 +179,14 @@ def sweep(
                 note(f"{file.partial} has {done} of {size} points: going on from there")
             try:
                 with (
-                    _progress(plan, done, quiet) as advance,
+                    progress("sweeping", quiet, 0.0) as show,
                     closing(_results(plan, file.done, *place)) as chunks,
                 ):
                     for rows in chunks:
                         file.append(_lines(rows))
                         done += len(rows.outcomes)
                         outcomes.update(rows.outcomes)
-                        advance(len(rows.outcomes))
+                        show(done / size)
             except BaseException:
                 text = f"{done} of {size} points are in {file.partial}: the same command goes on"
                 note(text)
@@ -228,20 +228,6 @@ def _lines(rows: Rows) -> bytes:
 
 
 # -- what is told --------------------------------------------------------------------------------
-
-
-@contextmanager
-def _progress(plan: Plan, done: int, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """A function that moves a bar on a terminal by so many points."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda points: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("sweeping", total=plan.variation.size, completed=done)
-        yield lambda points: progress.update(task, advance=points)
 
 
 def _summary(plan: Plan, outcomes: Counter[str], seconds: float) -> None:

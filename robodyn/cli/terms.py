@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn import closed_form
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
 from robodyn.cli.output import Grid, matrix_table, wants_tables, write_structure
 from robodyn.cli.states import Quantity, overflow, single_state
-from robodyn.mechanism import load
+from robodyn.dynamics import closed_form
+from robodyn.mechanics.mechanism import load
 
 
 def terms(

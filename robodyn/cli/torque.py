@@ -9,7 +9,7 @@ from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.output import row_writer
 from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
-from robodyn.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism, load
 
 
 def torque(
@@ -50,7 +50,7 @@ def torque(
 
     import numpy as np
 
-    from robodyn.dynamics import inverse_dynamics_and_forces, loop_forces
+    from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, loop_forces
 
     columns += loop_columns(mechanism)
 
@@ -66,14 +66,19 @@ def torque(
 def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[float, ...]:
     """One state of an open chain in plain floats: starts in half the time without numpy."""
     from robodyn.engines.formulas import inverse_formula
-    from robodyn.straightline import compile_floats
+    from robodyn.engines.straightline import compile_floats
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     formula = inverse_formula(mechanism)
     values = [source.values or [0.0] * mechanism.n for source in sources]
     if formula is not None:
         with suppress(ZeroDivisionError):
-            return compile_floats(formula, "inverse_dynamics")(*values[0], *values[1], *values[2])
-    from robodyn.dynamics import inverse_dynamics  # the ends of a spring coincide: it says so
+            try:
+                return compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
+            except ValueError:  # the sine of infinity: sums of angles that are too large
+                raise overflow() from None
+    from robodyn.dynamics.dynamics import (
+        inverse_dynamics,  # the ends of a spring coincide: it says so
+    )
 
     return tuple(inverse_dynamics(mechanism, *values).tolist())

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn import actuation
-from robodyn.actuation import Actuation
 from robodyn.cli.files import input_file
 from robodyn.cli.integrator_options import named_options
 from robodyn.cli.states import open_input
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, load
-from robodyn.quantities import parse_number, parse_vector
-from robodyn.table import Reader
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.quantities import parse_number, parse_vector
+from robodyn.tables.csv_fields import shown
+from robodyn.tables.table import Reader
 
 if TYPE_CHECKING:
     from robodyn.control.tracking import ReferenceTable

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from enum import StrEnum
 from typing import Annotated, Optional
 
@@ -12,26 +13,30 @@ import typer
 from robodyn.cli.files import input_file
 from robodyn.cli.options import Format, Model, Out, OutputFormat
 from robodyn.cli.output import note, row_writer
+from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import output_times
 from robodyn.cli.trajectory_options import (
     Points,
     angular_acceleration_from,
     duration_from,
-    frequency_from,
     given_angles,
     named_options,
     points_from,
     rates_from,
     refuse,
     seconds_from,
+    sweep_from,
+    turning_from,
 )
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, load
-from robodyn.per_joint import for_each_actuated
-from robodyn.quantities import parse_angle, parse_entries, parse_number, parse_rate
-from robodyn.trajectories.joint_paths import JointPath, Sweep, constant_speed, path_through
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.quantities import parse_number, parse_rate
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.trajectories.continuation import Watch
+from robodyn.trajectories.joint_paths import JointPath, path_through
 from robodyn.trajectories.profiles import ACCELERATION
+from robodyn.trajectories.reference import ReferenceMotion, motion_along
 from robodyn.trajectories.time_scaling import (
     Limits,
     check_limits,
@@ -39,10 +44,9 @@ from robodyn.trajectories.time_scaling import (
     shortest_along,
     shortest_through,
 )
-from robodyn.trajectories.trajectory import ReferenceMotion, motion_along
 
 BLOCK = 5000  # rows computed at once
-MOST_CYCLES = 100_000  # of a sweep
+WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows
 
 
 class ProfileName(StrEnum):
@@ -202,22 +206,23 @@ def trajectory(
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else seconds_from(every, "--every")
 
-    with remarks(), named_options():
-        if is_sweep:
-            begin = given_angles(mechanism, from_, "from")
-            chirp = _sweep(mechanism, begin, amplitude, frequencies, duration)
-            motion = _along(mechanism, chirp, begin, duration, limits)
-        elif speed is not None or turns is not None:
-            refuse("--speed and --turns", to=to, via=via, profile=profile, ends=ends)
-            begin = given_angles(mechanism, from_, "from", default=True)
-            path, seconds = _constant(mechanism, begin, speed, turns, duration)
-            motion = _along(mechanism, path, begin, seconds, limits)
-        else:
-            wanted = points_from(mechanism, from_, to, via)
-            name = (profile or ProfileName.quintic).value
-            alpha = ACCELERATION if acceleration is None else acceleration
-            natural = ends is Ends.natural
-            motion = _through(mechanism, wanted, duration, limits, name, alpha, natural)
+    with remarks(), named_options(turns=turns, via=via, to=to, amplitude=amplitude, time=time):
+        with progress("following the loops") as watch:
+            if is_sweep:
+                begin = given_angles(mechanism, from_, "from")
+                chirp = sweep_from(mechanism, begin, amplitude, frequencies, duration)
+                motion = _along(mechanism, chirp, begin, duration, limits, watch)
+            elif speed is not None or turns is not None:
+                refuse("--speed and --turns", to=to, via=via, profile=profile, ends=ends)
+                begin = given_angles(mechanism, from_, "from", default=True)
+                path, seconds = turning_from(mechanism, begin, speed, turns, duration)
+                motion = _along(mechanism, path, begin, seconds, limits, watch)
+            else:
+                wanted = points_from(mechanism, from_, to, via)
+                name = (profile or ProfileName.quintic).value
+                alpha = ACCELERATION if acceleration is None else acceleration
+                natural = ends is Ends.natural
+                motion = _through(mechanism, wanted, duration, limits, name, alpha, natural, watch)
         _write(motion, output_times(motion.duration, step, points), format, out)
 
 
@@ -232,6 +237,7 @@ def _through(
     profile: str,
     acceleration: float,
     natural: bool,
+    watch: Watch,
 ) -> ReferenceMotion:
     minimal = duration is not None and math.isnan(duration)
     if points.times is not None and duration is not None and not minimal:
@@ -242,7 +248,7 @@ def _through(
     try:
         if minimal:
             found = shortest_through(
-                mechanism, points.q, limits, points.times, profile, acceleration, natural
+                mechanism, points.q, limits, points.times, profile, acceleration, natural, watch
             )
             _tell(found.motion, found.bound)
             return found.motion
@@ -256,7 +262,7 @@ def _through(
     if points.times is not None:
         begin, duration = float(points.times[0]), float(np.ptp(points.times))
     assert duration is not None
-    motion = motion_along(mechanism, path, points.q, duration, begin)
+    motion = motion_along(mechanism, path, points.q, duration, begin, watch)
     check_limits(motion, limits)
     return motion
 
@@ -267,75 +273,16 @@ def _along(
     begin: np.ndarray,
     duration: float | None,
     limits: Limits,
+    watch: Watch,
 ) -> ReferenceMotion:
     assert duration is not None
     if math.isnan(duration):
-        found = shortest_along(mechanism, path, begin[None], limits)
+        found = shortest_along(mechanism, path, begin[None], limits, watch=watch)
         _tell(found.motion, found.bound)
         return found.motion
-    motion = motion_along(mechanism, path, begin[None], duration)
+    motion = motion_along(mechanism, path, begin[None], duration, watch=watch)
     check_limits(motion, limits)
     return motion
-
-
-def _sweep(
-    mechanism: Mechanism,
-    pose: np.ndarray,
-    amplitude: str | None,
-    frequencies: str | None,
-    duration: float | None,
-) -> Sweep:
-    if amplitude is None or frequencies is None:
-        raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
-    if duration is None or not (math.isfinite(duration) and duration > 0.0):
-        raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
-    driven = list(mechanism.actuated)
-    sizes = parse_entries(amplitude, parse_angle, where="--amplitude", example="0.1 or 5deg")
-    sizes = for_each_actuated(mechanism, sizes, "--amplitude")
-    band = parse_entries(frequencies, frequency_from, where="--frequencies", example="0.2,5 (Hz)")
-    if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
-        limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
-        raise InputError("--frequencies", value=frequencies, limit=limit)
-    cycles = 0.5 * (band[0] + band[1]) * duration
-    if cycles > MOST_CYCLES:
-        limit = f"makes {cycles:.6g} cycles, too many: at most {MOST_CYCLES}"
-        raise InputError("--frequencies", value=frequencies, limit=limit)
-    return Sweep(pose[driven], np.array(sizes), band[0], band[1], duration)
-
-
-def _constant(
-    mechanism: Mechanism,
-    begin: np.ndarray,
-    speed: str | None,
-    turns: str | None,
-    duration: float | None,
-) -> tuple[JointPath, float]:
-    """The path at constant speed, and its duration (NaN: the shortest)."""
-    start = begin[list(mechanism.actuated)]
-    counts = None
-    if turns is not None:
-        counts = parse_entries(turns, parse_number, where="--turns", example="1 or 0.5")
-    if speed is None:
-        assert counts is not None
-        if duration is None:
-            raise InputError("--turns", limit="needs --speed or --time")
-        way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
-        return constant_speed(start, way), duration
-    rates = parse_entries(speed, parse_rate, where="--speed", example="6.28, 60rpm or 360deg/s")
-    rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
-    fastest = float(np.abs(rate).max())
-    if counts is not None:
-        if duration is not None:
-            raise InputError("--speed, --turns and --time", limit="exclude one another: give two")
-        if len(counts) != 1 or counts[0] <= 0.0:
-            limit = "with --speed it must be one number > 0, of the fastest joint"
-            raise InputError("--turns", value=turns, limit=limit)
-        if fastest == 0.0:
-            raise InputError("--speed", value=speed, limit="must not be 0 where --turns are given")
-        duration = 2 * math.pi * counts[0] / fastest
-    if duration is None or math.isnan(duration):
-        raise InputError("--speed", limit="needs --turns, or --time in seconds")
-    return constant_speed(start, rate * duration), duration
 
 
 def _tell(motion: ReferenceMotion, bound: str) -> None:
@@ -346,15 +293,18 @@ def _tell(motion: ReferenceMotion, bound: str) -> None:
 
 
 def _write(
-    motion: ReferenceMotion, times: np.ndarray, format: Format | None, out: str | None
+    motion: ReferenceMotion, times: EvenTimes, format: Format | None, out: str | None
 ) -> None:
     n = motion.mechanism.n
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
-    times = motion.begin + times
-    times[-1] = motion.end
-    with row_writer(format, out, columns) as writer:
-        for k in range(0, len(times), BLOCK):
-            t = times[k : k + BLOCK]
+    block = max(1, min(BLOCK, WORK // n**3))
+    hidden = out is None and sys.stdout.isatty()  # the rows themselves show how far they are
+    with row_writer(format, out, columns) as writer, progress("writing", hidden) as show:
+        for k in range(0, len(times), block):
+            show(k / len(times))
+            t = motion.begin + times[k : k + block]
+            if k + block >= len(times):
+                t[-1] = motion.end
             with np.errstate(all="ignore"):
                 values = np.concatenate([t[:, None], *motion.states(t)], axis=1)
             if not np.isfinite(values).all():

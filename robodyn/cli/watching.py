@@ -1,59 +1,64 @@
-"""A run that is watched: a progress bar on a terminal, an end at a whole step after a signal."""
+"""A run that is watched: a progress bar on a terminal, an end in order after a signal."""
 
 from __future__ import annotations
 
 import signal
-import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from types import FrameType
 
-from robodyn.cli import ending_signals
+from robodyn.cli import signals
+from robodyn.cli.progress import progress
+from robodyn.simulation.recording import Outcome, StopRun
 
-if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
-SILENT = 0.5  # s before a progress bar appears
+PATIENCE = 0.4  # s that a run has to come to the end of a step after a signal; and then to finish
 
 
 @contextmanager
 def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
-    """A watch for the run: moves a progress bar, and asks it to stop after Ctrl-C and the like."""
+    """A watch for the run: moves a progress bar, and asks it to stop after a signal.
+
+    A run that does not come to the end of its step is stopped within it; and what does not come to
+    its end after that (a pipe that nobody reads), or gets another signal, ends at once.
+    """
     stopped: list[int] = []
+    told = False  # whether the run knows
 
-    def stop(number: int, _: object) -> None:
-        if stopped:  # a second Ctrl-C does not wait for the step to end
-            raise KeyboardInterrupt
+    def stop(number: int, frame: FrameType | None) -> None:
+        if stopped:
+            signals.end(number, frame)
         stopped.append(number)
+        signals.note(number)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
 
-    begun = time.monotonic()
-    shows = sys.stderr.isatty() and not quiet and duration != 0.0
-    bar: list[tuple[Progress, TaskID]] = []
+    def urge(_: int, frame: FrameType | None) -> None:
+        nonlocal told
+        stopped.append(stopped[0])
+        if len(stopped) > 2:
+            signals.end(stopped[0], frame)
+        if not told:
+            told = True
+            raise StopRun(Outcome.INTERRUPTED)
 
-    def watch(t: float) -> bool:
-        if shows and time.monotonic() - begun > SILENT:
-            if not bar:
-                bar.append(_progress_bar())
-            bar[0][0].update(bar[0][1], completed=t / duration)
-        return bool(stopped)
-
-    numbers = (signal.SIGINT, *ending_signals())
-    before = {number: signal.signal(number, stop) for number in numbers}
+    alarms = hasattr(signal, "setitimer")
+    urged = signal.signal(signal.SIGALRM, urge) if alarms else None
+    before = signals.answer(stop)
     try:
-        yield watch
+        with progress("simulating", quiet or duration == 0.0) as show:
+
+            def watch(t: float) -> bool:
+                nonlocal told
+                show(t / duration)
+                told = told or bool(stopped)
+                return bool(stopped)
+
+            yield watch
+    except StopRun:  # before there was a run
+        signals.end(stopped[0])
     finally:
+        if alarms:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, urged)
         for number, handler in before.items():
             signal.signal(number, handler)
-        if bar:
-            bar[0][0].stop()
-
-
-def _progress_bar() -> tuple[Progress, TaskID]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    progress = Progress(console=Console(stderr=True), transient=True)
-    task = progress.add_task("simulating", total=1.0)
-    progress.start()
-    return progress, task

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism
-from robodyn.run_control import JointTracking
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import JointTracking
 
 Array = NDArray[np.float64]
 Law = Callable[..., tuple[float, ...]]  # torques of the actuated joints from t, q0.., qd0..

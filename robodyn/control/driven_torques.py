@@ -14,14 +14,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from robodyn import dynamics, loop_rates, straightline
-from robodyn.dense_dynamics import check_actuators, required_load
-from robodyn.engines import formulas
+from robodyn.dynamics import dynamics
+from robodyn.dynamics.dense_dynamics import check_actuators, required_load
+from robodyn.engines import formulas, straightline
+from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.errors import InputError
-from robodyn.expression import Value
-from robodyn.mechanism import Mechanism
-from robodyn.projection import regular_rank
+from robodyn.loops import loop_rates
+from robodyn.loops.change_points import regular_rank
+from robodyn.mechanics.mechanism import Mechanism
 
 Floats = Callable[..., Sequence[float]]
 

@@ -21,14 +21,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from robodyn.actuation import Actuation
 from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques
 from robodyn.control.tracking import ReferenceTable
+from robodyn.engines.straightline import define
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism
-from robodyn.per_joint import for_each_actuated
-from robodyn.straightline import define
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.per_joint import for_each_actuated
 
 LAWS = ("pd", "pd+g", "computed-torque")
 MOST_SAMPLES = 1_000_000  # of a run: their times and torques are kept

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from robodyn import expression
-from robodyn.expression import Value
-from robodyn.planar_model import Mechanism
+from robodyn.engines import expression
+from robodyn.engines.expression import Value
+from robodyn.mechanics.planar_model import Mechanism
 
 Number = Callable[[float], Value]  # what stands for a number of the scene
 

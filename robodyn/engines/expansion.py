@@ -9,31 +9,141 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from robodyn import expression
-from robodyn.actuation import Actuation
+from robodyn.engines import expression
+from robodyn.engines.expression import Graph
 from robodyn.engines.formulas import RECORDED, Recorded
-from robodyn.engines.series import Planar, Series, State
-from robodyn.expression import Graph, Value
+from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.torque_rows import torque_slots
-from robodyn.planar_model import Mechanism
+
+Given = dict[str, Sequence[Value] | Callable[[int], Value]]
 
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
 
 
-class Expansion(NamedTuple):
-    """Formulas of q, qd, t, tau and dtau (n each: what is given and its slope in time).
+class Coefficients(NamedTuple):
+    """The series of one motion: `rho`, `theta` (n, order + 2) are the links' turns from its start.
 
-    `rho`, `theta` (n, order + 2) are the links' turns from where they start, `power` (order + 1)
-    that of what changes the energy (empty where nothing does), `longest` the step that the
-    tolerances `rtol` and `atol` allow, `steady` (n) torques that are constant, whose work is not in
-    the power; `watched` (k) values that bend where the series do not tell, with their series, and
-    the length by which each is multiplied to be a torque.
+    `power` (order + 1) is that of what changes the energy, but for constant torques, whose work is
+    tau times the way (empty where nothing does); `watched` (k, order) are values that may bend
+    where the series do not tell.
+    """
+
+    rho: list[list[Value]]
+    theta: list[list[Value]]
+    power: list[Value]
+    watched: list[list[Value]]
+
+
+class MotionProgram:
+    """The program of a mechanism under its torques, and how it is expanded.
+
+    `arms` make torques of what is watched.  `held` tells how the switches of an expression stand.
+    Raises InputError where a torque has no series.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        actuation: Actuation,
+        work: bool,
+        held: Sequence[float] | None = None,
+    ) -> None:
+        self.mechanism, self.actuation = mechanism, actuation
+        equations = EquationsOfMotion(mechanism)
+        self.program = equations.program
+        slots = torque_slots(equations, actuation, held)
+        equations.write(slots, work, steady=actuation.constants is not None)
+        self.turns = equations.E
+        self.power = self.program.named.get("power", [])
+        self.bends = self.program.named["bends"]
+        self.arms = [self.program.arms[slot] for slot in self.bends]
+
+    def given(
+        self,
+        t: Value,
+        q: Sequence[Value],
+        qd: Sequence[Value],
+        alpha: Sequence[Value],
+        torques: tuple[Sequence[Value], Sequence[Value]],
+        steady: Sequence[Value] = (),
+    ) -> Given:
+        """What the rows take from outside: `torques` are values and slopes of what is linear.
+
+        `steady` (n) are in place of constant torques, where they are formulas.
+        """
+        constants = steady or self.actuation.constants
+        given: Given = {"t": (t, 1.0)}
+        for j in range(self.mechanism.n):
+            given[f"q{j}"], given[f"alpha{j}"], given[f"qd{j}"] = (q[j],), (alpha[j],), (qd[j],)
+            if constants is not None:
+                given[f"tau{j}"] = (constants[j],)
+            elif torques[0]:
+                given[f"tau{j}"] = torques[0][j], torques[1][j]
+        return given
+
+    def state(
+        self,
+        arithmetic: Arithmetic,
+        t: Value,
+        y: Sequence[Value],
+        torques: tuple[Sequence[Value], Sequence[Value]],
+    ) -> State:
+        """Where the series start at the state y = (q, qd, ...)."""
+        n = self.mechanism.n
+        q, qd = y[:n], y[n : 2 * n]
+        alpha, w = list(q), list(qd)
+        for k in self.mechanism.order:
+            above = self.mechanism.parent[k]
+            if above is not None:
+                alpha[k], w[k] = alpha[above] + alpha[k], w[above] + w[k]
+        E = [(arithmetic.cos(angle), arithmetic.sin(angle)) for angle in alpha]
+        return State(E, w, self.given(t, q, qd, alpha, torques))
+
+    def expand(
+        self,
+        arithmetic: Arithmetic,
+        numbers: Sequence[Value],
+        order: int,
+        state: State,
+        grounded: bool = False,
+    ) -> Coefficients:
+        """The series to an order; raises ZeroDivisionError where there are none."""
+        series = Series(
+            self.program,
+            arithmetic,
+            numbers,
+            order,
+            state,
+            slots=[*self.power, *self.bends],
+            grounded=grounded,
+        )
+        series.expand()
+        if self.power:  # the residuals of the last order are not wanted, what works there is
+            series.residuals(order)
+        turns = [series.turn(slot) for slot in self.turns]
+        return Coefficients(
+            [list(rho[: order + 2]) for rho, _ in turns],
+            [list(theta[: order + 2]) for _, theta in turns],
+            [series.real[slot][m] for slot in self.power for m in range(order + 1)],
+            [[series.real[slot][m] for m in range(order)] for slot in self.bends],
+        )
+
+
+class Expansion(NamedTuple):
+    """Formulas of q, qd, t, tau and dtau (n each: what is linear, and its slope in time).
+
+    `given` tells whether there are such torques; `rho`, `theta`, `power` and `watched` are those of
+    `Coefficients`, `steady` (n) torques that are constant, whose work is not in the power,
+    `longest` the step that the tolerances `rtol` and `atol` allow; `arms` make torques of what is
+    watched.
     """
 
     graph: Graph
-    given: bool  # whether tau and dtau are
+    given: bool
     rho: list[list[Value]]
     theta: list[list[Value]]
     power: list[Value]
@@ -43,88 +153,55 @@ class Expansion(NamedTuple):
     arms: list[float]
 
 
-def written(
-    mechanism: Mechanism, actuation: Actuation, work: bool, held: Sequence[float] | None = None
-) -> EquationsOfMotion:
-    """The rows of a scene and its torques; for `held` see `torque_slots`.
-
-    Raises InputError where a torque has no series.
-    """
-    equations = EquationsOfMotion(mechanism)
-    slots = torque_slots(equations, actuation, held)
-    equations.write(slots, work, steady=actuation.constants is not None)
-    return equations
-
-
-def expansion(
-    equations: EquationsOfMotion, actuation: Actuation, order: int, generic: bool = False
-) -> Expansion:
+def expansion(motion: MotionProgram, order: int, generic: bool = False) -> Expansion:
     """The formulas of one step; see `Expansion`.
 
     With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, u1, ...,
     and roots are rough.  Raises ZeroDivisionError where no state has a series.
     """
-    mechanism, program = equations.mechanism, equations.program
-    n = mechanism.n
+    mechanism, actuation = motion.mechanism, motion.actuation
     state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic)
-    numbers = state.numbers(program)
+    numbers = state.numbers(motion.program)
     steady = [
         state.parameter(f"u{j}", tau) if tau else 0.0
         for j, tau in enumerate(actuation.constants or ())
     ]
-    t = state.graph.variable("t")
-    given: dict[str, Sequence[Value] | Callable[[int], Value]] = {"t": (t, 1.0)}
     alpha, w = state.absolute("q"), state.absolute("qd")
-    for j in range(n):
-        given[f"q{j}"], given[f"alpha{j}"] = (state.relative["q"][j],), (alpha[j],)
-        given[f"qd{j}"] = (state.relative["qd"][j],)
-        if steady:
-            given[f"tau{j}"] = (steady[j],)
-        else:
-            given[f"tau{j}"] = (state.relative["tau"][j], state.relative["dtau"][j])
+    relative = state.relative
+    torques = relative["tau"], relative["dtau"]
+    t = state.graph.variable("t")
+    given = motion.given(t, relative["q"], relative["qd"], alpha, torques, steady)
     E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
-    power = program.named.get("power", [])
-    bends = program.named["bends"]
-    series = Series(
-        program,
-        RECORDED,
-        numbers,
-        order,
-        State(E, w, given),
-        slots=[*power, *(slot for slot in bends)],
-    )
-    series.expand()
-    if power:  # the residuals of the last order are not wanted, what works there is
-        series.residuals(order)
-    turns = [series.turn(slot) for slot in equations.E]
-    rho, theta = ([list(part[: order + 2]) for part in parts] for parts in zip(*turns, strict=True))
+    series = motion.expand(RECORDED, numbers, order, State(E, w, given))
+    tolerances = state.graph.variable("rtol"), state.graph.variable("atol")
+    power = _rough if generic else expression.power
     return Expansion(
         state.graph,
         actuation.constants is None and actuation.linear,
-        rho,
-        theta,
-        [series.real[slot][m] for slot in power for m in range(order + 1)],
+        series.rho,
+        series.theta,
+        series.power,
         steady,
-        _longest(state, rho, theta, w, order),
-        [[series.real[slot][m] for m in range(order)] for slot in bends],
-        [program.arms[slot] for slot in bends],
+        longest_step(series, w, *tolerances, power),
+        series.watched,
+        motion.arms,
     )
 
 
-def _longest(
-    state: Recorded,
-    rho: list[list[Value]],
-    theta: list[list[Value]],
+def longest_step(
+    series: Coefficients,
     w: Sequence[Value],
-    p: int,
+    rtol: Value,
+    atol: Value,
+    power: Callable[[Value, float], Value] = expression.power,
 ) -> Value:
     """The step at which the last coefficients are as large as the tolerance.
 
     Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
     by atol + rtol, and no link turns so far that its turns cannot be counted.
     """
-    rtol, atol = state.graph.variable("rtol"), state.graph.variable("atol")
-    power = _rough if state.generic else expression.power
+    rho, theta = series.rho, series.theta
+    p = len(rho[0]) - 2
 
     def largest(k: int) -> Value:
         return _largest([a[k] * a[k] + b[k] * b[k] for a, b in zip(rho, theta, strict=True)])

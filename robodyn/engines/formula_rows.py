@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import blocks, expression, straightline
+from robodyn.engines import array_blocks, expression, straightline
 from robodyn.engines.formulas import Formula
 from robodyn.engines.machine_rows import Evaluate, Rows
 
@@ -80,7 +80,7 @@ class FormulaRows:
         function, buffers = self._array
         total, pivots = len(states[0]), len(self.formula.pivots)
         outputs = [np.empty((total, width)) for width in (*self.widths, pivots)]
-        blocks.evaluate(function, buffers, states, outputs)
+        array_blocks.evaluate(function, buffers, states, outputs)
         first, quality = outputs[0], outputs[-1]
         with np.errstate(all="ignore"):
             finite = np.isfinite(first.sum())

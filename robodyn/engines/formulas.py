@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from robodyn import expression
+from robodyn.engines import expression
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
-from robodyn.expression import Graph, Value
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program, Slot
-from robodyn.planar_model import Mechanism
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 
@@ -60,6 +60,7 @@ class Recorded:
 
     With `parameters` the mechanism's numbers are parameters of the graph, else they are folded;
     with `generic` too, and nothing is read from what they are: the formula serves all of a shape.
+    One whose numbers are formulas has them on a `graph` that is given.
     """
 
     def __init__(
@@ -69,10 +70,12 @@ class Recorded:
         by_direction: bool,
         parameters: bool = False,
         generic: bool = False,
+        graph: Graph | None = None,
+        arithmetic: Arithmetic = RECORDED,
     ) -> None:
         self.mechanism, self.by_direction, self.generic = mechanism, by_direction, generic
         self.parameters = parameters or generic
-        self.graph = Graph()
+        self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
         n = mechanism.n
         names = ("q", *rates)
@@ -123,7 +126,7 @@ class Recorded:
         state = State(self.E, self.absolute("qd"), given, None if self.by_direction else self._turn)
         return Series(
             program,
-            RECORDED,
+            self.arithmetic,
             self.numbers(program),
             orders,
             state,

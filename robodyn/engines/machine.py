@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robodyn.engines import object_cache
-from robodyn.expression import FUNCTIONS
+from robodyn.engines.expression import FUNCTIONS
 
 # Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
 # with 8 lanes, 20 to 30 % with one
@@ -195,9 +195,10 @@ def this_processor(family: str = "") -> Processor:
 
 @lru_cache(maxsize=1)
 def generator() -> str:
-    """What tells these sources, and those of the graph, from other versions of them."""
+    """What tells these sources, and those of the program, from other versions of them."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for path in (*sorted(here.glob("*.py")), here.parent / "expression.py"):
-        digest.update(path.read_bytes())
+    for room in (here, here.parent / "mechanics"):
+        for path in sorted(room.glob("*.py")):
+            digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.machine import Processor
 from robodyn.engines.segment import Segment
-from robodyn.expression import Expression, Graph, Value
 
 SHARE = 50_000  # rows that are worth a thread
 MAX_THREADS = 4

@@ -24,16 +24,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
 from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
-from robodyn.engines.expansion import Expansion, end_of_step, expansion, rates, written
+from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
+from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
 from robodyn.engines.formulas import Formula, projection_formula
 from robodyn.engines.segment import Segment
-from robodyn.expression import INPUTS, Expression, Graph, Value, needed
+from robodyn.loops.assembly import loop_size
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.closing import CLOSED
+from robodyn.loops.projection import CONVERGED, PASSES
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.planar_model import Mechanism
-from robodyn.projection import CLOSED, CONVERGED, PASSES, SINGULAR, suspect_quality
+from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
 
@@ -44,6 +46,8 @@ COMMON = (
     "quality", "agrees", "miss", "relative", "rtol", "atol", "suspect", "lightest", "rounding",
     "converged", "base_t",
 )  # fmt: skip
+
+SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
 
 
 class Scene:
@@ -71,8 +75,8 @@ class Scene:
         self.work, self.closes = work, closes and bool(mechanism.rows)
         self.rate_series = rate_series
         self.link = link
-        self.equations = written(mechanism, actuation, work, held)
-        program = self.equations.program
+        self.motion = MotionProgram(mechanism, actuation, work, held)
+        program = self.motion.program
         self.linear = actuation.constants is None and actuation.linear
         self.bends = program.named["bends"]
         self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
@@ -95,7 +99,7 @@ class Scene:
     @cached_property
     def found(self) -> Expansion:
         """The formulas of a step; raises ZeroDivisionError where no state has a series."""
-        return expansion(self.equations, self.actuation, self.order, generic=True)
+        return expansion(self.motion, self.order, generic=True)
 
     @cached_property
     def closing(self) -> Formula | None:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from robodyn.engines import bits, sines
 from robodyn.engines.assembler import Kernel, Word
+from robodyn.engines.expression import INPUTS, Expression, Value, needed
 from robodyn.engines.sines import Circular
-from robodyn.expression import INPUTS, Expression, Value, needed
 
 _CIRCULAR = ("sin", "cos")
 

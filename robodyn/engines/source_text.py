@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import count
+from types import MappingProxyType
 
-from robodyn.expression import FUNCTIONS, INPUTS, Expression, Value, needed
+from robodyn.engines.expression import FUNCTIONS, INPUTS, Expression, Value, needed
 
 _PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 _CALLS = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide", "neg": "negative"}
@@ -15,14 +18,25 @@ _NAMES = {"rough": "pow"}  # of Python's functions of floats
 ARRAY_CALLS = {*_CALLS.values(), *(_CALLS.get(x, x) for x in FUNCTIONS), "where", "less", "copyto"}
 
 
-def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
+def float_source(
+    outputs: Sequence[Value],
+    names: Mapping[int, str] = MappingProxyType({}),
+    symbol: Callable[[str], str] = str,
+    longest: float = math.inf,
+    readable: bool = False,
+) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
-    A node used once stands where it is used; one used more often gets a local name.
+    A node used once stands where it is used; one used more often gets a local name.  `names` has
+    those of nodes by their index: such a node always gets its own, or with "" none.  Statements
+    keep to `longest` characters where names do; inputs are called as `symbol` says.  Where it is to
+    be `readable`, local names count from 1, brackets that do no more than order a sum or a product
+    are left out, and x (1/y) is x/y.
     """
     uses = _uses(outputs)
     text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
     lines: list[str] = []
+    numbers = count(1)
 
     def written(a: Value | str, least: int) -> str:
         if isinstance(a, Expression):
@@ -33,34 +47,46 @@ def float_source(outputs: Sequence[Value]) -> tuple[list[str], list[str]]:
             )
         return shown if precedence >= least else f"({shown})"
 
-    for node in needed(outputs):
+    def composed(node: Expression) -> tuple[str, int]:
         op, args = node.op, node.args
         if op in INPUTS:
-            text[node.index] = (str(args[0]), 9)
-            continue
+            return symbol(str(args[0])), 9
         if op == "choose":
             x, y, a, b = (written(arg, 1) for arg in args)
-            shown, precedence = f"{a} if {x} < {y} else {b}", 0
-        elif op == "keep":
+            return f"{a} if {x} < {y} else {b}", 0
+        if op == "keep":
             kept = args[0]
             assert isinstance(kept, Expression)
-            shown, precedence = text[kept.index]
-        elif op not in _PRECEDENCE:
-            shown, precedence = (
-                f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})",
-                9,
-            )
-        elif op == "neg":
-            shown, precedence = f"-{written(args[0], 3)}", 3
-        else:
-            precedence = _PRECEDENCE[op]
-            left = written(args[0], precedence)
-            right = written(args[1], precedence + 1)
-            shown = f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}"
-        if uses[node.index] > 1:
-            lines.append(f"t{node.index} = {shown}")
-            shown, precedence = f"t{node.index}", 9
-        text[node.index] = (shown, precedence)
+            return text[kept.index]
+        if op not in _PRECEDENCE:
+            return f"{_NAMES.get(op, op)}({', '.join(written(arg, 0) for arg in args)})", 9
+        if op == "neg":
+            return f"-{written(args[0], 2)}", 2
+        precedence = _PRECEDENCE[op]
+        left = written(args[0], precedence)
+        right = written(args[1], precedence + (not readable or op in "-/"))
+        if readable and op == "*":
+            left, right = (right, left) if left.startswith("1.0/") else (left, right)
+            if right.startswith("1.0/"):
+                return left + right[3:], precedence
+        return f"{left} {op} {right}" if precedence == 1 else f"{left}{op}{right}", precedence
+
+    def named(node: Expression) -> None:
+        name = names.get(node.index) or f"t{next(numbers) if readable else node.index}"
+        lines.append(f"{name} = {text[node.index][0]}")
+        text[node.index] = (name, 9)
+
+    for node in needed(outputs):
+        text[node.index] = composed(node)
+        while len(text[node.index][0]) > longest:
+            parts = [a for a in node.args if isinstance(a, Expression)]
+            parts = [a for a in parts if not text[a.index][0].isidentifier()]
+            if not parts:
+                break
+            named(max(parts, key=lambda a: len(text[a.index][0])))
+            text[node.index] = composed(node)
+        if node.op not in INPUTS and names.get(node.index, uses[node.index] > 1):
+            named(node)
     return lines, [written(output, 0) for output in outputs]
 
 

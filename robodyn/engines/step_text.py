@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
-from robodyn import straightline
-from robodyn.actuation import Actuation
-from robodyn.engines import source_text
-from robodyn.engines.expansion import Expansion, end_of_step, expansion, written
-from robodyn.expression import Expression, Value
-from robodyn.planar_model import Mechanism
+from robodyn.engines import source_text, straightline
+from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion
+from robodyn.engines.expression import Expression, Value
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.planar_model import Mechanism
 
 # t, y, tau and slope (n each), most, direction, rtol, atol -> h, y at its end, series
 Expand = Callable[..., tuple[float, list[float], tuple[tuple[float, ...], ...]]]
@@ -39,8 +38,7 @@ def step_text(
     held: Sequence[float] | None = None,
 ) -> StepText:
     """The code; raises InputError where a torque has no series (for `held` see `torque_slots`)."""
-    equations = written(mechanism, actuation, work, held)
-    found = expansion(equations, actuation, order)
+    found = expansion(MotionProgram(mechanism, actuation, work, held), order)
     state = end_of_step(mechanism, found, work, found.graph)
     series = [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
     return StepText(

@@ -7,7 +7,7 @@ against link j above it, A_jk = sum_b m_b conj(rho_bj) rho_bk and B_k = sum_b m_
 
     M_ac  = sum_b (m_b sum_jk Re(conj(rho_bj) rho_bk exp(i theta_jk)) + I_b)
     C_ac  = sum_jk Im(A_jk exp(i theta_jk)) (alphad_j [k of a, j of c] - alphad_k [j of a, k of c])
-    G_a   = sum_k Im(conj(gamma) B_k E_k), and springs and loads, see `forces.py`
+    G_a   = sum_k Im(conj(gamma) B_k E_k), and springs and loads, see `force_terms.py`
     gap   = Re(P E) + offset        Psi_a = sum_k Re(i P_k E_k)        Psidot qd = -Re(P E alphad^2)
 
 where [k of a] holds for the links k that joint a moves, and sums run over these.  Every entry is a
@@ -17,19 +17,15 @@ terms.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from itertools import chain, combinations
-from typing import Literal, NamedTuple
 
 from robodyn.equations.factoring import Key, Written, as_one, by_angle, by_function, by_role
 from robodyn.equations.scene_symbols import Body, SymbolicScene
 from robodyn.equations.symbolic import (
     NOWHERE,
-    ONE,
     ZERO,
     Angle,
-    Atom,
     Planar,
     Rates,
     Role,
@@ -37,17 +33,6 @@ from robodyn.equations.symbolic import (
     of,
     total,
 )
-from robodyn.scene import JointSpring
-
-
-class Definition(NamedTuple):
-    """A name that stands for a formula in the entries."""
-
-    name: str
-    value: Written
-    unit: str
-    meaning: str
-
 
 Rows = tuple[tuple[Written, ...], ...]
 
@@ -61,46 +46,12 @@ BY_LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
 NOTHING = Body(ZERO, {})  # a link without mass
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """One matrix or vector of the equations, its entries written out; a vector has one column.
-
-    `inputs` are what it depends on, `where` names that its entries use; in equation (1) a matrix
-    of the left side stands before `rate`.
-    """
-
-    name: str
-    meaning: str
-    unit: str
-    shape: Literal["symmetric", "matrix", "diagonal", "vector"]
-    rows: Rows
-    inputs: tuple[str, ...] = ("q",)
-    rate: str = ""
-    where: tuple[Definition, ...] = ()
-
-    def atoms(self) -> Iterator[Atom]:
-        """Every atom, those of the definitions too."""
-        entries = (entry for row in self.rows for entry in row)
-        for entry in chain((name.value for name in self.where), entries):
-            yield from entry.atoms()
-
-    @property
-    def zero(self) -> bool:
-        """Whether every entry is zero."""
-        return not any(entry.terms for row in self.rows for entry in row)
+def column(scene: SymbolicScene, sums: Iterable[Sum], levels: Sequence[Key]) -> Rows:
+    """The entries of a vector as they are to be written."""
+    return tuple((scene.written(entry, levels),) for entry in sums)
 
 
-def written_rows(
-    scene: SymbolicScene, sums: Sequence[Sequence[Sum]], levels: Sequence[Key]
-) -> Rows:
-    """Entries as they are to be written."""
-    return tuple(tuple(scene.written(entry, levels) for entry in row) for row in sums)
-
-
-# -- the left side -------------------------------------------------------------------------------
-
-
-def mass_matrix(scene: SymbolicScene) -> Block:
+def mass_matrix(scene: SymbolicScene) -> Rows:
     n, path = scene.n, scene.path
     inertia = [scene.parameters.inertia(b) for b in range(n)]
     parts = [[(body, *_products(scene, body)) for body in scene.bodies[b]] for b in range(n)]
@@ -118,10 +69,8 @@ def mass_matrix(scene: SymbolicScene) -> Block:
                 found += [body.mass * total(arms), *([inertia[b]] if i == 0 else [])]
         return total(found)
 
-    upper = {(a, c): entry(a, c) for a in range(n) for c in range(a, n)}
-    sums = [[upper[min(a, c), max(a, c)] for c in range(n)] for a in range(n)]
-    rows = written_rows(scene, sums, BY_BODY)
-    return Block("M", "mass matrix", "kg m²", "symmetric", rows, ("q",), "qdd")
+    upper = {(a, c): scene.written(entry(a, c), BY_BODY) for a in range(n) for c in range(a, n)}
+    return tuple(tuple(upper[min(a, c), max(a, c)] for c in range(n)) for a in range(n))
 
 
 def _products(
@@ -136,7 +85,7 @@ def _products(
     return squares, pairs
 
 
-def coriolis_matrix(scene: SymbolicScene) -> Block:
+def coriolis_matrix(scene: SymbolicScene) -> Rows:
     n, path = scene.n, scene.path
     A: dict[tuple[int, int], Planar] = {}
     for body in chain.from_iterable(scene.bodies):
@@ -157,65 +106,55 @@ def coriolis_matrix(scene: SymbolicScene) -> Block:
                 found.append(-(moment * of(Rates(scene.direction(k)))))
         return total(found)
 
-    rows = written_rows(scene, [[entry(a, c) for c in range(n)] for a in range(n)], BY_RATE)
-    meaning = "Coriolis and centrifugal matrix, by Christoffel symbols"
-    return Block("C", meaning, "kg m²/s", "matrix", rows, ("q", "qd"), "qd")
+    joints = range(n)
+    return tuple(tuple(scene.written(entry(a, c), BY_RATE) for c in joints) for a in joints)
 
 
-def damping_matrix(scene: SymbolicScene) -> Block:
+def damping_matrix(scene: SymbolicScene) -> Rows:
     """The dampers of joints, and of the springs at them."""
-    damping = [scene.parameters.damping(k) for k in range(scene.n)]
-    for i, spring in enumerate(scene.description.springs):
-        if isinstance(spring, JointSpring):
-            damping[spring.joint] = damping[spring.joint] + scene.parameters.spring_damping(i)
-    sums = [[x if j == k else ZERO for j in range(scene.n)] for k, x in enumerate(damping)]
-    rows = written_rows(scene, sums, ())
-    return Block("D", "damping matrix", "N m s/rad", "diagonal", rows, (), "qd")
+    joints, damping = range(scene.n), scene.damping()
+    return tuple(
+        tuple(scene.written(x if j == k else ZERO, ()) for j in joints)
+        for k, x in enumerate(damping)
+    )
 
 
-# -- closures ------------------------------------------------------------------------------------
-
-
-def closures(scene: SymbolicScene) -> Iterator[Block]:
-    """Psi, Psidot qd and gap, where the scene has closures or couplings."""
-    if not scene.mechanism.rows:
-        return
-    gaps, slopes, bends = [], [], []
-    for offset, P in _closure_rows(scene):
-        turned = {k: x.turned(scene.direction(k)) for k, x in P.items()}
-        gaps.append([total([*(x.x for x in turned.values()), offset])])
+def closure_jacobian(scene: SymbolicScene) -> Rows:
+    slopes = []
+    for _, P in scene.closure_rows():
         slope = {k: x.quarter_turn.turned(scene.direction(k)).x for k, x in P.items()}
         slopes.append(
             [total(x for k, x in slope.items() if a in scene.path[k]) for a in range(scene.n)]
         )
-        rates = {k: of(Rates(scene.direction(k))) for k in P}
-        bends.append([-total(x.x * rates[k] * rates[k] for k, x in turned.items())])
-    for c, coupling in enumerate(scene.description.couplings):
-        arm = scene.parameters.arm(c)
-        turns = {j: -(arm * scene.parameters.ratio(c, j)) for j, _ in coupling.terms}
-        turns = {coupling.joint: arm, **turns}
-        angle = -(arm * scene.parameters.offset_angle(c))
-        gaps.append([total([*(x * of(Angle(j)) for j, x in turns.items()), angle])])
+    for _, turns in scene.coupling_rows():
         slopes.append([turns.get(a, ZERO) for a in range(scene.n)])
-        bends.append([ZERO])
-    rows = [written_rows(scene, sums, BY_LINE) for sums in (slopes, bends, gaps)]
-    yield Block("Psi", "closure Jacobian, d gap/dq", "m", "matrix", rows[0])
-    yield Block("Psidot_qd", "closure bias", "m/s²", "vector", rows[1], ("q", "qd"))
-    yield Block("gap", "closure gap, first side less second", "m", "vector", rows[2])
+    return tuple(tuple(scene.written(entry, BY_LINE) for entry in row) for row in slopes)
 
 
-def _closure_rows(scene: SymbolicScene) -> Iterator[tuple[Sum, dict[int, Planar]]]:
-    """offset and P_k of every row Re(sum_k P_k E_k) + offset = 0."""
-    for c, closure in enumerate(scene.description.closures):
-        constant, R = scene.place(closure.first, scene.parameters.side(c, "a"))
-        other, terms = scene.place(closure.second, scene.parameters.side(c, "b"))
-        for k, x in terms.items():
-            R[k] = R.get(k, NOWHERE) - x
-        constant = constant - other
-        if closure.along is None:
-            directions = [Planar(ONE, ZERO), Planar(ZERO, ONE)]
-        else:
-            directions = [scene.parameters.normal(c)]
-        for direction in directions:
-            w = direction.conjugate
-            yield (w * constant).x, {k: w * x for k, x in R.items()}
+def closure_bias(scene: SymbolicScene) -> Rows:
+    bends = []
+    for _, P in scene.closure_rows():
+        rates = {k: of(Rates(scene.direction(k))) for k in P}
+        turned = {k: x.turned(scene.direction(k)).x for k, x in P.items()}
+        bends.append(-total(x * rates[k] * rates[k] for k, x in turned.items()))
+    bends += [ZERO] * len(scene.description.couplings)
+    return column(scene, bends, BY_LINE)
+
+
+def closure_gap(scene: SymbolicScene) -> Rows:
+    gaps = []
+    for offset, P in scene.closure_rows():
+        gaps.append(total([*(x.turned(scene.direction(k)).x for k, x in P.items()), offset]))
+    for offset, turns in scene.coupling_rows():
+        gaps.append(total([*(x * of(Angle(j)) for j, x in turns.items()), offset]))
+    return column(scene, gaps, BY_LINE)
+
+
+ENTRIES = {
+    "M": mass_matrix,
+    "C": coriolis_matrix,
+    "D": damping_matrix,
+    "Psi": closure_jacobian,
+    "Psidot_qd": closure_bias,
+    "gap": closure_gap,
+}

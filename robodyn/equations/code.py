@@ -1,35 +1,39 @@
 """What the equations of motion have in common as code, in Python and in C.
 
-There is one function for each matrix and vector, under its name, of q and qd as it needs them.
-The sines and cosines that a function uses stand in front, as c12 = cos(q1 + q2); then come the
-entries that are not zero.
+There is one function for each matrix and vector, under its name, of q and qd as it needs them: it
+computes sines and cosines, c12 = cos(q1 + q2), and from them the entries that are not zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import NamedTuple
 
+from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
+from robodyn.engines.source_text import float_source
 from robodyn.equations import Equations, legend
-from robodyn.equations.blocks import Block
-from robodyn.equations.factoring import Root
-from robodyn.equations.notation import PYTHON, Notation, added, broken, one_line
-from robodyn.equations.symbolic import Angle, Call, Rates, Smooth
+from robodyn.equations.outline import Block
 
 WIDTH = 100
 TAB = "    "
+STATEMENT = 64  # characters; what is longer is computed in steps
+SHORT = 3  # joints whose numbers stand side by side
+
+CodeEquations = Equations[Value]
+CodeBlock = Block[Value]
 
 
-def local(function: str, joints: Sequence[int]) -> str:
-    """The variable that holds a sine or cosine: c12 for cos(q1 + q2)."""
-    numbers = [str(k + 1) for k in joints]
-    return function[0] + ("".join(numbers) if max(joints) < 9 else "_" + "_".join(numbers))
+class Body(NamedTuple):
+    """A function's statements, the entries as they are put together, and the inputs it uses."""
+
+    lines: list[str]
+    entries: list[list[str]]
+    used: set[str]
 
 
-CODE = replace(PYTHON, call=local)
-
-
-def head(equations: Equations) -> Iterator[str]:
+def head(equations: CodeEquations) -> Iterator[str]:
     """The lines of the first comment."""
     yield f"{legend.title(equations)}: equations of motion, written by robodyn."
     yield ""
@@ -44,97 +48,111 @@ def head(equations: Equations) -> Iterator[str]:
     yield from ["", *remarks] if remarks else []
 
 
-def calls(block: Block) -> list[Call]:
-    """The sines and cosines of a block, in order."""
-    found = {atom for atom in block.atoms() if isinstance(atom, Call)}
-    return sorted(found, key=lambda call: call.key)
-
-
-def functions(equations: Equations) -> list[str]:
+def functions(equations: CodeEquations) -> list[str]:
     """The names of the functions that all blocks use."""
-    atoms = [atom for block in equations.blocks for atom in block.atoms()]
-    found = {atom.function for atom in atoms if isinstance(atom, (Call, Smooth))}
-    named = [name.value for block in equations.blocks for name in block.where]
-    factors = [
-        factor for value in named for product in value.terms for factor, _ in product.factors
-    ]
-    if any(isinstance(factor, Root) for factor in factors):
-        found.add("sqrt")
-    return sorted(found)
+    rows = chain.from_iterable(block.rows for block in equations.blocks)
+    return sorted({node.op for node in needed(list(chain.from_iterable(rows)))} & set(FUNCTIONS))
 
 
-def joints(block: Block, name: str) -> list[int]:
-    """The joints whose angles ("q") or rates ("qd") a block's entries hold."""
-    found: set[int] = set()
-    for atom in block.atoms():
-        if isinstance(atom, Call if name == "q" else Rates):
-            found.update(atom.joints)
-        elif isinstance(atom, Angle if name == "q" else Smooth):
-            found.add(atom.joint)
-    return sorted(found)
+def body(block: CodeBlock, symbol: Callable[[str], str]) -> Body:
+    """What a block's function does; `symbol` tells what parameters are called."""
+    listed = legend.listed(block)
+    outputs = [entry for _, entry in listed]
+    names = _names(outputs)
+    for places, entry in listed:
+        if isinstance(entry, Expression) and entry.op != "var":
+            names.setdefault(entry.index, block.name + legend.numbers(block, *places[0], "_"))
+    used: set[str] = set()
+
+    def shown(name: str) -> str:
+        letters, joint = _parted(name)
+        if letters not in ("q", "qd"):
+            return symbol(name)
+        used.add(f"{letters}{joint}")
+        return f"{letters}{joint}"
+
+    lines, texts = float_source(outputs, names, shown, STATEMENT, readable=True)
+    entries = [["0.0" for _ in row] for row in block.rows]
+    for (places, _), text in zip(listed, texts, strict=True):
+        for i, j in places:
+            entries[i][j] = text.replace(" + -", " - ")
+    return Body([line.replace(" + -", " - ") for line in lines], entries, used)
 
 
-def definitions(block: Block) -> Iterator[str]:
-    """The local names of the sines and cosines: `c12 = cos(q1 + q2)`."""
-    for call in calls(block):
-        angle = one_line(added([f"q{k + 1}" for k in call.joints]))
-        yield f"{local(call.function, call.joints)} = {call.function}({angle})"
+def _parted(variable: str) -> tuple[str, int]:
+    """The letters of an input, and its joint counted from 1: q0 -> q, 1."""
+    letters = variable.rstrip("0123456789")
+    return letters, int("0" + variable[len(letters) :]) + 1
 
 
-def label(block: Block, i: int, j: int) -> str:
-    """The local name of an entry: M12."""
-    return block.name + legend.numbers(block, i, j, "_")
+def _names(outputs: Sequence[Value]) -> dict[int, str]:
+    """c12, s12 and w12 for cos(q1 + q2), sin(q1 + q2) and qd1 + qd2.
 
-
-def statements(
-    block: Block, notation: Notation, bare: str, brackets: tuple[str, str]
-) -> Iterator[str]:
-    """Definitions of the names that entries use, then of the entries that are not zero.
-
-    `bare` stands before a name; what takes several lines stands within `brackets`.
+    A long angle has a name as well, a_1to5; a short one is written out.
     """
-    listed = [(label(block, *places[0]), entry) for places, entry in legend.listed(block)]
-    for name, value in [*((x.name, x.value) for x in block.where), *listed]:
-        text = notation.text(value)
-        opening, closing = brackets
-        line = f"{TAB}{bare}{name} = {one_line(text)}{closing.strip(')')}"
-        if len(line) <= WIDTH:
-            yield line
-            continue
-        yield f"{TAB}{bare}{name} = {opening}".rstrip()
-        *parts, last = broken(text, WIDTH - 2 * len(TAB) - 1)
-        yield from (f"{TAB}{TAB}{part}" for part in parts)
-        if closing == ")":
-            yield from [f"{TAB}{TAB}{last}", f"{TAB})"]
+    sums: dict[int, tuple[str, tuple[int, ...]]] = {}  # of angles or rates: letters, joints
+    names: dict[int, str] = {}
+    for node in needed(outputs):
+        terms = [sums.get(a.index) for a in node.args if isinstance(a, Expression)]
+        known = [term for term in terms if term is not None]
+        if node.op == "var":
+            letters, joint = _parted(str(node.args[0]))
+            if letters in ("q", "qd"):
+                sums[node.index] = letters, (joint,)
+        elif node.op in ("cos", "sin") and known:
+            names[node.index] = node.op[0] + _joints(known[0][1])
+        elif node.op == "+" and len(known) == 2 and known[0][0] == known[1][0]:
+            letters, joints = known[0][0], tuple(sorted(known[0][1] + known[1][1]))
+            sums[node.index] = letters, joints
+            short = letters == "q" and len(joints) <= SHORT
+            names[node.index] = "" if short else ("a" if letters == "q" else "w") + _joints(joints)
+    return names
+
+
+def _joints(joints: Sequence[int]) -> str:
+    """123, or _1to4_12 where that is shorter or the other could be read otherwise."""
+    if len(joints) <= SHORT and max(joints) <= 9:
+        return "".join(map(str, joints))
+    runs: list[tuple[int, int]] = []
+    for joint in joints:
+        if runs and runs[-1][1] == joint - 1:
+            runs[-1] = runs[-1][0], joint
         else:
-            yield f"{TAB}{TAB}{last}{closing}"
+            runs.append((joint, joint))
+    return "".join(f"_{a}" if a == b else f"_{a}to{b}" for a, b in runs)
 
 
-def shown(block: Block, i: int, j: int) -> str:
-    """An entry where the whole matrix is put together: its local name, or 0.0."""
-    if not block.rows[i][j].terms:
-        return "0.0"
-    return label(block, *((j, i) if block.shape == "symmetric" and j < i else (i, j)))
-
-
-def summed(equations: Equations) -> list[Block]:
+def summed(equations: CodeEquations) -> list[CodeBlock]:
     """The blocks that the joint torques are the sum of."""
-    return [block for block in equations.left if not block.zero] or [equations.left[0]]
+    left = equations.side("left")
+    return [block for block in left if not block.zero] or [left[0]]
 
 
-def taken_off(equations: Equations) -> list[Block]:
+def taken_off(equations: CodeEquations) -> list[CodeBlock]:
     """The blocks that are taken off this sum."""
-    return [block for block in equations.right if not block.zero]
+    return [block for block in equations.side("right") if not block.zero]
 
 
-def result(equations: Equations) -> str:
+def result(equations: CodeEquations) -> str:
     """The name of the function that computes tau, or tau + Psi^T lambda."""
-    return "joint_torques" if equations.closures else "inverse_dynamics"
+    return "joint_torques" if equations.side("closures") else "inverse_dynamics"
 
 
-def told(equations: Equations) -> str:
+def told(equations: CodeEquations) -> str:
     """What that function computes."""
     left = legend.equation_of_motion(equations)[0].split(" = ")[0]
-    right = "".join(f" - {block.name}" for block in equations.right if not block.zero)
-    what = "tau + Psi^T lambda" if equations.closures else "tau"
+    right = "".join(f" - {block.name}" for block in taken_off(equations))
+    what = "tau + Psi^T lambda" if equations.side("closures") else "tau"
     return f"{what} = {left}{right}, N m"
+
+
+def wrapped(parts: Iterable[str], opening: str, closing: str) -> list[str]:
+    """Parts in a row between `opening` and `closing`, on as many lines as they need."""
+    line = f"{opening}{', '.join(parts)}{closing}"
+    if len(line) <= WIDTH:
+        return [line]
+    inner = " " * (len(opening) - len(opening.lstrip())) + TAB
+    wrapper = textwrap.TextWrapper(
+        WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False
+    )
+    return wrapper.wrap(line)

@@ -34,6 +34,9 @@ class Written:
 
     terms: tuple[Product, ...]
 
+    def __bool__(self) -> bool:
+        return bool(self.terms)
+
     def atoms(self) -> Iterator[Atom]:
         """Every atom, those in brackets too."""
         for product in self.terms:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import ZERO, Planar, Role, Sum, Symbol
-from robodyn.scene import Description, JointSpring, Load, Moment, Spring
+from robodyn.scene.scene import Description, JointSpring, Load, Moment, Spring
 
 
 class SceneParameters(Parameters):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 
 from robodyn.equations import Equations, legend
-from robodyn.equations.blocks import Block
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import PYTHON, one_line
+from robodyn.equations.outline import Block
 
 
-def as_json(equations: Equations) -> str:
+def as_json(equations: Equations[Written]) -> str:
     """One JSON object, a key in each line."""
     n, actuated = equations.mechanism.n, equations.mechanism.actuated
     content: dict[str, object] = {
@@ -31,13 +31,13 @@ def as_json(equations: Equations) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _definitions(equations: Equations) -> dict[str, object]:
+def _definitions(equations: Equations[Written]) -> dict[str, object]:
     """The names that entries use beside symbols, where there are any."""
     named = {x.name: _text(x.value) for block in equations.blocks for x in block.where}
     return {"definitions": named} if named else {}
 
 
-def _entries(block: Block) -> object:
+def _entries(block: Block[Written]) -> object:
     if block.shape == "vector":
         return [_text(row[0]) for row in block.rows]
     return [[_text(entry) for entry in row] for row in block.rows]

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from robodyn.equations import Equations, legend
-from robodyn.equations.blocks import Block, Definition
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
+from robodyn.equations.outline import Block, Definition
 from robodyn.equations.symbolic import Number
 
 WIDTH = 92  # of a formula on a page, in letters of an average width
@@ -44,7 +44,7 @@ NAMES = {
 }
 
 
-def latex(equations: Equations) -> str:
+def latex(equations: Equations[Written]) -> str:
     """A whole document."""
     lines = [r"\begin{document}"]
     lines.append(rf"\section*{{{escaped(legend.title(equations))}: equations of motion}}")
@@ -112,7 +112,7 @@ def measure(formula: str) -> float:
     return 0.7 * len(small) + len(normal) - 0.6 * normal.count("'") + 1.6 * operators
 
 
-def _preamble(equations: Equations) -> str:
+def _preamble(equations: Equations[Written]) -> str:
     columns = max(len(block.rows[0]) for block in equations.blocks)
     more = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
     return PREAMBLE + more
@@ -122,14 +122,15 @@ def _display(lines: Iterable[str]) -> list[str]:
     return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
 
 
-def _head(equations: Equations) -> Iterator[str]:
+def _head(equations: Equations[Written]) -> Iterator[str]:
     """The equation of motion in matrices, and what its right side is."""
     mechanism = equations.mechanism
     terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
-    right = "".join([r"\tau", *(f" + {block.name}" for block in equations.right if not block.zero)])
-    right += r" + \Psi^{T}\lambda" if equations.closures else ""
+    others = (block.name for block in equations.side("right") if not block.zero)
+    right = " + ".join([r"\tau", *others])
+    right += r" + \Psi^{T}\lambda" if equations.side("closures") else ""
     yield f"{' + '.join(terms) or '0'} &= {right}"
-    if equations.closures:
+    if equations.side("closures"):
         more = [r"\Psi\dot{q} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
         yield r", \quad ".join([r"\mathrm{gap} &= 0", *more])
     if mechanism.passive:
@@ -144,7 +145,7 @@ def _entry(entry: Written) -> str:
     return "{}" + text if text.startswith("[") else text
 
 
-def _block(block: Block) -> Iterator[str]:
+def _block(block: Block[Written]) -> Iterator[str]:
     """A matrix or vector as a whole where the page is wide enough, else its entries."""
     name = NAMES.get(block.name, block.name)
     if block.zero:
@@ -183,7 +184,7 @@ def _definition(definition: Definition) -> Iterator[str]:
     return _equation(subscripted(definition.name), definition.value)
 
 
-def _legend(equations: Equations) -> Iterator[str]:
+def _legend(equations: Equations[Written]) -> Iterator[str]:
     """Tables of the variables and of the parameters, and remarks."""
     variables = [
         (f"${NAMES.get(x.name, x.name)}_{{{x.numbers}}}$", "", x.unit, x.meaning)
@@ -197,7 +198,7 @@ def _legend(equations: Equations) -> Iterator[str]:
     for name, value, unit, meaning in [*variables, *parameters]:
         yield rf"{name} & {value} & {escaped(unit)} & {escaped(meaning)} \\"
     yield r"\end{longtable}"
-    names = [(NAMES.get(block.name, block.name), block.unit) for block in equations.blocks]
+    names = [(NAMES.get(block.name, block.name), block.head.unit) for block in equations.blocks]
     units = ", ".join(f"${name}$ in {escaped(unit)}" for name, unit in names)
     yield f"SI units and radians: {units}."
     if legend.is_coriolis(equations):

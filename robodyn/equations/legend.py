@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from robodyn.equations import Equations
-from robodyn.equations.blocks import Block, Definition
-from robodyn.equations.factoring import Written
+from robodyn.equations.outline import Block, Definition, Entry
 from robodyn.equations.parameters import Parameter
 from robodyn.errors import printable
-from robodyn.scene import Point
+from robodyn.scene.scene import Point
 
 Place = tuple[int, int]  # row and column
 
@@ -24,41 +23,41 @@ class Variable(NamedTuple):
     meaning: str
 
 
-def title(equations: Equations) -> str:
+def title(equations: Equations[Any]) -> str:
     """The name of the scene, in one line."""
     return printable(equations.mechanism.name)
 
 
-def plain_name(block: Block) -> str:
+def plain_name(block: Block[Any]) -> str:
     """The block's name as it is read."""
     return block.name.replace("_", " ")
 
 
-def numbers(block: Block, i: int, j: int, between: str) -> str:
+def numbers(block: Block[Any], i: int, j: int, between: str) -> str:
     """The numbers of an entry, from 1; `between` parts them where both may have two digits."""
     many = max(len(block.rows), len(block.rows[0])) > 9
     place = [i] if block.shape == "vector" else [i, j]
     return (between if many else "").join(str(k + 1) for k in place)
 
 
-def listed(block: Block) -> list[tuple[list[Place], Written]]:
+def listed(block: Block[Entry]) -> list[tuple[list[Place], Entry]]:
     """The entries that are not zero, each with its place; equal ones of M with both places."""
     found = []
     for i, row in enumerate(block.rows):
         for j, entry in enumerate(row):
-            if not entry.terms or (block.shape == "symmetric" and j < i):
+            if not entry or (block.shape == "symmetric" and j < i):
                 continue
             twin = block.shape == "symmetric" and i != j
             found.append(([(i, j), (j, i)] if twin else [(i, j)], entry))
     return found
 
 
-def zeros(block: Block) -> list[Place]:
+def zeros(block: Block[Any]) -> list[Place]:
     """The places of the entries that are zero."""
-    return [(i, j) for i, row in enumerate(block.rows) for j, x in enumerate(row) if not x.terms]
+    return [(i, j) for i, row in enumerate(block.rows) for j, x in enumerate(row) if not x]
 
 
-def variables(equations: Equations) -> list[Variable]:
+def variables(equations: Equations[Any]) -> list[Variable]:
     """q1, q2, ..., tau1, ... and lambda1, ..., and what dots on q mean."""
     description = equations.mechanism.description
     links = description.links
@@ -89,11 +88,11 @@ def variables(equations: Equations) -> list[Variable]:
     return [x._replace(meaning=printable(x.meaning)) for x in found]
 
 
-def equation_of_motion(equations: Equations) -> list[str]:
+def equation_of_motion(equations: Equations[Any]) -> list[str]:
     """The equation of motion in matrices, and below it what the closures demand."""
     left = " + ".join(f"{name} {rate}".strip() for name, rate in equations.terms) or "0"
-    right = "".join(f" + {block.name}" for block in equations.right if not block.zero)
-    if not equations.closures:
+    right = "".join(f" + {block.name}" for block in equations.side("right") if not block.zero)
+    if not equations.side("closures"):
         return [f"{left} = tau{right}"]
     return [
         f"{left} = tau{right} + Psi^T lambda",
@@ -101,7 +100,7 @@ def equation_of_motion(equations: Equations) -> list[str]:
     ]
 
 
-def new_definitions(equations: Equations) -> list[tuple[list[Definition], Block]]:
+def new_definitions(equations: Equations[Any]) -> list[tuple[list[Definition], Block[Any]]]:
     """Each block, with the names that it is the first to use."""
     told: set[str] = set()
     found = []
@@ -116,12 +115,12 @@ def unit_and_meaning(parameter: Parameter) -> str:
     return ", ".join(part for part in (parameter.unit, parameter.meaning) if part)
 
 
-def is_coriolis(equations: Equations) -> bool:
+def is_coriolis(equations: Equations[Any]) -> bool:
     """Whether there is a C, of which to tell that it is the Christoffel one."""
-    return any(block.name == "C" and not block.zero for block in equations.left)
+    return ("C", "qd") in equations.terms
 
 
-def left_out(equations: Equations, shown: Callable[[str], str] = str) -> list[str]:
+def left_out(equations: Equations[Any], shown: Callable[[str], str] = str) -> list[str]:
     """Sentences on the parameters that do not appear, each name as `shown` writes it."""
     told = {
         "Left out, being 0 in this scene": equations.zero,

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 from robodyn.errors import printable
-from robodyn.scene import Description, Point
+from robodyn.scene.scene import Description, Point
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from robodyn.equations import Equations, legend
-from robodyn.equations.blocks import Block
+from robodyn.equations import legend
 from robodyn.equations.code import (
-    CODE,
     TAB,
-    definitions,
+    CodeBlock,
+    CodeEquations,
+    body,
     functions,
     head,
-    joints,
     result,
-    shown,
-    statements,
     summed,
     taken_off,
     told,
+    wrapped,
 )
 
 
-def python(equations: Equations) -> str:
+def python(equations: CodeEquations) -> str:
     """The module; its matrices are lists of rows, and states are sequences of n numbers."""
     lines = [f"# {line}".rstrip() for line in head(equations)]
     used = functions(equations)
@@ -39,34 +37,36 @@ def python(equations: Equations) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _function(block: Block, n: int) -> Iterator[str]:
-    yield f"def {block.name}({', '.join(block.inputs)}):"
-    yield f'{TAB}"""{block.meaning[0].upper()}{block.meaning[1:]}, {block.unit}."""'
-    for name in block.inputs:
-        if joints(block, name):
-            names = ", ".join(f"{name}{k + 1}" for k in range(n))
-            yield f"{TAB}{names} = {name}" if n > 1 else f"{TAB}({names},) = {name}"
-    yield from (f"{TAB}{line}" for line in definitions(block))
-    yield from statements(block, CODE, "", ("(", ")"))
-    rows = [
-        ", ".join(shown(block, i, j) for j in range(len(row))) for i, row in enumerate(block.rows)
-    ]
+def _function(block: CodeBlock, n: int) -> Iterator[str]:
+    given, meaning = block.head, block.head.meaning
+    statements, entries, used = body(block, str)
+    yield f"def {block.name}({', '.join(given.inputs)}):"
+    yield f'{TAB}"""{meaning[0].upper()}{meaning[1:]}, {given.unit}."""'
+    for name in given.inputs:
+        names = [f"{name}{k + 1}" for k in range(n)]
+        if used & set(names):
+            lines = wrapped(names, f"{TAB}(", f"{',' if n == 1 else ''}) = {name}")
+            yield from lines if n == 1 or len(lines) > 1 else [f"{TAB}{', '.join(names)} = {name}"]
+    yield from (f"{TAB}{line}" for line in statements)
     if block.shape == "vector":
-        yield f"{TAB}return [{', '.join(rows)}]"
-    elif len(rows) == 1:
-        yield f"{TAB}return [[{rows[0]}]]"
+        yield from wrapped([row[0] for row in entries], f"{TAB}return [", "]")
+    elif len(entries) == 1:
+        yield from wrapped(entries[0], f"{TAB}return [[", "]]")
     else:
-        yield from [f"{TAB}return [", *(f"{TAB}{TAB}[{row}]," for row in rows), f"{TAB}]"]
+        yield f"{TAB}return ["
+        for row in entries:
+            yield from wrapped(row, f"{TAB}{TAB}[", "],")
+        yield f"{TAB}]"
 
 
-def _joint_torques(equations: Equations) -> Iterator[str]:
+def _joint_torques(equations: CodeEquations) -> Iterator[str]:
     """The left side less what stands beside tau, entry by entry."""
     blocks, others = summed(equations), taken_off(equations)
     terms = [
-        f"sum(a*b for a, b in zip({x.name}_i, {x.rate}))" if x.rate else f"{x.name}_i"
+        f"sum(a*b for a, b in zip({x.name}_i, {x.head.rate}))" if x.head.rate else f"{x.name}_i"
         for x in blocks
     ]
-    values = [f"{x.name}({', '.join(x.inputs)})" for x in blocks + others]
+    values = [f"{x.name}({', '.join(x.head.inputs)})" for x in blocks + others]
     rows = ", ".join(f"{x.name}_i" for x in blocks + others)
     source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
     yield f"def {result(equations)}(q, qd, qdd):"

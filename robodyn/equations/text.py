@@ -6,15 +6,16 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from robodyn.equations import Equations, legend
-from robodyn.equations.blocks import Block
+from robodyn.equations.factoring import Written
 from robodyn.equations.notation import PLAIN, broken
+from robodyn.equations.outline import Block
 
 MARGIN = "  "
 LEAST_WIDTH = 40
 WIDTH = 100
 
 
-def text(equations: Equations, width: int = WIDTH) -> str:
+def text(equations: Equations[Written], width: int = WIDTH) -> str:
     """The equations in lines of `width` at most, where they can be broken."""
     width = max(width, LEAST_WIDTH)
     lines = [f"{legend.title(equations)}: equations of motion", "", *_head(equations, width)]
@@ -27,7 +28,7 @@ def text(equations: Equations, width: int = WIDTH) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _head(equations: Equations, width: int) -> Iterator[str]:
+def _head(equations: Equations[Written], width: int) -> Iterator[str]:
     """The equation of motion in matrices, and what its right side is."""
     mechanism = equations.mechanism
     yield from (f"{MARGIN}{line}" for line in legend.equation_of_motion(equations))
@@ -37,7 +38,7 @@ def _head(equations: Equations, width: int) -> Iterator[str]:
         yield from _equation("tau", f"({', '.join(driven)})", width)
 
 
-def _block(block: Block, width: int) -> Iterator[str]:
+def _block(block: Block[Written], width: int) -> Iterator[str]:
     """The entries of a matrix or vector, one below the other; zeros together at the end."""
     name = legend.plain_name(block)
     if block.zero:
@@ -75,13 +76,13 @@ def _zeros(labels: Sequence[str], width: int) -> Iterator[str]:
         yield f"{line} = 0"
 
 
-def _label(block: Block, i: int, j: int) -> str:
+def _label(block: Block[Written], i: int, j: int) -> str:
     """M12, G1, (Psidot qd)1."""
     name = legend.plain_name(block)
     return (f"({name})" if " " in name else name) + legend.numbers(block, i, j, ",")
 
 
-def _legend(equations: Equations, width: int) -> Iterator[str]:
+def _legend(equations: Equations[Written], width: int) -> Iterator[str]:
     """Tables of the variables and of the parameters, and remarks."""
     variables = legend.variables(equations)
     yield from _table([x.name + x.numbers, x.unit, x.meaning] for x in variables)
@@ -94,8 +95,8 @@ def _legend(equations: Equations, width: int) -> Iterator[str]:
         yield from textwrap.wrap(told, width, initial_indent=MARGIN, subsequent_indent=2 * MARGIN)
 
 
-def _remarks(equations: Equations) -> Iterator[str]:
-    units = [f"{legend.plain_name(block)} in {block.unit}" for block in equations.blocks]
+def _remarks(equations: Equations[Written]) -> Iterator[str]:
+    units = [f"{legend.plain_name(block)} in {block.head.unit}" for block in equations.blocks]
     yield f"SI units and radians: {', '.join(units)}."
     if legend.is_coriolis(equations):
         yield "C is the Christoffel one: Mdot - 2C is skew-symmetric."

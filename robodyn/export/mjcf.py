@@ -21,8 +21,8 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.mechanism import Mechanism
-from robodyn.scene import Description
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Description
 
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves

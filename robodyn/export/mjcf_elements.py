@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError
 from robodyn.export.model_xml import Names, link_names, number, vector
-from robodyn.mechanism import Mechanism
-from robodyn.scene import Closure, Coupling, Load, Moment, Point, Spring
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
 
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
 

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 from robodyn import __version__
 from robodyn.errors import InputError, printable
-from robodyn.mechanism import Mechanism
-from robodyn.scene import Description, Link
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Description, Link
 
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})

@@ -22,7 +22,7 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism
 
 REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from robodyn.mechanics.planar_model import Mechanism, PlanarPoint, PointSpring
 from robodyn.mechanics.program import (
     Anchored,
     Coefficient,
@@ -44,7 +45,6 @@ from robodyn.mechanics.program import (
     Turn,
     Unknown,
 )
-from robodyn.planar_model import Mechanism, PlanarPoint, PointSpring
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 MINUS: PlanarCoefficient = (-1.0, 0.0)

@@ -39,7 +39,7 @@ PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """Real: what comes from outside, named: the time, a torque, an angle where a motion starts."""
+    """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
 
     name: str
 
@@ -53,7 +53,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is an unknown."""
+    """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is unknown."""
 
     link: int
 
@@ -75,7 +75,7 @@ class Integral:
 
 @dataclass(frozen=True, slots=True)
 class Anchored:
-    """Real: x, whose first coefficient is the given value `start` without the rounding of x."""
+    """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
 
     x: Slot
     start: str
@@ -137,7 +137,7 @@ class Inner:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Real: inertia a + Im(conj(E) F), what turns the link of direction `turn`; F leaves P out.
+    """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
 
     `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
     """
@@ -218,10 +218,13 @@ class Program:
     # -- building ----------------------------------------------------------------------------------
 
     def number(self, value: float) -> Coefficient:
-        """A coefficient of the scene; zero is part of the program's shape."""
+        """A coefficient of the scene; zero is part of the program's shape.
+
+        It is kept as it is: formulas take numbers that are formulas of parameters themselves.
+        """
         if value == 0.0:
             return 0.0
-        self.numbers.append(float(value))
+        self.numbers.append(value)
         return Number(len(self.numbers) - 1)
 
     def planar_number(self, value: complex) -> PlanarCoefficient:
@@ -251,8 +254,9 @@ class Program:
 
     @property
     def shape(self) -> tuple[object, ...]:
-        """What programs that differ in their numbers alone share."""
-        return tuple(self.rows), tuple(self.residuals), tuple(map(tuple, self.named.items()))
+        """What programs that differ in their numbers alone share; a key of dicts."""
+        named = tuple((name, tuple(slots)) for name, slots in self.named.items())
+        return tuple(self.rows), tuple(self.residuals), named
 
     def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
         """In what order, and how many orders ahead of the unknowns, slots must be known."""

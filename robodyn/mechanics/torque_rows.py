@@ -11,8 +11,8 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
-from robodyn.actuation import Actuation
 from robodyn.errors import InputError
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.program import (
     Function,

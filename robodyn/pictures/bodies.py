@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.outlines import (
     Shape,
     centre_mark,
@@ -19,7 +19,7 @@ from robodyn.pictures.outlines import (
     rounded_hull,
     spiral,
 )
-from robodyn.scene import Closure, Point, Spring
+from robodyn.scene.scene import Closure, Point, Spring
 
 Complex = NDArray[np.complex128]
 

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.csv_fields import shown
 from robodyn.pictures.character_plot import FRAMES, LEAST_HEIGHT, LEAST_WIDTH, MARKS
 from robodyn.pictures.chart import tick_texts, ticks
 from robodyn.pictures.colour_scale import NONE, angle_ticks, painted, rgb, viridis, word_colours
 from robodyn.pictures.column_units import unit_of
 from robodyn.pictures.value_map import ValueMap
+from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.uint8]  # (..., 3)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import quantity_of, unit_of
+from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,10 @@ def choose_columns(
 
 
 def _matching(header: Sequence[str], pattern: str, star: str) -> list[str]:
-    expression = re.compile(star.join(map(re.escape, pattern.split("*"))))
+    first, *parts = map(re.escape, re.sub(r"\*+", "*", pattern).split("*"))
+    # all but the last star take once and for all as little as they can: else many never end
+    parts = [f"(?>{star}?{part})" for part in parts[:-1]] + [star + part for part in parts[-1:]]
+    expression = re.compile("".join([first, *parts]))
     return [name for name in header if expression.fullmatch(name)]
 
 

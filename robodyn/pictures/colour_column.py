@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.csv_fields import finite, plain_digits, shown, split_fields, unquoted
 from robodyn.errors import InputError
-from robodyn.table import Chunk
+from robodyn.tables.csv_fields import finite, plain_digits, shown, split_fields, unquoted
+from robodyn.tables.table import Chunk
 
 Array = NDArray[np.float64]
 

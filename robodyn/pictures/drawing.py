@@ -9,15 +9,16 @@ same things.  Symbols are as large as a part of the mechanism's span.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.assembly import attempt
-from robodyn.closed_form import phases
-from robodyn.errors import AssemblyError
-from robodyn.mechanism import Mechanism
+from robodyn.dynamics.closed_form import phases
+from robodyn.errors import AssemblyError, RobodynError
+from robodyn.loops.assembly import attempt
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import Body, at, bodies
 from robodyn.pictures.outlines import Shape
 
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
+LARGEST = 1e100  # m, of a half width
 SHORTEST = 1e-12  # m, of a spring whose ends coincide
 
 
@@ -62,14 +64,23 @@ def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
 
 
 def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
-    """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n)."""
+    """What is to be drawn of the mechanism at the closed poses q, (n,) or (T, n).
+
+    Raises RobodynError where it is too large or too small for numbers.
+    """
     poses = np.atleast_2d(np.asarray(q, float))
-    E = phases(mechanism, poses)
-    half_width = HALF_WIDTH * span(mechanism, poses)
-    found = tuple(bodies(mechanism, E, half_width))
-    place = np.stack([at(body.origin, E) for body in found], axis=-1)
-    turn = np.stack([_turn(body, E) for body in found], axis=-1)
-    return Drawing(mechanism, poses, half_width, found, place, turn)
+    with np.errstate(all="ignore"), suppress(ValueError, OverflowError):  # whole numbers of nan
+        half_width = HALF_WIDTH * span(mechanism, poses)
+        if 1.0 / LARGEST <= half_width <= LARGEST:
+            E = phases(mechanism, poses)
+            found = tuple(bodies(mechanism, E, half_width))
+            place = np.stack([at(body.origin, E) for body in found], axis=-1)
+            turn = np.stack([_turn(body, E) for body in found], axis=-1)
+            drawn = Drawing(mechanism, poses, half_width, found, place, turn)
+            if all(abs(side) <= LARGEST for side in drawn.box()):
+                return drawn
+    limit = "the angles are too large, or the scene too large or too small"
+    raise RobodynError("cannot be drawn", where=mechanism.source, limit=limit)
 
 
 def _turn(body: Body, E: Complex) -> Complex:

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.closed_form import absolute_rates, phases
-from robodyn.dynamics import pin_forces
-from robodyn.forces import spring_forces
-from robodyn.mechanism import Mechanism
+from robodyn.dynamics.closed_form import absolute_rates, phases
+from robodyn.dynamics.dynamics import pin_forces
+from robodyn.dynamics.forces import spring_forces
+from robodyn.dynamics.reaction_forces import reactions
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import at, planar
-from robodyn.reaction_forces import reactions
-from robodyn.scene import Load, Spring
+from robodyn.scene.scene import Load, Spring
 
 Array = NDArray[np.float64]
 

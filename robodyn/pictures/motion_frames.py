@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import close_positions
-from robodyn.csv_fields import shown
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, PlanarPoint, joint_index
+from robodyn.loops.closing import close_positions
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
+from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
 

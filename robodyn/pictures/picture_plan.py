@@ -135,7 +135,7 @@ def head_places(
     """
     taken = list(labels)
     for (tail, head), box in zip(arrows, boxes, strict=True):
-        along = (head - tail) / abs(head - tail)
+        along = (head - tail) / (abs(head - tail) or 1.0)  # 0 where it is far off, and short
         turns = [sign * part for part in np.linspace(0.0, np.pi, 13) for sign in (1, -1)]
         candidates = []
         for gap, turn in product((0.4, 1.5, 2.6), turns[1:]):

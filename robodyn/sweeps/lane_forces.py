@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 
 Array = NDArray[np.float64]
 Number = Any  # a number, or an array over the lanes

@@ -11,11 +11,11 @@ from collections.abc import Callable
 
 from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
 from robodyn.engines.energies import energies
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import anything
 from robodyn.engines.machine_motion import RUNNING, Observer
 from robodyn.engines.machine_steps import Scene
-from robodyn.expression import Graph, Value
-from robodyn.planar_model import Mechanism
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.sweeps.step_extremes import NEAR, NEWTON, QUARTERS
 from robodyn.taylor import Status
 

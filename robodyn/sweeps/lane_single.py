@@ -9,15 +9,16 @@ has q, qd and qdd of both: extremes and crossings are those of these polynomials
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import closed_form
+from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
-from robodyn.mechanism import Mechanism
-from robodyn.recording import Outcome
-from robodyn.simulation import SCIPY_RTOL, Motion, simulate
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import SCIPY_RTOL, Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, extremes
 
@@ -89,7 +90,9 @@ def _inner(
 ) -> None:
     """What q does between the rows of a motion."""
     n, h = mechanism.n, np.diff(motion.t)
-    rates = _pieces(motion.q, motion.qd, motion.qdd, h)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # remarks belong to single motions
+        rates = _pieces(motion.q, motion.qd, motion.qdd, h)
     low, high, rate_low, rate_high = extremes(rates, h)
     begin = motion.q[:-1].T
     for to, inner, choose in (

@@ -183,13 +183,7 @@ class LaneModel:
     def _normal(self, c: Array, s: Array) -> tuple[Array, Array, Array, Array]:
         """Psi (r, n, B), Psi Psi^T factorised, and its least relative pivot (B,)."""
         at, B = self.at, c.shape[1]
-        Psi = np.zeros((self.r, self.n, B))
-        for row, l, e, _ in self.P:
-            Psi[row, l] = -(self.number(at.P_re, e) * s[l] + self.number(at.P_im, e) * c[l])
-        for k in reversed(self.outward):
-            above = self.parent[k]
-            if above is not None:
-                Psi[:, above] += Psi[:, k]
+        Psi = self._jacobian(c, s)
         L = np.zeros((self.normal.numbers, B))
         for i, row in enumerate(self.normal_row):
             for j in range(self.normal.first[i], i + 1):
@@ -201,6 +195,29 @@ class LaneModel:
             for i, row in enumerate(self.normal_row)
         ]
         return Psi, L, inverse, np.nan_to_num(np.min(pivots, axis=0), nan=-math.inf)
+
+    def leaps(self, q: Array, new_q: Array) -> NDArray[np.bool_]:
+        """Which steps (B,) cross a singular configuration, as `change_points.Misses` tells it."""
+        if not self.r:
+            return np.zeros(q.shape[1], bool)
+        alpha, new = self.absolute(q), self.absolute(new_q)
+        Psi = self._jacobian(np.cos(alpha), np.sin(alpha))
+        other = self._jacobian(np.cos(new), np.sin(new))
+        product = np.einsum("rnb,snb->brs", Psi, other)
+        return np.asarray(np.linalg.slogdet(product)[0] < 0.0)
+
+    def _jacobian(self, c: Array, s: Array) -> Array:
+        """Psi (r, n, B)."""
+        Psi = np.zeros((self.r, self.n, c.shape[1]))
+        for row, l, e, _ in self.P:
+            Psi[row, l] = -(
+                self.number(self.at.P_re, e) * s[l] + self.number(self.at.P_im, e) * c[l]
+            )
+        for k in reversed(self.outward):
+            above = self.parent[k]
+            if above is not None:
+                Psi[:, above] += Psi[:, k]
+        return Psi
 
     def _least(self, Psi: Array, L: Array, inverse: Array, x: Array) -> Array:
         """Psi^T (Psi Psi^T)^-1 x, (n, B)."""

@@ -246,4 +246,5 @@ def _closed(
     """The closed states at x (B,) after q, qd, and their qualities."""
     turn, rate, _ = values(own, x)
     new_q, new_qd = q + turn, rate
-    return new_q, new_qd, series.close(new_q, new_qd)
+    quality = series.close(new_q, new_qd)
+    return new_q, new_qd, np.where(series.leaps(q, new_q), -1.0, quality)

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
 from robodyn.engines import machine_motion
 from robodyn.engines.machine_motion import RUNNING
 from robodyn.engines.machine_steps import Scene
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.taylor import Status, default_order

@@ -19,7 +19,7 @@ from contextlib import ExitStack, suppress
 from types import TracebackType
 
 from robodyn.errors import InputError
-from robodyn.output_file import NamedFile, close_quietly
+from robodyn.tables.output_file import NamedFile, close_quietly
 
 BLOCK = 1 << 20
 MOST_FACTS = 1 << 26  # bytes

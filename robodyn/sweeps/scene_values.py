@@ -12,11 +12,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from robodyn import description, yaml_tree
 from robodyn.errors import InputError
-from robodyn.quantities import parse_angle
-from robodyn.scene import Description
-from robodyn.yaml_tree import Node, Scalar, Sequence
+from robodyn.scene import description, yaml_tree
+from robodyn.scene.quantities import parse_angle
+from robodyn.scene.scene import Description
+from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 
 LINK_KEYS = ("m", "l", "r", "I", "payload", "damping")
 _ANGLE = re.compile(r"(q|qd|qdd)[0-9]+|start\..*|.*\.angle", re.ASCII)

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import __version__, assembly, loop_rates
-from robodyn.dynamics import RobodynWarning, inverse_dynamics_and_forces, loop_forces
+from robodyn import __version__
+from robodyn.dynamics.dynamics import RobodynWarning, inverse_dynamics_and_forces, loop_forces
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
-from robodyn.mechanism import Mechanism, build
-from robodyn.recording import Outcome
+from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.simulation.recording import Outcome
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep_motions import Group, motions
 from robodyn.sweeps.sweep_plan import Plan, base_mechanism

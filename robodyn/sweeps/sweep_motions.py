@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.dense_dynamics import elimination_is_safe
-from robodyn.mechanism import Mechanism
-from robodyn.projection import regular_rank, suspect_quality
-from robodyn.recording import Outcome
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
+from robodyn.loops.change_points import regular_rank, suspect_quality
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome
 from robodyn.sweeps import lanes
 from robodyn.sweeps.lane_forces import LaneForces
 from robodyn.sweeps.lane_single import single

@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
-from robodyn import __version__, assembly
+from robodyn import __version__
 from robodyn.engines import machine
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, build
+from robodyn.loops import assembly
+from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor import default_order

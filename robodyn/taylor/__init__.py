@@ -1,14 +1,16 @@
 """A Taylor-series integrator for planar mechanisms: what its engines have in common.
 
-Three engines make the series of a motion: straight-line floats and numpy arrays (`steps.py`), and
-machine code (`compiled.py`, with the extra `fast`); `run.py` chooses one and drives it.
+The series of a motion costs a few convolutions an order and a link for any planar linkage, as
+`engines/series.py` says.  Three engines make them: straight-line floats, the rows of the program
+one by one (`steps.py`), and machine code (`compiled.py`, with the extra `fast`); `run.py` chooses
+one and drives it.
 """
 
 from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,27 +64,13 @@ class Engine(Protocol):
         """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
 
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last, so that there may be more than are given.
         """
         ...
 
-
-def step_size(z: NDArray[Any], rtol: float, atol: float) -> float:
-    """The step at which the last coefficients of z (n, order + 2) are as large as the tolerance.
-
-    Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
-    by atol + rtol, and no link turns so far that its turns cannot be counted.
-    """
-    p = z.shape[1] - 2
-    last, before = float(np.abs(z[:, -1]).max()), float(np.abs(z[:, -2]).max())
-    fast = float(np.abs(z[:, 1]).max())
-    tol = atol + rtol * fast
-    h = min(
-        (tol / ((p + 1) * last or TINY)) ** (1 / p),
-        (tol / (p * before or TINY)) ** (1 / (p - 1)),
-        2.0 / (fast or TINY),
-    )
-    angle = (p + 1) * (atol + rtol)
-    return float(h * (angle / (h * tol)) ** (1 / (p + 1)) if h * tol > angle else h)
+    def within(self, times: Array) -> Array:
+        """The states (k, N) at times (k,) in the last step."""
+        ...
 
 
 def best_order(rtol: float) -> int:

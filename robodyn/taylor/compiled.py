@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.dense_dynamics import elimination_is_safe
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
+from robodyn.loops.change_points import regular_rank
+from robodyn.loops.projection import loop_terms
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.mechanism import Mechanism
-from robodyn.projection import loop_terms, regular_rank
 from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
@@ -39,7 +40,10 @@ class Rows(Observer):
         self.scene = scene
 
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
-        leave(k.compare("sge", self._told(k, own, "given"), k.whole(ROWS)))
+        given, count = self._told(k, own, "given"), self._told(k, own, "count")
+        leave(k.compare("sge", given, k.whole(ROWS)))
+        wanted = k.compare("sge", count, k.whole(1))
+        leave(k.both(wanted, k.compare("sge", given, count)))
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
         with k.when(take):
@@ -149,6 +153,7 @@ class CompiledEngine:
         self.order = default_order(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
+        self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         if not serves(mechanism, self.order):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
@@ -183,7 +188,20 @@ class CompiledEngine:
 
         y is (q, qd) in joint coordinates, with the work done (J) appended where it is wanted.
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
+        The step in which they run out is the last.
         """
+        chunk = self._advance(t, y, bound, times, steps)
+        if count := len(chunk.t):
+            begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
+            self._last = *begun, float(chunk.t[-1])
+        return chunk
+
+    def within(self, times: Array) -> Array:
+        """The states (k, N) at times (k,) in the last step, made once more for them."""
+        t, y, end = self._last
+        return self._advance(t, y, end, times, 1).row_y
+
+    def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         pieces = self.actuation.pieces
         scene, code, block = self._made(None if pieces is None else pieces.at(t))
         N, place = len(scene.state), scene.place

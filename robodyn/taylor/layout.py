@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
-from robodyn.assembly import loop_size
-from robodyn.mechanism import Mechanism
-from robodyn.projection import CLOSED
+from robodyn.loops.closing import CLOSED, loop_size
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

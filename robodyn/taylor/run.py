@@ -17,24 +17,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn import dense_dynamics
-from robodyn.actuation import Actuation
+from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.kinks import kink_at, next_stop
-from robodyn.mechanism import Mechanism
-from robodyn.projection import float_closing, loop_terms, suspect_quality
-from robodyn.recording import Outcome, Recorder
+from robodyn.loops.change_points import FAR, Misses, suspect_quality
+from robodyn.loops.projection import float_closing, loop_terms
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import kink_at, next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, NoCodeError, Status, default_order
-from robodyn.taylor.steps import ArrayEngine, SteppingEngine, StraightEngine
+from robodyn.taylor.steps import InterpretedEngine, SteppingEngine, StraightEngine
 
 if TYPE_CHECKING:
-    from robodyn.right_hand_side import RightHandSide
+    from robodyn.simulation.right_hand_side import RightHandSide
 
 Array = NDArray[np.float64]
 
 STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
+CALL = 0.1  # s that a call of compiled code may take
 # Steps of a scene in Python after which machine code has paid: making it costs as much as these.
 WORTH = 1500
 ROWS_A_STEP = 4  # rows at times that cost what a step does
@@ -63,7 +65,7 @@ def stepping_engine(
     small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
         mechanism
     )
-    kind = StraightEngine if small else ArrayEngine
+    kind = StraightEngine if small else InterpretedEngine
     return kind(mechanism, closing, order, rtol, atol, actuation, work)
 
 
@@ -120,16 +122,23 @@ def taylor_run(
     projects = project and bool(mechanism.rows)
     closing = float_closing(mechanism) if projects else None
     suspect = suspect_quality(mechanism) if projects else 0.0
+    misses = Misses(mechanism) if projects else None
+
+    def at_change_point() -> bool:
+        return misses is not None and misses.crosses(y[: mechanism.n])
+
+    def careful() -> SteppingEngine:
+        made = stepping_engine(
+            mechanism, actuation, rtol, atol, order=order, project=project, work=work
+        )
+        made.halts = recorder.watch
+        return made
 
     def fast() -> Engine | None:
         return compiled_engine(mechanism, actuation, rtol, atol, order, project=project, work=work)
 
-    def slow() -> Engine:
-        return stepping_engine(
-            mechanism, actuation, rtol, atol, order=order, project=project, work=work
-        )
-
     stepping: Engine | None = None
+    slow: SteppingEngine | None = None
     seen = _seen(mechanism)
     if engine == "compiled" or (engine == "auto" and seen[0] >= WORTH):
         stepping = fast()
@@ -139,10 +148,12 @@ def taylor_run(
             limit += "depend on one another: take auto or python"
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None and seen[0] < WORTH
-    stepping = stepping or slow()
+    stepping = stepping or careful()
     _check_start(mechanism, actuation, y)
-    t, begun = 0.0, time.perf_counter()
-    crosses = closing is not None and closing(y.tolist())[1] < suspect
+    t, begun, most = 0.0, time.perf_counter(), STEPS
+    recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
+    crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
+    held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
         if abs(bound - t) > max_step:
@@ -157,28 +168,53 @@ def taylor_run(
                 return Outcome.SINGULAR
             status = Status.FULL
         else:
-            steps = STEPS if isinstance(stepping, SteppingEngine) else COMPILED_STEPS
+            near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
+            if near and not isinstance(stepping, SteppingEngine):
+                slow = slow or careful()
+                runner: Engine = slow
+            else:
+                runner = stepping
             left = recorder.max_evaluations - recorder.report.evaluations
+            steps = STEPS if isinstance(runner, SteppingEngine) else most
             steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
+            called = time.perf_counter()
             try:
-                chunk = stepping.advance(t, y, bound, recorder.times_until(bound), steps)
+                chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start
-                stepping, waits = slow(), False
+                stepping, waits = careful(), False
                 continue
+            if not isinstance(runner, SteppingEngine):  # nothing halts it within a call
+                took = max(1e-9, time.perf_counter() - called)
+                most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
+            leaps: list[int] = []
+            if misses is not None:
+                times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
+                leaps = misses.leaps(times, ends)
+            if leaps:
+                chunk = _first(chunk, leaps[0], 1.0 if bound > t else -1.0)
+            held = bool(leaps)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
-            recorder.chunk(chunk, t_end)
-            if _held_by_stability(chunk, t_end, recorder, rtol, atol):
-                return Outcome.STIFF
+            recorder.chunk(chunk, t_end, runner.within)
             status = chunk.status
+            recent.append(chunk)
+            if status is not Status.FULL:
+                recent.clear()
+            elif sum(len(some.t) for some in recent) >= STEPS:
+                if _held_by_stability(recent, t_end, recorder, rtol, atol):
+                    return Outcome.STIFF
+                recent.clear()
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
             return Outcome.FINISHED
         stuck = status is Status.STUCK and closing is not None and not crosses
         if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
             return Outcome.STEP_TOO_SMALL
-        crosses = stuck or status is Status.SINGULAR
+        crosses = stuck
+        if status is Status.SINGULAR:
+            crosses = at_change_point()
+            held = not crosses
         if isinstance(stepping, SteppingEngine):
             seen[0] += made
             expected = seen[0] + made * abs((t_end - t) / ((t - before) or math.inf))
@@ -186,6 +222,13 @@ def taylor_run(
                 stepping, waits = fast() or stepping, False
             if time.perf_counter() - begun > PATIENCE and find_spec("llvmlite") is None:
                 recorder.report.hint = HINT
+
+
+def _first(chunk: Chunk, steps: int, direction: float) -> Chunk:
+    """The first steps of a chunk, and the rows within them."""
+    t = chunk.t[:steps]
+    rows = int(np.searchsorted(chunk.row_t * direction, t[-1] * direction, "right")) if steps else 0
+    return Chunk(t, chunk.y[:steps], chunk.row_t[:rows], chunk.row_y[:rows], Status.FULL)
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:
@@ -205,13 +248,11 @@ def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
 
 
 def _held_by_stability(
-    chunk: Chunk, t_end: float, recorder: Recorder, rtol: float, atol: float
+    recent: list[Chunk], t_end: float, recorder: Recorder, rtol: float, atol: float
 ) -> bool:
     """Whether a run that would take too many steps takes them along what one cubic describes."""
-    n = recorder.mechanism.n
-    if len(chunk.t) < STEPS or chunk.status is not Status.FULL:
-        return False
-    t, y = chunk.t[-STEPS:], chunk.y[-STEPS:]
+    t, y = np.concatenate([x.t for x in recent]), np.concatenate([x.y for x in recent])
+    t, y, n = t[-STEPS:], y[-STEPS:], recorder.mechanism.n
     x = (t - t[0])[:, None]
     span = float(x[-1, 0])
     left = recorder.max_evaluations - recorder.report.evaluations
@@ -241,7 +282,7 @@ def _cross(
     actuation: Actuation,
 ) -> tuple[float, Array]:
     """DOP853 from (t, y) until the closures are regular again, or the bound."""
-    from robodyn.solvers import projected
+    from robodyn.simulation.solvers import projected
 
     assert closing is not None
     tolerances = np.full(len(y), atol)

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DenseOutput, OdeSolver
 
-from robodyn import actuation as torque_sources
-from robodyn.actuation import Actuation
-from robodyn.kinks import next_stop
-from robodyn.mechanism import Mechanism
+from robodyn.mechanics import actuation as torque_sources
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_times import over_a_run
 from robodyn.taylor import Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine
-from robodyn.torque_times import over_a_run
 
 Array = NDArray[np.float64]
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.actuation import Actuation
+from robodyn.engines.expansion import MotionProgram, longest_step
+from robodyn.engines.series import FLOATS
 from robodyn.engines.step_text import StepText, step_text
+from robodyn.loops.change_points import Misses, suspect_quality
+from robodyn.loops.projection import FloatClosing
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.mechanism import Mechanism
-from robodyn.projection import FloatClosing, suspect_quality
-from robodyn.taylor import Chunk, Status, step_size
-from robodyn.taylor.arrays import ArraySeries, link_rates
-from robodyn.taylor.torques import TorqueSeries
+from robodyn.taylor import Chunk, Status
 
 Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], Any]  # h, the state at its end, the series
+Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
@@ -46,10 +48,13 @@ class SteppingEngine:
     ) -> None:
         self.mechanism, self.closing, self.actuation = mechanism, closing, actuation
         self.suspect = suspect_quality(mechanism) if closing is not None else 0.0
+        self.misses = Misses(mechanism) if closing is not None else None
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
+        self._given = self.tolerances  # near a missed change point they are tighter
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
+        self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.prepare()
 
     def prepare(self) -> None:
@@ -79,24 +84,29 @@ class SteppingEngine:
         states: list[list[float]] = []
         rows: list[Array] = []
         due = 0
-        status = Status.FULL
+        status, n = Status.FULL, self.mechanism.n
         while len(ends) < steps:
-            most = (bound - t) * direction
+            left = most = (bound - t) * direction
+            if self.misses is not None:
+                longest, fine = self.misses.holds(state)
+                most = min(most, longest)
+                self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
             h, new, series = self.expand(t, state, most, direction)
             if not len(series):
                 status = Status.NOT_FINITE
                 break
             if self.bends:
                 h, new = self._shorten(t, state, h, new, series, direction)
-            if h < 4.0 * math.ulp(t) and h != most:
+            if h < 4.0 * math.ulp(t) and h != left:
                 status = Status.STUCK
                 break
-            quality = 1.0
-            if self.closing is not None:
+            crosses = False
+            if self.closing is not None and self.misses is not None:
                 new, quality = self.closing(new)
-                if quality < self.suspect:
+                if quality < self.suspect and self.misses.crosses(np.array(new[:n])):
                     h, new, quality = self._land(state, h, new, quality, series, direction)
-            end = bound if h == most else t + h * direction
+                    crosses = quality < self.suspect
+            end = bound if h == left else t + h * direction
             if due < len(times) and (times[due] - end) * direction <= 0.0:
                 last = due + int(np.searchsorted((times[due:] - end) * direction, 0.0, "right"))
                 rows.append(self.states(state, series, times[due:last] - t))
@@ -110,12 +120,19 @@ class SteppingEngine:
             if t == bound:
                 status = Status.REACHED
                 break
-            if quality < self.suspect:
+            if crosses:
                 status = Status.SINGULAR
+                break
+            if (due and due == len(times)) or (self.halts is not None and self.halts(t)):
                 break
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
         return Chunk(np.array(ends), made, times[:due], row_y, status)
+
+    def within(self, times: Array) -> Array:
+        """See `Engine`."""
+        t, state, series = self.last
+        return self.states(state, series, times - t)
 
     def _shorten(
         self,
@@ -195,104 +212,117 @@ class SteppingEngine:
         return rows
 
 
-class StraightEngine(SteppingEngine):
-    """Straight-line floats, generated for one mechanism and one order."""
+class _SeriesEngine(SteppingEngine):
+    """Series of the program, made anew where the switches of an expression stand otherwise."""
 
     def prepare(self) -> None:
         self._held: tuple[float, ...] | None = None
-        self._texts: dict[tuple[float, ...] | None, StepText] = {}
-        text = self._text(0.0) if self.actuation.pieces is None else self._make()
-        self.bends, self.works = bool(text.arms), text.works
+        self._made: dict[tuple[float, ...] | None, Any] = {}
+        self._function = self.actuation.function(self.mechanism.n)
+        if self.actuation.pieces is not None:
+            self.make(None)  # every branch must have a series
+        self.works, self.arms = self.reads(self.at(0.0))
+        self.bends = bool(self.arms)
 
-    def _make(self) -> StepText:
-        if self._held not in self._texts:
-            self._texts[self._held] = _step_text(
-                self.mechanism, self.actuation, self.order, self.work, self._held
-            )
-        return self._texts[self._held]
+    def make(self, held: tuple[float, ...] | None) -> Any:
+        """What expands the motion while switches are held so."""
+        raise NotImplementedError
 
-    def _text(self, t: float) -> StepText:
-        """The code, as the switches of an expression stand at t."""
+    def reads(self, made: Any) -> tuple[bool, list[float]]:
+        """Whether its series hold a power, and the arms of what is watched."""
+        raise NotImplementedError
+
+    def watched(self, made: Any, t: float, y: list[float], given: Pieces) -> Sequence[float]:
+        """The values of what is watched, at a state."""
+        raise NotImplementedError
+
+    def at(self, t: float) -> Any:
+        """What expands the motion from t on."""
         if self.actuation.pieces is not None:
             self._held = self.actuation.pieces.at(t)
-        return self._make()
+        return self.now
 
-    def given(self, t: float, y: list[float], direction: float) -> tuple[Any, Any]:
+    @property
+    def now(self) -> Any:
+        """What expanded the motion last."""
+        if self._held not in self._made:
+            self._made[self._held] = self.make(self._held)
+        return self._made[self._held]
+
+    def given(self, t: float, y: list[float], direction: float) -> Pieces:
         """The torques at t, and their slopes, of a table; else nothing."""
         if self.actuation.constants is not None or not self.actuation.linear:
             return (), ()
         return linear_piece(self.actuation, self._function, t, y, direction)
 
-    @cached_property
-    def _function(self) -> Callable[[float, Sequence[float]], list[float]]:
-        return self.actuation.function(self.mechanism.n)
+    def agrees(
+        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
+    ) -> bool:
+        try:
+            values = self.watched(self.now, t, y, self.given(t, y, 1.0))
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        return all(
+            _agree(each, x, value, relative, small / arm)
+            for each, value, arm in zip(
+                series[len(series) - len(self.arms) :], values, self.arms, strict=True
+            )
+        )
+
+
+class StraightEngine(_SeriesEngine):
+    """Straight-line floats, generated for one mechanism and one order."""
+
+    def make(self, held: tuple[float, ...] | None) -> StepText:
+        return _step_text(self.mechanism, self.actuation, self.order, self.work, held)
+
+    def reads(self, made: StepText) -> tuple[bool, list[float]]:
+        return made.works, made.arms
+
+    def watched(self, made: StepText, t: float, y: list[float], given: Pieces) -> Sequence[float]:
+        return made.watched(t, y, *given)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         given = self.given(t, y, direction)
         try:
-            return self._text(t).expand(t, y, *given, most, direction, *self.tolerances)
+            found: Expanded = self.at(t).expand(t, y, *given, most, direction, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
-
-    def agrees(
-        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
-    ) -> bool:
-        text = self._make()
-        try:
-            values = text.watched(t, y, *self.given(t, y, 1.0))
-        except (ArithmeticError, ValueError):  # outside the domain
-            return False
-        watched = series[len(series) - len(text.arms) :]
-        return all(
-            _agree(each, x, value, relative, small / arm)
-            for each, value, arm in zip(watched, values, text.arms, strict=True)
-        )
+        return found
 
 
-class ArrayEngine(SteppingEngine):
-    """numpy over the links: for mechanisms whose straight-line code would be long."""
+class InterpretedEngine(_SeriesEngine):
+    """The rows of the program one by one: for mechanisms whose straight-line code would be long."""
 
-    def prepare(self) -> None:
-        constants = None
-        self._torques: TorqueSeries | None = None
-        if self.actuation.constants is not None and not self.mechanism.has_state_forces:
-            constants = np.array(self.actuation.constants)
-        else:
-            self._torques = TorqueSeries(self.actuation, self.mechanism)
-        self.bends = self._torques is not None and self._torques.bends
-        self._series = ArraySeries(self.mechanism, self.order, constants)
-        self.works = self._series.moving
+    def make(self, held: tuple[float, ...] | None) -> MotionProgram:
+        return MotionProgram(self.mechanism, self.actuation, self.work, held)
+
+    def reads(self, made: MotionProgram) -> tuple[bool, list[float]]:
+        return bool(made.power), made.arms
+
+    def watched(
+        self, made: MotionProgram, t: float, y: list[float], given: Pieces
+    ) -> Sequence[float]:
+        found = made.expand(FLOATS, made.program.numbers, 1, made.state(FLOATS, t, y, given))
+        return [each[0] for each in found.watched]
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
-        n, p = self.mechanism.n, self.order
-        push = None if self._torques is None else self._torques.begin(t, y, direction)
+        made: MotionProgram = self.at(t)
         try:
-            with np.errstate(all="ignore"):
-                z, working = self._series.expand(np.array(y[:n]), np.array(y[n : 2 * n]), push)
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            start = made.state(FLOATS, t, y, self.given(t, y, direction))
+            found = made.expand(FLOATS, made.program.numbers, self.order, start)
+            longest = longest_step(found, start.w, *self.tolerances)
+        except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
-        if not np.isfinite(z).all():
+        if math.isnan(longest):
             return 0.0, y, ()
-        h = min(most, step_size(z, *self.tolerances))
-        series = [*z.real, *z.imag]
-        if self.work and working is not None:
-            rates = np.stack([link_rates(z, k) for k in range(p + 1)], axis=-1)
-            relative = relative_matrix(self.mechanism) @ rates
-            constants = self.actuation.constants
-            if constants is not None:  # their work is told by the way
-                working[:, 0] -= constants
-            power = [(working[:, : k + 1] * relative[:, k::-1]).sum() for k in range(p + 1)]
-            series.append(np.array(power))
+        power = [found.power] if found.power else []
+        series = (*found.rho, *found.theta, *power, *found.watched)
+        h = min(most, longest)
         closing, self.closing = self.closing, None
         new = self.states(y, series, np.array([h * direction]))[0].tolist()
         self.closing = closing
         return h, new, series
-
-    def agrees(
-        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
-    ) -> bool:
-        assert self._torques is not None
-        return self._torques.agrees(x, t, y, relative, small)
 
 
 def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:

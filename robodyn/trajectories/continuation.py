@@ -4,6 +4,9 @@ A step is predicted by its Taylor series, corrected by Newton's method with the 
 held, and shortened where the correction, or the change of the rates, shows that it may have left
 the branch.  The states found are nodes, between which a state can be interpolated and corrected.
 
+A path at constant speed is followed until all joints stand as at its start, less whole turns: from
+there on it repeats itself.
+
 Where det Psi_p (of the passive columns) changes its sign between two nodes there is a change
 point, at which two branches meet; the path runs straight on.  Where two branches only come near to
 one another the sign changes by a leap: the step is shortened until it follows its own.
@@ -11,26 +14,33 @@ one another the sign changes by a leap: the step is shortened until it follows i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.assembly import CLOSED, loop_size
-from robodyn.closed_form import closure_bias, closure_gap, closure_jacobian
-from robodyn.errors import AssemblyError
-from robodyn.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import JointPath, Pieces
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.errors import AssemblyError, InputError
+from robodyn.loops.assembly import CLOSED
+from robodyn.loops.change_points import nearest_singular
+from robodyn.loops.closing import close_positions, loop_size
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces
 
 Array = NDArray[np.float64]
+Watch = Callable[[float], object]  # how far a path is followed
 
 TRAVEL = 0.1  # rad, the most that a joint moves between two nodes
 CORRECTION = 0.01  # rad, the most that Newton's method may correct a prediction
 FIRST_STEP = 1 / 64  # of a piece
+LEAST_NODES = 7  # of a piece: steps grow from that by a factor of 1.7 at most
 LEAST_STEP = 1e-11  # in u, below which the path has ended
-NEWTON_STEPS = 8
 MOST_NODES = 500_000
+FURTHEST = 1e9  # rad, beyond which a float's angle is known to 1e-7 at best
+JUDGED = 1000  # nodes after which it is foreseen how many a path at constant speed takes
+RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
 NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
@@ -49,9 +59,20 @@ class PathEndError(AssemblyError):
         super().__init__(what, where=mechanism.source, limit=reason)
 
 
+class TravelError(InputError):
+    """A path is too long for a mechanism with loops."""
+
+    def __init__(self, mechanism: Mechanism, value: str, limit: str) -> None:
+        super().__init__("the path", where=mechanism.source, value=value, limit=limit)
+
+
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """Closed states along a path, N intervals between N + 1 nodes; n joints."""
+    """Closed states along a path, N intervals between N + 1 nodes; n joints.
+
+    They go from 0 to `period`; a path that is longer repeats itself, its joints (n,) advanced by
+    `rise` each time.
+    """
 
     u: Array  # (N + 1,)
     q: Array  # (N + 1, n)
@@ -59,6 +80,8 @@ class Nodes:
     ends: Array  # (N, n), and at its end
     pieces: Pieces  # (N,)
     crossings: tuple[tuple[float, float], ...]  # u of change points, and the largest |q'| there
+    period: float
+    rise: Array
 
 
 class _Node(NamedTuple):
@@ -69,31 +92,20 @@ class _Node(NamedTuple):
     sign: float  # of det Psi_p; 0 where that is none
 
 
-def follow(mechanism: Mechanism, path: JointPath, start: Array) -> Nodes:
-    """The nodes of a path from the closed state `start` (n,) on.
+def follow(
+    mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
+) -> Nodes:
+    """The nodes of a path from the closed state `start` (n,) on; `watch` is told how far it is.
 
     Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
-    determine the others.
+    determine the others, TravelError for a path that takes too many nodes.
     """
-    return _Follower(mechanism, path).nodes(start)
+    return _Follower(mechanism, path, watch).nodes(start)
 
 
 def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, NDArray[np.bool_]]:
     """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
-    passive = list(mechanism.passive)
-    q = q.copy()
-    last = np.inf
-    for _ in range(NEWTON_STEPS):
-        gap = closure_gap(mechanism, q)
-        columns = closure_jacobian(mechanism, q)[..., passive]
-        inverse = np.linalg.pinv(columns, rcond=1e-9)
-        step = np.einsum("...ij,...j->...i", inverse, gap)
-        longest = np.abs(step).max(axis=-1, keepdims=True, initial=1e-300)
-        q[..., passive] -= step * np.minimum(1.0, 0.5 / longest)
-        most = float(longest.max())
-        if most < 1e-13 or (most < 1e-9 and most > 0.3 * last):
-            break
-        last = most
+    q = close_positions(mechanism, q, mechanism.actuated)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
     turns = np.abs(q).max(axis=-1, initial=1.0)  # couplings count them
     return q, gap <= 1e-3 * CLOSED * loop_size(mechanism) * turns
@@ -109,12 +121,13 @@ def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: A
 class _Follower:
     """Finds the nodes of one path."""
 
-    def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
-        self.mechanism, self.path = mechanism, path
+    def __init__(self, mechanism: Mechanism, path: JointPath, watch: Watch) -> None:
+        self.mechanism, self.path, self.watch = mechanism, path, watch
         self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._square = len(self._passive) == len(mechanism.rows)
         self._least = DEAD * loop_size(mechanism)
         self._crossings: list[tuple[float, float]] = []
+        self._returns: list[float] = path.returns().tolist()
 
     def nodes(self, start: Array) -> Nodes:
         here, closed = corrected(self.mechanism, start[None])
@@ -122,7 +135,12 @@ class _Follower:
         if not closed[0]:
             raise self._ends(u, q, "the start does not close")
         us, qs, begins, ends, pieces = [u], [q], [], [], []
-        for piece, end in enumerate(self.path.breaks[1:].tolist()):
+        self._check_travel()
+        stops = [(piece, end) for piece, end in enumerate(self.path.breaks[1:].tolist())]
+        stops[:0] = [(0, at) for at in self._returns]
+        least = LEAST_STEP * stops[0][1] if self._returns else LEAST_STEP
+        rise = np.zeros_like(q)
+        for piece, end in stops:
             node = self._node(u, q, piece, self._held(u, piece))
             if node is None or (self._square and not node.sign):
                 reason = f"a {self._kind(q)}, from which the passive joints can go on in two ways"
@@ -134,12 +152,9 @@ class _Follower:
                 found = self._step(node, end if step == left else node.u + step, piece)
                 if found is None:
                     h = 0.4 * step
-                    if h < LEAST_STEP:
+                    if h < least:
                         raise self._ends(node.u, node.q, self._obstacle(node))
                     continue
-                if len(us) > MOST_NODES:
-                    limit = f"the motion is too long: it takes more than {MOST_NODES:,} states"
-                    raise self._ends(node.u, node.q, limit)
                 easy, following = found
                 begins.append(node.q1)
                 ends.append(following.q1)
@@ -150,7 +165,13 @@ class _Follower:
                 longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
                 h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
                 node = following
+                self._check_number(len(us), node.u)
+                self.watch(node.u)
             u, q = node.u, node.q
+            turns = np.round((q - qs[0]) / (2 * np.pi))
+            if u in self._returns and np.abs(q - qs[0] - 2 * np.pi * turns).max() < RETURNED:
+                rise = 2 * np.pi * turns
+                break
         return Nodes(
             np.array(us),
             np.array(qs),
@@ -158,7 +179,35 @@ class _Follower:
             np.array(ends),
             np.array(pieces),
             tuple(self._crossings),
+            u,
+            rise,
         )
+
+    def _check_travel(self) -> None:
+        """Raise TravelError for a path that is known to be too long before it is followed."""
+        travel, pieces = self.path.travel, len(self.path.breaks) - 1
+        value = f"{travel:.6g} rad"
+        if travel > FURTHEST:
+            limit = f"must be at most {FURTHEST:g} rad: angles are not exact enough beyond"
+            raise TravelError(self.mechanism, value, limit)
+        if pieces > MOST_NODES // LEAST_NODES:
+            limit = f"must be at most {MOST_NODES // LEAST_NODES:,} from point to point"
+            raise TravelError(self.mechanism, f"{pieces} pieces", limit)
+        if travel > MOST_NODES * TRAVEL and not self._returns:
+            raise TravelError(self.mechanism, value, self._too_many())
+
+    def _check_number(self, nodes: int, u: float) -> None:
+        """Raise TravelError where a path takes too many nodes, or is seen to do so."""
+        judged = isinstance(self.path, ConstantSpeed) and nodes >= JUDGED
+        judged = judged and u >= max(self._returns, default=0.0)
+        if nodes > MOST_NODES or (judged and nodes / u > MOST_NODES):
+            raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", self._too_many())
+
+    def _too_many(self) -> str:
+        text = f"takes more than the {MOST_NODES:,} closed states that are kept"
+        if isinstance(self.path, ConstantSpeed):
+            text += ", as it does not repeat itself after a few turns"
+        return text
 
     def _step(self, node: _Node, there: float, piece: int) -> tuple[bool, _Node] | None:
         """The node at `there`, and whether the step was easy; None where it is too long."""
@@ -192,7 +241,7 @@ class _Follower:
         Psi = closure_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         U, s, Vt = np.linalg.svd(columns, full_matrices=False)
-        if s[-1] <= self._least:
+        if s[-1] <= self._least and not self._misses(q):
             return None
         inverse = (Vt.T / s) @ U.T
         q1[self._passive] = -inverse @ (driving @ held[1])
@@ -217,11 +266,16 @@ class _Follower:
                 low = middle, found[0]
             else:
                 high = middle, found[0]
-        if np.abs(high[1] - low[1]).max() > TOGETHER:
+        if np.abs(high[1] - low[1]).max() > TOGETHER or self._misses(low[1]):
             return False
         fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
         self._crossings.append((0.5 * (low[0] + high[0]), fastest))
         return True
+
+    def _misses(self, q: Array) -> bool:
+        """Whether q is near a singular configuration that is no change point."""
+        near = nearest_singular(self.mechanism, q)
+        return near is not None and not near.crosses
 
     def _obstacle(self, node: _Node) -> str:
         """Why the path does not go on from a node."""

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 Pieces = NDArray[np.int64]
 Values = tuple[Array, Array, Array]  # p, p', p'', each (T, m)
 
+MOST_TURNS = 32  # after which a path at constant speed may repeat itself
+WHOLE = 1e-3  # rad, by which turns that count as whole may miss that in the end
 SPLINES = ("cubic", "quintic")  # through points in one sweep; the others stop at each
 
 
@@ -37,8 +39,22 @@ class JointPath(Protocol):
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         """p, p', p'' at u (T,) in [0, 1]."""
 
+    @property
+    def travel(self) -> float:
+        """How far the joint that moves most does, rad: that far at least."""
+
+    def returns(self) -> Array:
+        """Parts u, in order, after which all joints stand as at the start and go on as there."""
+
     def peaks(self) -> tuple[Array, Array]:
         """The largest |p'| and |p''| of each joint, (m,)."""
+
+
+class _Once:
+    """A path that does not repeat itself."""
+
+    def returns(self) -> Array:
+        return np.zeros(0)
 
 
 def piece_at(breaks: Array, u: Array) -> Pieces:
@@ -46,7 +62,7 @@ def piece_at(breaks: Array, u: Array) -> Pieces:
     return np.searchsorted(breaks[1:-1], u, side="right").astype(np.int64)
 
 
-class Legs:
+class Legs(_Once):
     """Straight legs (in joint space) from point to point, at rest at each point.
 
     points (K, m); `times` (K,) increase from 0 to 1.
@@ -60,6 +76,10 @@ class Legs:
         inner = np.array(profile.breaks[:-1])
         starts = times[:-1, None] + self._lengths[:, None] * inner
         self.breaks: Array = np.append(starts.reshape(-1), 1.0)
+
+    @property
+    def travel(self) -> float:
+        return _way(self.points)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         if piece is None:
@@ -80,7 +100,7 @@ class Legs:
         return rates, (D / h**2).max(axis=0) * self.profile.peak_acceleration
 
 
-class Spline:
+class Spline(_Once):
     """A spline through points (K, m) at `times` (K,) that increase from 0 to 1."""
 
     scalable = True
@@ -88,6 +108,7 @@ class Spline:
     def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
         self.breaks = self.knots = times
         self._end, self._kind, self._natural = points[-1], kind, natural
+        self.travel = _way(points)
         self._lengths = np.diff(times)
         if kind == "cubic":
             self._coefficients = splines.cubic_spline(times, points, natural)
@@ -112,7 +133,7 @@ class Spline:
         return first, second
 
 
-class Sweep:
+class Sweep(_Once):
     """A chirp about a pose: p = pose + amplitude sin(phi), the frequency from first to last, Hz.
 
     phi = 2 pi T (f0 u + (f1 - f0) u^2 / 2): the frequency f0 + (f1 - f0) u grows in proportion
@@ -132,6 +153,7 @@ class Sweep:
         inner = 2 * halves / (self._start + root)
         inner = inner[(inner > 1e-9) & (inner < 1 - 1e-9)]
         self.breaks: Array = np.concatenate([[0.0], inner, [1.0]])
+        self.travel = 2.0 * len(inner) * float(np.abs(amplitude).max(initial=0.0))
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         phase = (u * (self._start + 0.5 * self._slope * u))[:, None]
@@ -172,9 +194,27 @@ def path_through(
     return Legs(points, u, shape)
 
 
-def constant_speed(begin: Array, way: Array) -> Legs:
+def _way(points: Array) -> float:
+    """The way from point to point of points (K, m), of the joint whose is the longest."""
+    return float(np.abs(np.diff(points, axis=0)).sum(axis=0).max(initial=0.0))
+
+
+class ConstantSpeed(Legs):
     """The path from `begin` (m,) on by `way` (m,) at constant speed."""
-    return Legs(np.stack([begin, begin + way]), np.array([0.0, 1.0]), profile("constant"))
+
+    def __init__(self, begin: Array, way: Array) -> None:
+        super().__init__(np.stack([begin, begin + way]), np.array([0.0, 1.0]), profile("constant"))
+
+    def returns(self) -> Array:
+        """After so many turns of the fastest joint that those of the others are whole, too."""
+        turns = np.abs(np.diff(self.points, axis=0)[0]) / (2 * np.pi)
+        fastest = float(turns.max(initial=0.0))
+        if fastest <= 1.0:
+            return np.zeros(0)
+        u = np.arange(1, min(MOST_TURNS, int(fastest)) + 1) / fastest
+        each = u[:, None] * turns
+        off = 2 * np.pi * np.abs(each - np.round(each)).max(axis=1) / u  # at the end of the path
+        return np.asarray(u[(off < WHOLE) & (u < 1.0)])
 
 
 def spread(points: Array) -> Array:

@@ -7,26 +7,37 @@ interpolated, to order 12, from states on both sides.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.change_points import OFFSETS
-from robodyn.loop_rates import loop_accelerations, loop_velocities
-from robodyn.mechanism import Mechanism
-from robodyn.trajectories.continuation import TRAVEL, PathEndError, corrected, follow, hermite
+from robodyn.loops.change_points import OFFSETS
+from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.trajectories.continuation import (
+    TRAVEL,
+    PathEndError,
+    TravelError,
+    Watch,
+    corrected,
+    follow,
+    hermite,
+)
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
 
 Array = NDArray[np.float64]
 
 STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
 FEWEST = 64  # samples of a path of few pieces
+MOST_SAMPLES = 1_000_000
 
 
 class OpenPath:
     """A path of a mechanism of which every joint is actuated and no loop is to be kept."""
 
-    def __init__(self, path: JointPath) -> None:
-        self.path = path
+    def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
+        self.mechanism, self.path = mechanism, path
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         """q, q', q'' of all joints at u (T,), each (T, n)."""
@@ -35,14 +46,20 @@ class OpenPath:
     def grid(self) -> tuple[Array, Pieces]:
         """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
         edges = self.path.breaks
+        if len(returns := self.path.returns()):
+            edges = np.array([0.0, returns[0]])
         pieces = len(edges) - 1
         part = np.linspace(0.0, 1.0, 9)
         u = (edges[:-1, None] + np.diff(edges)[:, None] * part).reshape(-1)
         p = self.path.evaluate(u, np.repeat(np.arange(pieces), 9))[0].reshape(pieces, 9, -1)
         travel = np.abs(np.diff(p, axis=1)).sum(axis=1).max(axis=1)
         least = max(8, FEWEST // pieces)
-        counts = np.clip(np.ceil(travel / (0.5 * TRAVEL)), least, 20_000).astype(int)
-        return _samples(edges, np.arange(pieces), counts)
+        counts = np.maximum(np.ceil(travel / (0.5 * TRAVEL)), least)
+        if not counts.sum() <= MOST_SAMPLES:
+            limit = f"takes more than the {MOST_SAMPLES:,} samples in which limits are looked for"
+            raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
+        samples = _samples(edges, np.arange(pieces), counts.astype(int))
+        return _repeated(*samples, float(edges[-1]))
 
 
 class LoopPath:
@@ -52,9 +69,11 @@ class LoopPath:
     determine the others.
     """
 
-    def __init__(self, mechanism: Mechanism, path: JointPath, start: Array) -> None:
+    def __init__(
+        self, mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
+    ) -> None:
         self.mechanism, self.path = mechanism, path
-        self._nodes = follow(mechanism, path, start)
+        self._nodes = follow(mechanism, path, start, watch)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         """q, q', q'' of all joints at u (T,), each (T, n).
@@ -65,18 +84,25 @@ class LoopPath:
             piece = piece_at(self.path.breaks, u)
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
         direct = np.ones(len(u), bool)
+        period = self._nodes.period
         for at, fastest in self._nodes.crossings:
             within = self.path.breaks[:-1] <= at
             of = int(np.flatnonzero(within & (at <= self.path.breaks[1:]))[0])
             begin, end = self.path.breaks[of : of + 2].tolist()
+            if at + period <= end:  # of a path that repeats itself: there is room on both sides
+                at += period
             offsets, step = _beside(at, STEP / fastest, begin, end)
-            near = np.flatnonzero(direct & (piece == of) & (np.abs(u - at) < 0.5 * step))
+            turn = np.round((u - at) / period) * (period < 1.0)
+            off = u - at - turn * period
+            near = np.flatnonzero(direct & (piece == of) & (np.abs(off) < 0.5 * step))
             if len(near):
                 beside = self._closed(at + step * offsets, np.full(len(offsets), of))
-                weights = _lagrange(offsets, (u[near] - at) / step)
+                weights = _lagrange(offsets, off[near] / step)
                 held = self.path.evaluate(u[near], piece[near])
                 for values, known, given in zip(result, beside, held, strict=True):
                     values[near] = weights @ known
+                    if known is beside[0]:
+                        values[near] += turn[near, None] * self._nodes.rise
                     values[near[:, None], list(self.mechanism.actuated)] = given
                 direct[near] = False
         if direct.any():
@@ -91,15 +117,19 @@ class LoopPath:
         per_piece = np.bincount(pieces, minlength=len(self.path.breaks) - 1)
         least = max(8, FEWEST // len(per_piece))
         share = np.maximum(4, np.ceil(least / np.maximum(per_piece, 1))).astype(int)
-        return _samples(self._nodes.u, pieces, share[pieces])
+        samples = _samples(self._nodes.u, pieces, share[pieces])
+        return _repeated(*samples, self._nodes.period)
 
     def _closed(self, u: Array, piece: Pieces) -> Values:
         nodes = self._nodes
         p, p1, p2 = self.path.evaluate(u, piece)
-        k = np.clip(np.searchsorted(nodes.u, u, side="right") - 1, 0, len(nodes.u) - 2)
+        turn = np.clip(np.floor(u / nodes.period), 0, _last_turn(nodes.period))
+        v = u - turn * nodes.period
+        k = np.clip(np.searchsorted(nodes.u, v, side="right") - 1, 0, len(nodes.u) - 2)
         h = (nodes.u[k + 1] - nodes.u[k])[:, None]
-        x = (u - nodes.u[k])[:, None] / h
+        x = (v - nodes.u[k])[:, None] / h
         q = hermite(x, h, nodes.q[k], nodes.begins[k], nodes.q[k + 1], nodes.ends[k])
+        q += turn[:, None] * nodes.rise
         q[:, self.mechanism.actuated] = p
         q, closed = corrected(self.mechanism, q)
         if not closed.all():
@@ -121,6 +151,22 @@ def _beside(at: float, step: float, begin: float, end: float) -> tuple[Array, fl
     last = min(int((end - at) / step), count)
     whole = np.array([k for k in range(first, last + 1) if k], float)
     return whole[np.sort(np.argsort(np.abs(whole), kind="stable")[:count])], step
+
+
+def _last_turn(period: float) -> int:
+    """The number of the last of the turns, of which the first is 0, that fill a path."""
+    return math.ceil((1.0 - 1e-9 * period) / period) - 1
+
+
+def _repeated(u: Array, pieces: Pieces, period: float) -> tuple[Array, Pieces]:
+    """Samples of the first turn, in the first and in the last two as well.
+
+    What counts turns (a spring at a joint) grows from turn to turn, so its extremes are there.
+    """
+    last = _last_turn(period)
+    turns = sorted({0, max(last - 1, 0), last})
+    each = [np.minimum(u + turn * period, 1.0) for turn in turns]
+    return np.concatenate(each), np.tile(pieces, len(turns))
 
 
 def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:

@@ -23,16 +23,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import inverse_dynamics
+from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanism import Mechanism
-from robodyn.per_joint import for_each_actuated
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.per_joint import for_each_actuated
+from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath
 from robodyn.trajectories.path_extremes import Columns, least_along
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
-from robodyn.trajectories.trajectory import ReferenceMotion, all_joints, motion_along, whole_path
+from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
 
 Array = NDArray[np.float64]
 
@@ -157,14 +158,15 @@ def shortest_through(
     profile: str,
     acceleration: float,
     natural: bool,
+    watch: Watch = lambda u: None,
 ) -> Shortest:
     """`shortest_motion` through points (K, n), of which passive angles may be NaN."""
     driven = points[:, list(mechanism.actuated)]
     path = path_through(driven, times, profile, acceleration, natural)
     begin = 0.0 if times is None else float(np.asarray(times, float)[0])
     if times is not None or not isinstance(path, Legs) or len(points) == 2:
-        return shortest_along(mechanism, path, points, limits, begin)
-    whole = whole_path(mechanism, path, points)
+        return shortest_along(mechanism, path, points, limits, begin, watch)
+    whole = whole_path(mechanism, path, points, watch)
     durations: list[float] = []
     bounds: list[str] = []
     for k in range(len(points) - 1):
@@ -182,14 +184,19 @@ def shortest_through(
 
 
 def shortest_along(
-    mechanism: Mechanism, path: JointPath, points: Array, limits: Limits, begin: float = 0.0
+    mechanism: Mechanism,
+    path: JointPath,
+    points: Array,
+    limits: Limits,
+    begin: float = 0.0,
+    watch: Watch = lambda u: None,
 ) -> Shortest:
-    """The shortest motion along a path; `points` as for `trajectory.motion_along`."""
+    """The shortest motion along a path; `points` as for `reference.motion_along`."""
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
     if not limits.given:
         raise InputError("duration", value="min", limit="needs a limit: a largest qd, qdd or tau")
-    whole = whole_path(mechanism, path, points)
+    whole = whole_path(mechanism, path, points, watch)
     found = [(0.0, "")]
     rates, accelerations = path.peaks()
     peaks = (("qd", rates, limits.qd, 1.0), ("qdd", accelerations, limits.qdd, 0.5))

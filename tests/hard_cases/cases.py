@@ -15,11 +15,12 @@ from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
+from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
-from robodyn.description import from_text
-from robodyn.mechanism import Mechanism, build
-from robodyn.recording import Outcome
-from robodyn.simulation import simulate
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import simulate
 
 HERE = Path(__file__).resolve().parent
 ROBOTS = HERE.parent.parent / "robots"
@@ -455,6 +456,17 @@ def sines() -> Iterator[Row]:
         yield Row(f"{name} of machine code", "10^7 angles to 1e5 rad", "error, ulp", 1.0, error)
 
 
+# -- 12: near misses of change points -------------------------------------------------------------
+
+
+def near_misses() -> Iterator[Row]:
+    hard = "branches all but meet"
+    for case, worst in near_miss.states():
+        yield Row(case, hard, "error / eps (w^2 + |qdd|)/(s/L)^2", 100.0, worst)
+    for case, error, bound in near_miss.motions():
+        yield Row(case, hard, "error of q, qd", bound, error)
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -468,4 +480,5 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     scales_and_edges,
     seven_body,
     sines,
+    near_misses,
 ]

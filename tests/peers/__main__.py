@@ -41,8 +41,8 @@ from rich.table import Table
 import robodyn
 from peers.agreement import Row, agreement, motion_states
 from peers.exported import exports
-from robodyn.description import from_text
-from robodyn.mechanism import Mechanism, build
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
 
 PEERS = {  # and their names on PyPI
     "mujoco": "mujoco",

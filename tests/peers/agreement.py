@@ -11,8 +11,8 @@ import numpy as np
 from bench_frontier import ROOT, Array
 
 import robodyn
-from robodyn.loop_rates import loop_accelerations, loop_velocities
-from robodyn.mechanism import Mechanism
+from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanics.mechanism import Mechanism
 
 ROUNDING = 1e-13
 STATES = 200

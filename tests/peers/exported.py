@@ -21,11 +21,11 @@ from peers.agreement import (
     product,
     worst,
 )
-from robodyn.assembly import loop_size
-from robodyn.closed_form import closure_bias
-from robodyn.description import from_text
+from robodyn.dynamics.closed_form import closure_bias
 from robodyn.errors import InputError
-from robodyn.mechanism import Mechanism, build
+from robodyn.loops.assembly import loop_size
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.description import from_text
 
 EXPORTED = (
     *("pendulum", "2r", "3r", "four-bar", "parallelogram", "slider-crank", "five-bar"),

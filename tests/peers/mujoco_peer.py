@@ -18,7 +18,7 @@ import robodyn
 from robodyn import Mechanism
 from robodyn.export.mjcf import mjcf as exported_text
 from robodyn.export.model_xml import Names, link_names
-from robodyn.scene import Description
+from robodyn.scene.scene import Description
 
 STEPS = [round(250 * 2 ** (k / 2)) for k in range(20)]  # fewer are unstable
 

@@ -15,7 +15,7 @@ from bench_frontier import Array, Run
 from robodyn import Mechanism
 from robodyn.export.model_xml import Names, link_names
 from robodyn.export.urdf import urdf
-from robodyn.scene import Description
+from robodyn.scene.scene import Description
 
 
 class Model:

@@ -11,7 +11,7 @@ import sympy as sp
 from bench_frontier import Array, Run
 
 from robodyn import Mechanism
-from robodyn.scene import Point
+from robodyn.scene.scene import Point
 
 
 class Lagrangian:

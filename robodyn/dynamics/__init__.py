@@ -1,0 +1,1 @@
+"""Matrices, inverse and forward dynamics, reactions, energies, and the identities they keep."""

@@ -1,0 +1,232 @@
+"""M, C, G, Psi, energies and points of a mechanism, vectorised over any leading axes.
+
+With E = exp(i alpha), alpha = J q, and W = conj(E)[:, None] * A * E[None, :],
+
+    M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T (Im(w E) - moments)
+    KE = 1/2 alphad^T Re(W) alphad      PE = -Re(w . E) - moments . alpha + const
+    gap = Re(P E) + angles alpha + offset      Psi = (angles - Im(P * E)) J
+    Psidot qd = -Re(P (E * alphad^2))
+
+where A, J, P, the weights w (conj(gamma) B, but for constant forces) and the moments are the
+constants of `mechanism.py`.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
+equation of motion, which every docstring refers to, is
+
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
+
+with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
+is Q (`forces.py`).  States are arrays (..., n); radians, SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics import forces
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.planar_model import coefficient_matrix
+
+Array = NDArray[np.float64]
+
+
+def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are finite and n wide."""
+    return finite(name, n_wide(mechanism, name, values))
+
+
+def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are n wide."""
+    array = np.asarray(values, dtype=float)
+    n = mechanism.n
+    if array.ndim == 0 or array.shape[-1] != n:
+        limit = f"must have {n} values along the last axis, one a joint"
+        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    return array
+
+
+def finite(name: str, array: Array) -> Array:
+    """The array; InputError that names the first value which is not finite."""
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        place = f"{name}[{', '.join(map(str, where))}]"
+        raise InputError(place, value=array[tuple(where)], limit="must be finite")
+    return array
+
+
+def phases(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.complex128]:
+    """E = exp(i J q), the links' directions, (..., n)."""
+    alpha = as_states(mechanism, "q", q) @ mechanism.arrays.J.T
+    E = np.empty(alpha.shape, complex)
+    np.cos(alpha, out=E.real)
+    np.sin(alpha, out=E.imag)
+    return E
+
+
+def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
+    """alphad = J qd, the links' angular velocities, (..., n)."""
+    rates: Array = as_states(mechanism, name, qd) @ mechanism.arrays.J.T
+    return rates
+
+
+def absolute_inertia(mechanism: Mechanism, E: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """W = conj(E)[:, None] * A * E[None, :], (..., n, n); its real part is M in alpha."""
+    W: NDArray[np.complex128] = E.conj()[..., :, None] * mechanism.arrays.A * E[..., None, :]
+    return W
+
+
+def absolute_gravity(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
+    """G in alpha, of weights and constant forces and torques, (..., n)."""
+    G: Array = (mechanism.arrays.weights * E).imag - mechanism.arrays.moments
+    return G
+
+
+def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """M of equation (1), (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
+
+    Raises InputError where q is not finite or not n wide.
+    """
+    J = mechanism.arrays.J
+    M: Array = J.T @ absolute_inertia(mechanism, phases(mechanism, q)).real @ J
+    return M
+
+
+def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """The Christoffel C of equation (1), (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
+
+    Raises InputError where q or qd is not finite or not n wide.
+    """
+    J = mechanism.arrays.J
+    W = absolute_inertia(mechanism, phases(mechanism, q))
+    C: Array = J.T @ (-W.imag * absolute_rates(mechanism, qd)[..., None, :]) @ J
+    return C
+
+
+def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """G = dPE/dq of equation (1), (..., n), N m: of gravity, springs, constant forces and torques.
+
+    Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
+    with a free length coincide.
+    """
+    E = phases(mechanism, q)
+    G: Array = absolute_gravity(mechanism, E) @ mechanism.arrays.J
+    if mechanism.springs or mechanism.joint_springs:
+        G = G - forces.potential_torques(mechanism, np.asarray(q, float), E)
+    return G
+
+
+def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """Q of equation (1), (..., n), N m: of what has no potential, but for dampers of joints.
+
+    Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
+    not finite or not n wide, SingularError where the ends of a damped spring coincide.
+    """
+    E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
+    return forces.other_torques(mechanism, np.asarray(qd, float), E, rates)
+
+
+def scene_torques(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    E: NDArray[np.complex128],
+    rates: Array | None = None,
+) -> Array:
+    """The joint torques of springs and of Q together, (..., n), N m; `rates` is alphad if known."""
+    rates = absolute_rates(mechanism, qd) if rates is None else rates
+    torques = forces.potential_torques(mechanism, q, E)
+    return torques + forces.other_torques(mechanism, qd, E, rates)
+
+
+def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """KE = 1/2 qd^T M qd, (...), J."""
+    v = phases(mechanism, q) * absolute_rates(mechanism, qd)
+    KE: Array = 0.5 * np.einsum("...j,...j->...", v.conj(), v @ mechanism.arrays.A.T).real
+    return KE
+
+
+def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """PE of gravity, springs, constant forces and torques, (...), J.
+
+    That of gravity is zero at the origin's height, that of a force where its point is at the
+    origin, that of a torque where its link points along +X.
+    """
+    return _potential(mechanism, q, phases(mechanism, q))
+
+
+def _potential(mechanism: Mechanism, q: ArrayLike, E: NDArray[np.complex128]) -> Array:
+    arrays = mechanism.arrays
+    PE: Array = mechanism.energy_offset - (E @ arrays.weights).real
+    if any(mechanism.moments):
+        PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
+    if mechanism.springs or mechanism.joint_springs:
+        PE = PE + forces.spring_energy(mechanism, np.asarray(q, float), E)
+    return PE
+
+
+def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """KE and PE, (...), J, of the same states: the links' directions are found once."""
+    E = phases(mechanism, q)
+    v = E * absolute_rates(mechanism, qd)
+    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
+    return KE, _potential(mechanism, q, E)
+
+
+def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """How far the closures are from closing, first side minus second, (..., r), m.
+
+    Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
+    what its joint is ahead, rad, times a length of the mechanism.
+    """
+    arrays = mechanism.arrays
+    gap: Array = (phases(mechanism, q) @ arrays.P.T).real + arrays.offset
+    if mechanism.description.couplings:
+        gap = gap + absolute_rates(mechanism, q, "q") @ arrays.angles.T
+    return gap
+
+
+def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """Psi = d gap/dq, (..., r, n), m/rad."""
+    Psi: Array = absolute_jacobian(mechanism, phases(mechanism, q)) @ mechanism.arrays.J
+    return Psi
+
+
+def absolute_jacobian(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
+    """Psi in alpha, (..., r, n), m/rad."""
+    Psi: Array = mechanism.arrays.angles - (mechanism.arrays.P * E[..., None, :]).imag
+    return Psi
+
+
+def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """Psidot qd, the part of the gap's acceleration that qdd does not make, (..., r), m/s^2."""
+    rates = absolute_rates(mechanism, qd)
+    bias: Array = -((phases(mechanism, q) * rates**2) @ mechanism.arrays.P.T).real
+    return bias
+
+
+def point_motion(
+    mechanism: Mechanism,
+    points: Sequence[PlanarPoint],
+    q: ArrayLike,
+    qd: ArrayLike | None = None,
+    qdd: ArrayLike | None = None,
+) -> tuple[Array, Array, Array]:
+    """Position m, velocity m/s and acceleration m/s^2 of points, each (..., points, 2).
+
+    Rates and accelerations not given are zero.
+    """
+    coefficients = coefficient_matrix(points, mechanism.n)
+    E = phases(mechanism, q)
+    zero = np.zeros(mechanism.n)
+    rates = absolute_rates(mechanism, zero if qd is None else qd)
+    accelerations = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
+
+    def cartesian(z: NDArray[np.complex128]) -> Array:
+        return np.stack([z.real, z.imag], axis=-1)
+
+    position = E @ coefficients.T + np.array([point.constant for point in points])
+    velocity = (1j * E * rates) @ coefficients.T
+    acceleration = (E * (1j * accelerations - rates**2)) @ coefficients.T
+    return cartesian(position), cartesian(velocity), cartesian(acceleration)

@@ -1,0 +1,259 @@
+"""Inverse and forward dynamics by dense algebra along the freedoms that the closures leave.
+
+With N a basis of the null space of Psi (N^T Psi^T = 0) and x any solution of Psi x = -Psidot qd,
+
+    forward:   N^T M N z = N^T (tau + Q - C qd - D qd - G - M x),      qdd = x + N z
+    inverse:   N^T S^T tau_act = N^T (M qdd + C qd + D qd + G - Q)
+
+and lambda follows from the equations that are left, with least norm where closures depend on one
+another.  No inverse of M alone is needed, so massless links in a loop are no trouble.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.closed_form import (
+    absolute_gravity,
+    absolute_inertia,
+    absolute_jacobian,
+    absolute_rates,
+    closure_bias,
+    closure_gap,
+    closure_jacobian,
+    phases,
+    scene_torques,
+)
+from robodyn.errors import RobodynError, SingularError
+from robodyn.loops.closing import loop_size
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
+MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
+LIGHTEST = 1e-15  # a freedom with less than this part of the largest inertia has none
+SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
+BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
+
+
+class Torques(NamedTuple):
+    """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
+
+    `remark` says where they are right but not the only ones.
+    """
+
+    tau: Array
+    multipliers: Array
+    remark: str = ""
+
+
+class Accelerations(NamedTuple):
+    """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N; `remark` as for Torques."""
+
+    qdd: Array
+    multipliers: Array
+    remark: str = ""
+
+
+def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
+    """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m.
+
+    In absolute angles it is Re(conj(E) (A (E (alphadd + i alphad^2)))) + G.
+    """
+    arrays = mechanism.arrays
+    E = phases(mechanism, q)
+    rates = absolute_rates(mechanism, qd)
+    inner = E * (absolute_rates(mechanism, qdd, "qdd") + 1j * rates**2)
+    load = (E.conj() * (inner @ arrays.A.T)).real + absolute_gravity(mechanism, E)
+    result: Array = load @ arrays.J + arrays.damping * qd
+    return result - scene_torques(mechanism, q, qd, E) if mechanism.has_state_forces else result
+
+
+def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
+    """Torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
+    load = required_load(mechanism, q, qd, qdd)
+    if not mechanism.rows and not mechanism.passive:
+        return Torques(load, np.zeros((*load.shape[:-1], 0)))
+    n, actuated = mechanism.n, list(mechanism.actuated)
+    s = _decompose(mechanism, closure_jacobian(mechanism, q))
+    # a projector serves as N here: states of different rank go together
+    kept = s.V * s.keep[..., None, :]
+    freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
+    driven = freedoms[..., :, actuated]
+    wanted = _times(freedoms, load)
+    tau = np.zeros_like(load)
+    # cut against 1, the projector's size: at a dead centre nothing but rounding is driven
+    U, drive, Vt = np.linalg.svd(driven, full_matrices=False)
+    counts = drive > RANK_CUT
+    inverse = np.where(counts, 1.0 / np.where(counts, drive, 1.0), 0.0)
+    drives = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
+    tau[..., actuated] = _times(drives, wanted)
+    missing = np.abs(wanted - _times(driven, tau[..., actuated])).max(axis=-1)
+    excess = missing - BALANCE * np.abs(load).max(axis=-1)
+    if (excess > 0.0).any():
+        state = np.unravel_index(np.argmax(excess), q.shape[:-1])
+        raise _cannot_drive(mechanism, q[state], int(s.rank[state]))
+    remarks = _dependence(mechanism, s.rank)
+    if (len(actuated) > n - s.rank).any():
+        least = int((n - s.rank).min())
+        freedom = "1 freedom" if least == 1 else f"{least} freedoms"
+        remarks.insert(0, f"{len(actuated)} actuators on {freedom}: torques of least norm")
+    if (counts.sum(axis=-1) < np.minimum(len(actuated), n - s.rank)).any():
+        at = "dead centre: the actuators cannot drive every freedom here"
+        remarks.insert(0, f"{at}: torques of least norm")
+    multipliers = _times(np.swapaxes(s.pseudo_inverse, -1, -2), load - tau)
+    return Torques(tau, multipliers, "; ".join(remarks))
+
+
+def forward(
+    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float = 0.0
+) -> Accelerations:
+    """Accelerations and multipliers for states (..., n); see `dynamics.forward_dynamics`.
+
+    A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
+    """
+    arrays = mechanism.arrays
+    E = phases(mechanism, q)
+    rates = absolute_rates(mechanism, qd)
+    W = absolute_inertia(mechanism, E)
+    M = W.real  # all of this in absolute angles
+    joint = tau - arrays.damping * qd
+    if mechanism.has_state_forces:
+        joint = joint + scene_torques(mechanism, q, qd, E)
+    force = joint @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
+    force = force + _times(W.imag, rates**2) - absolute_gravity(mechanism, E)
+    Psi = absolute_jacobian(mechanism, E)
+    bend = closure_bias(mechanism, q, qd)
+    if baumgarte:
+        gapd = _times(Psi, rates)
+        bend = bend + 2 * baumgarte * gapd + baumgarte**2 * closure_gap(mechanism, q)
+    s = _decompose(mechanism, Psi)
+    particular = -_times(s.pseudo_inverse, bend)
+    right = force - _times(M, particular)
+    free = np.zeros_like(right)
+    for rank in np.unique(s.rank):  # as a rule there is one
+        at = s.rank == rank
+        free[at] = _along_freedoms(mechanism, s.V[at][..., rank:], M[at], right[at])
+    acceleration = particular + free
+    unbalanced = _times(M, acceleration) - force
+    multipliers = _times(np.swapaxes(s.pseudo_inverse, -1, -2), unbalanced)
+    qdd = acceleration.copy()
+    for k, above in enumerate(mechanism.parent):
+        if above is not None:
+            qdd[..., k] -= acceleration[..., above]
+    return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
+
+
+@lru_cache(maxsize=64)
+def elimination_is_safe(mechanism: Mechanism) -> bool:
+    """Whether M can be eliminated before Psi, as generated and sparse code do.
+
+    M alone must be positive definite (over a sample of configurations), and, with closures, the
+    links' inertias must not spread so far that the multipliers lose their digits.
+    """
+    diagonal = mechanism.arrays.A.diagonal().real
+    if not (diagonal > 0.0).all():
+        return False
+    scale = np.sqrt(diagonal)
+    sample = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, mechanism.n))
+    M = absolute_inertia(mechanism, phases(mechanism, sample)).real / (scale[:, None] * scale)
+    regular = bool(np.linalg.eigvalsh(M)[:, 0].min() > MASS_CUT)
+    return regular and (not mechanism.rows or diagonal.max() <= SPREAD * diagonal.min())
+
+
+def check_actuators(mechanism: Mechanism, q: Array) -> None:
+    """Raise RobodynError where there are fewer actuators than freedoms."""
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(mechanism.actuated) < freedoms and q.size:
+        joint = _free_joint(mechanism, q.reshape(-1, mechanism.n)[0])
+        raise RobodynError(
+            "torque",
+            where=mechanism.source,
+            limit=f"fewer actuators ({len(mechanism.actuated)}) than freedoms ({freedoms}): joint "
+            f"{joint} is free; name it in `actuated`",
+        )
+
+
+class _Decomposition(NamedTuple):
+    """Psi = U diag(s) V^T: V (..., n, n), which s count (..., n), their number, Psi's inverse."""
+
+    V: Array
+    keep: NDArray[np.bool_]
+    rank: NDArray[np.int64]
+    pseudo_inverse: Array
+
+
+def _decompose(mechanism: Mechanism, Psi: Array) -> _Decomposition:
+    r, n = Psi.shape[-2:]
+    U, s, Vt = np.linalg.svd(Psi, full_matrices=True)
+    V = np.swapaxes(Vt, -1, -2)
+    counts = s > RANK_CUT * loop_size(mechanism)
+    inverse = np.where(counts, 1.0 / np.where(counts, s, 1.0), 0.0)
+    k = min(r, n)
+    pseudo_inverse = (V[..., :, :k] * inverse[..., None, :]) @ np.swapaxes(U[..., :, :k], -1, -2)
+    keep = np.zeros((*counts.shape[:-1], n), bool)
+    keep[..., :k] = counts
+    return _Decomposition(V, keep, counts.sum(axis=-1), pseudo_inverse)
+
+
+def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> Array:
+    """N z with N^T M N z = N^T right, for states (T, n); SingularError where N^T M N is."""
+    if not N.shape[-1]:
+        return np.zeros_like(right)
+    Nt = np.swapaxes(N, -1, -2)
+    reduced = Nt @ M @ N
+    diagonal = np.diagonal(reduced, axis1=-2, axis2=-1)
+    heaviest = np.abs(M).max(axis=(-2, -1), initial=0.0)[:, None]
+    scale = np.sqrt(np.where(diagonal > LIGHTEST * heaviest, diagonal, np.inf))
+    scaled = reduced / (scale[:, :, None] * scale[:, None, :])
+    least = np.where(np.isinf(scale).any(axis=-1), 0.0, np.linalg.eigvalsh(scaled)[:, 0])
+    if (least < MASS_CUT).any():
+        worst = int(np.argmin(least))
+        _, vectors = np.linalg.eigh(reduced[worst])
+        motion = N[worst] @ vectors[:, 0]
+        raise _no_inertia(mechanism, int(np.argmax(np.abs(motion))))
+    z = np.linalg.solve(scaled, (_times(Nt, right) / scale)[..., None])[..., 0] / scale
+    return _times(N, z)
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    product: Array = (matrix @ vector[..., None])[..., 0]
+    return product
+
+
+def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
+    if np.all(rank == len(mechanism.rows)):
+        return []
+    return ["the closures depend on one another: the pin forces are not unique (least norm given)"]
+
+
+def _free_joint(mechanism: Mechanism, q: Array) -> str:
+    """The joint that moves most when every actuated joint is held."""
+    held = np.eye(mechanism.n)[list(mechanism.actuated)]
+    s = _decompose(mechanism, np.vstack([closure_jacobian(mechanism, q), held]))
+    joint = int(np.argmax((s.V**2 * ~s.keep).sum(axis=-1)))
+    return f"q{joint + 1} ({mechanism.link_names[joint]})"
+
+
+def _cannot_drive(mechanism: Mechanism, q: Array, rank: int) -> SingularError:
+    kind = "dead centre" if rank == len(mechanism.rows) else "change point or dependent closures"
+    joint = _free_joint(mechanism, q)
+    at = ", ".join(f"{x:.9g}" for x in q)
+    return SingularError(
+        f"singular configuration ({kind}) at q = {at}",
+        where=mechanism.source,
+        limit=f"no torque of the actuated joints makes this motion: joint {joint} is free here",
+    )
+
+
+def _no_inertia(mechanism: Mechanism, link: int) -> SingularError:
+    return SingularError(
+        f"link {mechanism.link_names[link]} can move without any inertia",
+        where=mechanism.source,
+        limit="its acceleration is undefined; give it, or what it carries, a mass or an inertia",
+    )

@@ -1,0 +1,101 @@
+"""Numbers that series are made of: what an engine must tell of them, and their planar products.
+
+Plain floats 0.0 and 1.0 are structural: they are there whatever the scene's numbers are, and
+products and sums with them cost nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+Value = Any
+Planar = tuple[Value, Value]
+
+ZERO: Planar = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Arithmetic:
+    """The functions of one kind of numbers; +, -, *, / are the numbers' own."""
+
+    cos: Callable[[Value], Value]
+    sin: Callable[[Value], Value]
+    power: Callable[[Value, float], Value]
+    functions: dict[str, Callable[[Value], Value]] = field(default_factory=dict)
+    # sum of x_j y_{m-j} for j from first to last
+    convolve: Callable[[Any, Any, int, int, int], Value] | None = None
+    room: Callable[[int], Any] = lambda orders: [0.0] * orders
+    keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
+
+
+_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos")
+FLOATS = Arithmetic(
+    cos=math.cos,
+    sin=math.sin,
+    power=math.pow,
+    functions={name: getattr(math, name) for name in _FUNCTIONS},
+)
+
+
+def times(a: Value, b: Value) -> Value:
+    """a b, without the products of a structural zero or one."""
+    if type(a) is float:
+        if a == 0.0:
+            return 0.0
+        if a == 1.0:
+            return b
+    if type(b) is float:
+        if b == 0.0:
+            return 0.0
+        if b == 1.0:
+            return a
+    return a * b
+
+
+def plus(a: Value, b: Value) -> Value:
+    """a + b, without adding a structural zero."""
+    if type(a) is float and a == 0.0:
+        return b
+    if type(b) is float and b == 0.0:
+        return a
+    return a + b
+
+
+def over(a: Value, k: int) -> Value:
+    """a / k; of recorded numbers a product with 1/k, of longer ones to their last digit."""
+    return 0.0 if type(a) is float and a == 0.0 else a / float(k)
+
+
+def planar_times(a: Planar, b: Planar) -> Planar:
+    """a b of complex numbers."""
+    return (
+        plus(times(a[0], b[0]), times(-1.0, times(a[1], b[1])) if some(a[1], b[1]) else 0.0),
+        plus(times(a[0], b[1]), times(a[1], b[0])),
+    )
+
+
+def some(*values: Value) -> bool:
+    return not any(type(x) is float and x == 0.0 for x in values)
+
+
+def difference(a: Value, b: Value) -> Value:
+    """a - b, without a structural zero."""
+    if type(b) is float and b == 0.0:
+        return a
+    return a - b
+
+
+def conjugate_times(a: Planar, b: Planar) -> Planar:
+    """conj(a) b."""
+    return (
+        plus(times(a[0], b[0]), times(a[1], b[1])),
+        difference(times(a[0], b[1]), times(a[1], b[0])),
+    )
+
+
+def planar_plus(a: Planar, b: Planar) -> Planar:
+    """a + b of complex numbers."""
+    return plus(a[0], b[0]), plus(a[1], b[1])

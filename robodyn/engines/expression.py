@@ -1,0 +1,366 @@
+"""Arithmetic recorded as a graph.
+
+A formula evaluated on `Expression`s instead of floats leaves a graph behind: constants folded,
+zero terms gone, equal subexpressions shared.  `engines/source_text.py` writes it out again as
+straight-line Python or numpy code, `engines/segment.py` as machine code.
+
+A number that code takes as an argument is a parameter.  What is computed of parameters alone is
+as good as a constant: it gathers in front of products, and code evaluates it once a call.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Container, Sequence
+from typing import Union
+
+Value = Union["Expression", float]
+
+# Cost of an operation in additions, for choosing between two ways to write a formula.
+COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
+FUNCTIONS = ("sin", "cos", "sqrt", "tanh", "exp", "log", "sinh", "cosh", "atan", "asin", "acos")
+COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0)
+COST |= {"abs": 0.5, "choose": 1.0, "atan2": 8.0, "rough": 2.0}
+INPUTS = ("var", "par")
+_NUMBER: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in FUNCTIONS}
+_NUMBER |= {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
+_NUMBER |= {"neg": operator.neg, "abs": abs, "pow": math.pow, "rough": math.pow}
+_NUMBER |= {"atan2": math.atan2, "keep": lambda a: a}
+_NUMBER["choose"] = lambda x, y, a, b: a if x < y else b
+
+
+class Graph:
+    """The shared nodes of one formula.
+
+    A parameter of 0, 1 or -1 is that number, and belongs to the shape of the code, but for those
+    whose names are `free`.
+    """
+
+    def __init__(self, free: Container[str] = ()) -> None:
+        self.free = free
+        self.nodes: list[Expression] = []
+        self.parameters: dict[str, float] = {}  # what `parameter` was told
+        self.zeros: list[Expression] = []  # of parameters alone; taken for 0, as they are now
+        self._known: dict[tuple[object, ...], Expression] = {}
+
+    def variable(self, name: str) -> Expression:
+        """The input called `name`."""
+        return self.node("var", (name,))
+
+    def parameter(self, name: str, number: float) -> Value:
+        """A number that may be another in the next call."""
+        if number in (0.0, 1.0, -1.0) and name not in self.free:
+            return float(number)
+        self.parameters[name] = float(number)
+        return self.node("par", (name,))
+
+    def node(self, op: str, args: tuple[Value | str, ...]) -> Expression:
+        """The one node of this operation on these arguments."""
+        key = (op, *(a.index if isinstance(a, Expression) else (type(a), a) for a in args))
+        found = self._known.get(key)
+        if found is None:
+            found = self._known[key] = Expression(self, op, args, len(self.nodes))
+            self.nodes.append(found)
+        return found
+
+
+class Expression:
+    """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
+
+    __slots__ = ("args", "graph", "index", "number", "op")
+
+    def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
+        self.graph, self.op, self.args, self.index = graph, op, args, index
+        self.number = self._number()  # of parameters alone: its value now
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is computed of parameters alone."""
+        return self.number is not None
+
+    def _number(self) -> float | None:
+        if self.op in INPUTS:
+            return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
+        if not all(_constant(a) for a in self.args):
+            return None
+        values = [a.number if isinstance(a, Expression) else a for a in self.args]
+        try:
+            return float(_NUMBER[self.op](*values))
+        except (ArithmeticError, ValueError):
+            return math.nan
+
+    def __add__(self, other: Value) -> Value:
+        return add(self, other)
+
+    def __radd__(self, other: float) -> Value:
+        return add(other, self)
+
+    def __sub__(self, other: Value) -> Value:
+        return add(self, negate(other))
+
+    def __rsub__(self, other: float) -> Value:
+        return add(other, negate(self))
+
+    def __mul__(self, other: Value) -> Value:
+        return multiply(self, other)
+
+    def __rmul__(self, other: float) -> Value:
+        return multiply(other, self)
+
+    def __truediv__(self, other: Value) -> Value:
+        return divide(self, other)
+
+    def __rtruediv__(self, other: float) -> Value:
+        return divide(other, self)
+
+    def __neg__(self) -> Value:
+        return negate(self)
+
+    def __abs__(self) -> Value:
+        return absolute(self)
+
+    def __pow__(self, exponent: float) -> Value:
+        return multiply(self, self) if exponent == 2 else power(self, exponent)
+
+
+def negate(a: Value) -> Value:
+    """-a, the sign moved inward where that is free."""
+    if not isinstance(a, Expression):
+        return -a
+    x = a.args
+    if a.op == "neg":
+        return _value(x[0])
+    if a.op == "-":
+        return a.graph.node("-", (x[1], x[0]))
+    if a.op == "*" and _constant(x[0]):
+        return a.graph.node("*", (negate(_value(x[0])), x[1]))
+    return a.graph.node("neg", (a,))
+
+
+def add(a: Value, b: Value) -> Value:
+    """a + b; a sum with a negated term becomes a difference."""
+    if not isinstance(a, Expression):
+        if not isinstance(b, Expression):
+            return a + b
+        a, b = b, a
+    if not isinstance(b, Expression):
+        if b == 0.0:
+            return a
+        return a.graph.node("+", (a, float(b)))
+    if a is b:
+        return multiply(2.0, a)
+    for x, y in ((a, b), (b, a)):
+        if _negative(y):
+            positive = negate(y)
+            return 0.0 if positive is x else _unless_zero(x.graph.node("-", (x, positive)))
+    first, second = sorted((a, b), key=lambda x: x.index)
+    return _unless_zero(a.graph.node("+", (first, second)))
+
+
+def _unless_zero(a: Expression) -> Value:
+    """A sum; 0 where parameters cancel: zeros belong to the shape."""
+    if a.number != 0.0:
+        return a
+    a.graph.zeros.append(a)
+    return 0.0
+
+
+def multiply(a: Value, b: Value) -> Value:
+    """a b; zeros, ones and constant factors fold, signs move out."""
+    if not isinstance(a, Expression):
+        if not isinstance(b, Expression):
+            return a * b
+        if a == 0.0:
+            return 0.0
+        if a == 1.0:
+            return b
+        if a == -1.0:
+            return negate(b)
+        return _scaled(float(a), b)
+    if not isinstance(b, Expression):
+        return multiply(b, a)
+    if a.constant != b.constant:
+        return _scaled(a, b) if a.constant else _scaled(b, a)
+    if a.op == "neg":
+        return negate(multiply(_value(a.args[0]), b))
+    if b.op == "neg":
+        return negate(multiply(a, _value(b.args[0])))
+    for x, y in ((a, b), (b, a)):  # constant factors gather in front
+        if _has_factor(x):
+            return multiply(_value(x.args[0]), multiply(_value(x.args[1]), y))
+    first, second = sorted((a, b), key=lambda x: x.index)
+    return a.graph.node("*", (first, second))
+
+
+def _scaled(a: Value, b: Expression) -> Value:
+    """a b of a constant a."""
+    if _has_factor(b):
+        return multiply(multiply(a, _value(b.args[0])), _value(b.args[1]))
+    if b.op == "neg":
+        return multiply(negate(a), _value(b.args[0]))
+    if a in (0.5, 2.0) and _factored(b):  # exact
+        x, y = (multiply(a, _value(term)) for term in b.args)
+        return x + y if b.op == "+" else x - y
+    return b.graph.node("*", (a, b))
+
+
+def _factored(a: Value | str, depth: int = 8) -> bool:
+    """Whether numbers stand in front of it, or of each term of a sum of few."""
+    if not isinstance(a, Expression) or not depth:
+        return False
+    if a.op == "*":
+        return isinstance(a.args[0], float)
+    return a.op in ("+", "-") and all(_factored(x, depth - 1) for x in a.args)
+
+
+def divide(a: Value, b: Value) -> Value:
+    """a / b; division by a constant is a multiplication."""
+    if not isinstance(b, Expression):
+        return a * (1.0 / b)
+    if not isinstance(a, Expression) and a == 0.0:
+        return 0.0
+    if isinstance(a, Expression) and a.op == "neg":
+        return negate(divide(_value(a.args[0]), b))
+    if b.constant and a != 1.0:
+        return multiply(a, divide(1.0, b))
+    return b.graph.node("/", (a, b))
+
+
+def cos(a: Value) -> Value:
+    """cos(a)."""
+    if not isinstance(a, Expression):
+        return math.cos(a)
+    return a.graph.node("cos", (_value(a.args[0]) if a.op == "neg" else a,))
+
+
+def sin(a: Value) -> Value:
+    """sin(a)."""
+    if not isinstance(a, Expression):
+        return math.sin(a)
+    if a.op == "neg":
+        return negate(sin(_value(a.args[0])))
+    return a.graph.node("sin", (a,))
+
+
+def sqrt(a: Value) -> Value:
+    """The square root of a."""
+    return a.graph.node("sqrt", (a,)) if isinstance(a, Expression) else math.sqrt(a)
+
+
+def tanh(a: Value) -> Value:
+    """tanh(a)."""
+    return a.graph.node("tanh", (a,)) if isinstance(a, Expression) else math.tanh(a)
+
+
+def exp(a: Value) -> Value:
+    """e to the power a."""
+    return a.graph.node("exp", (a,)) if isinstance(a, Expression) else math.exp(a)
+
+
+def log(a: Value) -> Value:
+    """The natural logarithm of a."""
+    return a.graph.node("log", (a,)) if isinstance(a, Expression) else math.log(a)
+
+
+def power(a: Value, exponent: float) -> Value:
+    """a to a constant power."""
+    return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def call(name: str, a: Value) -> Value:
+    """Any other of the functions."""
+    return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
+
+
+def rough_power(a: Value, exponent: float) -> Value:
+    """The same of a >= 0 within 7 %, and finite at 0: for the length of a step."""
+    a = greatest(a, 1e-300)
+    return a.graph.node("rough", (a, exponent)) if isinstance(a, Expression) else a**exponent
+
+
+def arctangent(y: Value, x: Value) -> Value:
+    """The angle of (x, y), atan2(y, x)."""
+    for known in (y, x):
+        if isinstance(known, Expression):
+            return known.graph.node("atan2", (y, x))
+    assert not isinstance(y, Expression)
+    assert not isinstance(x, Expression)
+    return math.atan2(y, x)
+
+
+def keep(a: Value) -> Value:
+    """a, from here on as it is: no factor of it moves into what is made of it."""
+    if not isinstance(a, Expression) or a.op in (*INPUTS, "keep"):
+        return a
+    return a.graph.node("keep", (a,))
+
+
+def absolute(a: Value) -> Value:
+    """The absolute value of a."""
+    return a.graph.node("abs", (a,)) if isinstance(a, Expression) else abs(a)
+
+
+def choose(x: Value, y: Value, a: Value, b: Value) -> Value:
+    """a where x < y, b elsewhere and where one of x, y is nan.  Both sides are evaluated."""
+    for known in (x, y, a, b):
+        if isinstance(known, Expression):
+            return a if a is b else known.graph.node("choose", (x, y, a, b))
+    assert not isinstance(x, Expression)
+    assert not isinstance(y, Expression)
+    return a if x < y else b
+
+
+def least(a: Value, b: Value) -> Value:
+    """The smaller one, as `min(a, b)`."""
+    return choose(b, a, b, a)
+
+
+def greatest(a: Value, b: Value) -> Value:
+    """The larger one, as `max(a, b)`."""
+    return choose(a, b, b, a)
+
+
+def cost(outputs: Sequence[Value]) -> float:
+    """Cost of evaluating the outputs, in additions."""
+    return sum(COST.get(node.op, 0.0) for node in needed(outputs) if not node.constant)
+
+
+def _has_factor(a: Expression) -> bool:
+    """Whether a constant stands in front of what is none, or a number before parameters."""
+    if a.op != "*":
+        return False
+    return _constant(a.args[0]) and not (a.constant and isinstance(a.args[0], Expression))
+
+
+def _constant(a: Value | str) -> bool:
+    return a.constant if isinstance(a, Expression) else True
+
+
+def _value(a: Value | str) -> Value:
+    assert not isinstance(a, str)
+    return a
+
+
+def _negative(a: Expression) -> bool:
+    if a.op != "*":
+        return a.op == "neg"
+    first = _value(a.args[0])
+    if not isinstance(first, Expression):
+        return first < 0.0
+    indices = [x.index for x in first.args if isinstance(x, Expression)]
+    if first.op == "-" and len(indices) == 2:  # of a - b and b - a of constants one is used
+        return indices[0] > indices[1]
+    return first.op == "neg"
+
+
+def needed(outputs: Sequence[Value], there: Container[int] = ()) -> list[Expression]:
+    """The nodes that the outputs need, each after its arguments; those `there` need no more."""
+    found: dict[int, Expression] = {}
+    stack = [out for out in outputs if isinstance(out, Expression)]
+    while stack:
+        node = stack.pop()
+        if node.index not in found and node.index not in there:
+            found[node.index] = node
+            stack += [a for a in node.args if isinstance(a, Expression)]
+    return [found[index] for index in sorted(found)]

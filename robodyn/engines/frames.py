@@ -1,0 +1,152 @@
+"""The coefficients of slots, real and planar, and the frames that planar ones are told in.
+
+A planar coefficient is a sum over frames: a link's direction at the start, or the ground's.  A
+coefficient of the program that stands before a part is multiplied when a frame is asked for, and
+once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from robodyn.engines.arithmetic import (
+    ZERO,
+    Arithmetic,
+    Planar,
+    Value,
+    conjugate_times,
+    difference,
+    over,
+    planar_plus,
+    planar_times,
+    plus,
+    times,
+)
+from robodyn.engines.state import State
+from robodyn.mechanics.program import (
+    Coefficient,
+    PlanarCoefficient,
+    Program,
+    Slot,
+)
+
+# frame (a link, or None: the ground's), coefficient that is not yet multiplied, value
+Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
+
+
+class Frames:
+    """The coefficients of a program's slots, in an arithmetic."""
+
+    program: Program
+    arithmetic: Arithmetic
+    numbers: Sequence[Value]
+    state: State
+    orders: int
+    grounded: bool
+    real: dict[Slot, Any]  # coefficients of real slots
+    planar: dict[Slot, list[Framed]]
+    unknown_values: dict[Slot, Value]
+    _factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar]
+    _ground: dict[Slot, tuple[Any, Any]]  # planar slots in the ground's frame
+    _moment: dict[Slot, tuple[Any, Any]]  # rho, theta of directions; F of moments in their frame
+    _extra: dict[Slot, Any]  # series that functions take besides their own
+
+    # -- planar coefficients -----------------------------------------------------------------------
+
+    def coefficient(self, c: Coefficient) -> Value:
+        """The number that a coefficient is."""
+        if isinstance(c, float):
+            return c
+        return times(c.sign, self.numbers[c.place])
+
+    def factor(self, to: int | None, frame: int | None, c: PlanarCoefficient | None) -> Planar:
+        """c E_frame in the frame `to`: conj(E_to) c E_frame."""
+        key = (to, frame, c)
+        found = self._factor.get(key)
+        if found is None:
+            if c is not None:
+                number = self.coefficient(c[0]), self.coefficient(c[1])
+                found = planar_times(number, self.factor(to, frame, None))
+                found = self.arithmetic.keep(found[0]), self.arithmetic.keep(found[1])
+            elif to == frame:
+                found = (1.0, 0.0)
+            elif to is None:
+                assert frame is not None
+                found = self.state.E[frame]
+            elif frame is None:
+                E = self.state.E[to]
+                found = E[0], -E[1]
+            elif self.state.turn is not None:
+                found = self.state.turn(to, frame)
+            else:
+                found = conjugate_times(self.state.E[to], self.state.E[frame])
+            self._factor[key] = found
+        return found
+
+    def into(self, to: int | None, framed: Framed) -> Planar:
+        """The value of a planar coefficient in one frame."""
+        total = ZERO
+        for frame, c, value in framed:
+            total = planar_plus(total, planar_times(self.factor(to, frame, c), value))
+        return total
+
+    def real_part(self, framed: Framed) -> Value:
+        """Re of a planar coefficient."""
+        total: Value = 0.0
+        for frame, c, value in framed:
+            by = self.factor(None, frame, c)
+            total = plus(total, times(by[0], value[0]))
+            total = difference(total, times(by[1], value[1]))
+        return total
+
+    def ground(self, z: Slot, m: int) -> Planar:
+        """Coefficient m of a planar slot in the ground's frame."""
+        return self.into(None, self.planar[z][m])
+
+    # -- rows --------------------------------------------------------------------------------------
+
+    def put(self, slot: Slot, m: int, value: Any) -> None:
+        if slot in self.planar:
+            self.planar[slot][m] = value
+            if slot in self._ground:
+                self._remember(slot, m)
+        else:
+            self.real[slot][m] = value
+
+    def _grounded(self, z: Slot, last: int) -> tuple[Any, Any]:
+        """The series of a planar slot in the ground's frame, kept as it grows."""
+        if z not in self._ground:
+            room = self.arithmetic.room
+            self._ground[z] = (room(self.orders + 3), room(self.orders + 3))
+            for m in range(last + 1):
+                self._remember(z, m)
+        return self._ground[z]
+
+    def _remember(self, z: Slot, m: int) -> None:
+        x, y = self._ground[z]
+        x[m], y[m] = self.ground(z, m)
+
+    def convolve(self, x: Any, y: Any, m: int, first: int = 0, last: int | None = None) -> Value:
+        """Sum of x_j y_{m-j} for j from `first` to `last` (m, unless given)."""
+        last = m if last is None else last
+        if last < first:
+            return 0.0
+        if self.arithmetic.convolve is not None:
+            return self.arithmetic.convolve(x, y, m, first, last)
+        total: Value = 0.0
+        if x is y and first + last == m:  # a square: equal terms once
+            for j in range(first, (m + 1) // 2):
+                total = plus(total, times(x[j], x[m - j]))
+            total = times(2.0, total)
+            return plus(total, times(x[m // 2], x[m // 2])) if m % 2 == 0 else total
+        for j in range(first, last + 1):
+            total = plus(total, times(x[j], y[m - j]))
+        return total
+
+    def slope(self, x: Any, y: Any, m: int) -> Value:
+        """Coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
+        total: Value = 0.0
+        for j in range(1, m + 1):
+            total = plus(total, times(times(float(j), x[j]), y[m - j]))
+        return over(total, m)

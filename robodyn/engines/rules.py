@@ -1,0 +1,297 @@
+"""The rule of each row: its next coefficient from those of the slots that it reads.
+
+A rule has two halves: what is known before the unknowns of an order are (`known`), and what these
+add (`change`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from robodyn.engines.arithmetic import (
+    ZERO,
+    Planar,
+    Value,
+    difference,
+    over,
+    planar_plus,
+    planar_times,
+    plus,
+    times,
+)
+from robodyn.engines.frames import Framed, Frames
+from robodyn.mechanics.program import (
+    Anchored,
+    Coefficient,
+    Derivative,
+    Function,
+    Given,
+    Inner,
+    Integral,
+    Moment,
+    PlanarCoefficient,
+    PlanarSum,
+    Power,
+    Primitive,
+    Product,
+    Quotient,
+    Rate,
+    RealPart,
+    Row,
+    Scaled,
+    Slot,
+    Sum,
+    Turn,
+    Unknown,
+)
+
+
+def scaled(scale: float, framed: Framed) -> Framed:
+    """A planar coefficient times a number."""
+    return tuple((f, c, (times(scale, a), times(scale, b))) for f, c, (a, b) in framed)
+
+
+class Rules(Frames):
+    """The rules by which the coefficients of a program's slots grow."""
+
+    def known(self, slot: Slot, row: Row, m: int) -> Any:
+        """Coefficient m of a slot; of unknowns of the present order nothing."""
+        real, planar = self.real, self.planar
+        match row:
+            case Given(name=name):
+                given = self.state.given[name]
+                if callable(given):
+                    return given(m)
+                return given[m] if m < len(given) else 0.0
+            case Unknown():
+                return 0.0
+            case Turn(link=k):
+                return self._turn(slot, k, m)
+            case Rate(turn=E):
+                return self._rate(E, m)
+            case Integral(x=x, start=start):
+                if m == 0:
+                    given = self.state.given[start]
+                    return given(0) if callable(given) else given[0]
+                return over(real[x][m - 1], m)
+            case Anchored(x=x, start=start):
+                return self.known(slot, Integral(x, start), 0) if m == 0 else real[x][m]
+            case Derivative(x=x) if x in planar:
+                return scaled(m + 1.0, planar[x][m + 1])
+            case Derivative(x=x):
+                return times(m + 1.0, real[x][m + 1])
+            case Sum(constant=constant, terms=terms):
+                total: Value = self.coefficient(constant) if m == 0 else 0.0
+                for c, x in terms:
+                    total = self._accumulate(total, c, real[x][m])
+                return total
+            case PlanarSum(constant=by, terms=planar_terms):
+                start_value: Framed = ()
+                if m == 0 and by != (0.0, 0.0):
+                    start_value = ((None, by, (1.0, 0.0)),)
+                return start_value + self._planar_sum(planar_terms, lambda z: self._value(z, m))
+            case RealPart(z=z):
+                return self.real_part(planar[z][m])
+            case Product(x=x, y=y):
+                return self.convolve(real[x], real[y], m)
+            case Scaled(x=x, z=z):
+                a, b = self._grounded(z, m)
+                return ((None, None, (self.convolve(real[x], a, m), self.convolve(real[x], b, m))),)
+            case Inner(z=z, w=w):
+                (a, b), (c, d) = self._grounded(z, m), self._grounded(w, m)
+                return plus(self.convolve(a, c, m), self.convolve(b, d, m))
+            case Moment():
+                return self._known_moment(slot, row, m)
+            case Quotient(x=x, y=y):
+                known = self.convolve(real[slot], real[y], m, 0, m - 1)
+                return difference(real[x][m], known) / real[y][0]
+            case Power(x=x, exponent=exponent):
+                if m == 0:
+                    return self.arithmetic.power(real[x][0], exponent)
+                total = 0.0
+                for j in range(1, m + 1):
+                    weight = (exponent + 1.0) * j - m
+                    total = plus(total, times(times(weight, real[x][j]), real[slot][m - j]))
+                return over(total, m) / real[x][0]
+            case Function(name=name, x=x):
+                return self._function(slot, name, real[x], m)
+            case Primitive(name=name, x=x, density=y):
+                if m == 0:
+                    return self.arithmetic.functions[name](real[x][0])
+                known = 0.0
+                for j in range(1, m):
+                    product = times(times(float(j), real[slot][j]), real[y][m - j])
+                    known = plus(known, product)
+                return difference(real[x][m], over(known, m)) / real[y][0]
+        raise AssertionError(row)
+
+    def _accumulate(self, total: Value, c: Coefficient, value: Value) -> Value:
+        """total + c value, with the sign of a coefficient 1 or -1 free."""
+        negative = c < 0.0 if isinstance(c, float) else c.sign < 0.0
+        if not negative or (type(total) is float and total == 0.0):
+            return plus(total, times(self.coefficient(c), value))
+        return difference(total, times(self.coefficient(-c), value))
+
+    def _value(self, z: Slot, m: int) -> Framed:
+        """Coefficient m of a planar or real slot, as a planar one."""
+        if z in self.planar:
+            return self.planar[z][m]
+        return ((None, None, (self.real[z][m], 0.0)),)
+
+    def _planar_sum(
+        self, terms: Sequence[tuple[PlanarCoefficient, Slot]], value: Callable[[Slot], Framed]
+    ) -> Framed:
+        parts: list[tuple[int | None, PlanarCoefficient | None, Planar]] = []
+        for c, z in terms:
+            framed = value(z)
+            if self.grounded and any(frame is not None for frame, _, _ in framed):
+                framed = ((None, None, self.into(None, framed)),)
+            for frame, inner, (a, b) in framed:
+                if inner is not None:
+                    a, b = planar_times(
+                        (self.coefficient(inner[0]), self.coefficient(inner[1])), (a, b)
+                    )
+                parts.append((frame, c, (a, b)))
+        return tuple(parts)
+
+    def _turn(self, slot: Slot, link: int, m: int) -> Framed:
+        rho, theta = self._moment[slot]
+        if m == 0:
+            rho[0], theta[0] = value = (1.0, 0.0)
+        elif m == 1:
+            rho[1], theta[1] = value = (0.0, self.state.w[link])
+        else:
+            square = plus(self._half_square(rho, m), self._half_square(theta, m))
+            rho[m], theta[m] = value = (self.arithmetic.keep(times(-1.0, square)), 0.0)
+        return ((link, None, value),)
+
+    def _half_square(self, x: Any, m: int) -> Value:
+        """1/2 sum of x_j x_{m-j} for 0 < j < m."""
+        total = self.convolve(x, x, m, 1, (m - 1) // 2)
+        if m % 2 == 0:
+            half = x[m // 2]
+            total = plus(total, times(0.5, times(half, half)))
+        return total
+
+    def _rate(self, E: Slot, m: int) -> Value:
+        """Of w = Im(conj(z) z'): the terms that are known."""
+        rho, theta = self._moment[E]
+        total: Value = 0.0
+        for j in range(m + 1):
+            total = plus(total, times(j + 1.0, times(rho[m - j], theta[j + 1])))
+            total = difference(total, times(j + 1.0, times(theta[m - j], rho[j + 1])))
+        return total
+
+    def _known_moment(self, slot: Slot, row: Moment, m: int) -> Value:
+        """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
+        rho, theta = self._moment[row.turn]
+        own = self.coefficient(row.inertia)
+        _, _, bend = self.planar[row.bend][m][0]
+        force = self.into(self._link(row.turn), self.planar[row.F][m])
+        x, y = self._moment[slot]
+        x[m] = plus(force[0], times(own, bend[0]))
+        y[m] = plus(force[1], times(own, bend[1]))
+        total = y[m]
+        total = plus(total, self.convolve(rho, y, m, 2, m))
+        return difference(total, self.convolve(theta, x, m, 1, m))
+
+    def _function(self, slot: Slot, name: str, x: Any, m: int) -> Value:
+        """By the function's differential equation; `_extra` holds the other series it takes."""
+        y, other, functions = self.real[slot], self._extra[slot], self.arithmetic.functions
+        if name == "exp":
+            return functions["exp"](x[0]) if m == 0 else self.slope(x, y, m)
+        if name == "tanh":  # y' = x' (1 - y^2)
+            if m == 0:
+                return functions["tanh"](x[0])
+            square = self.convolve(y, y, m - 1)
+            other[m - 1] = difference(1.0 if m == 1 else 0.0, square)
+            return self.slope(x, other, m)
+        partner = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}[name]
+        if m == 0:
+            other[0] = functions[partner](x[0])
+            return functions[name](x[0])
+        found = self.slope(x, other, m)
+        back = self.slope(x, y, m)
+        if name == "cos":  # cos' = -sin, sin' = cos
+            found = times(-1.0, found)
+        elif name == "sin":
+            back = times(-1.0, back)
+        other[m] = back
+        return found
+
+    # -- what the unknowns change ------------------------------------------------------------------
+
+    def change(self, slot: Slot, row: Row, m: int, change: dict[Slot, Any]) -> Any:
+        """What the unknowns add to coefficient m of a live slot, given what they add to others."""
+        real = self.real
+
+        def of(x: Slot) -> Value:
+            return change.get(x, 0.0)
+
+        match row:
+            case Unknown():
+                return self.unknown_values.get(slot, 0.0)
+            case Turn(link=k):
+                added = over(self.unknown_values.get(slot, 0.0), m * (m - 1))
+                return ((k, None, (0.0, added)),)
+            case Rate(turn=E):
+                _, _, (_, theta) = change[E][0]
+                return times(m + 1.0, theta)
+            case Derivative(x=x) if x in self.planar:
+                return scaled(m + 1.0, change[x])
+            case Derivative(x=x):
+                return times(m + 1.0, of(x))
+            case Integral(x=x):
+                return over(of(x), m)
+            case Anchored(x=x):
+                return of(x)
+            case Sum(terms=terms):
+                total: Value = 0.0
+                for c, x in terms:
+                    if x in change:
+                        total = self._accumulate(total, c, change[x])
+                return total
+            case PlanarSum(terms=planar_terms):
+                kept = [(c, z) for c, z in planar_terms if z in change]
+                return self._planar_sum(kept, lambda z: self._as_planar(change[z], z))
+            case RealPart(z=z):
+                return self.real_part(change[z])
+            case Product(x=x, y=y):
+                return plus(times(of(x), real[y][0]), times(real[x][0], of(y)))
+            case Moment():
+                return self._moment_change(row, change)[1]  # z_0 = 1
+            case Inner(z=z, w=w):
+                total = 0.0
+                for one, two in ((z, w), (w, z)):
+                    if one in change:
+                        a, b = self.into(None, change[one])
+                        c, d = self.ground(two, 0)
+                        total = plus(total, plus(times(a, c), times(b, d)))
+                return total
+            case Scaled(x=x, z=z):
+                a, b = self.ground(z, 0)
+                result = (times(of(x), a), times(of(x), b))
+                if z in change:
+                    c, d = self.into(None, change[z])
+                    result = planar_plus(result, (times(real[x][0], c), times(real[x][0], d)))
+                return ((None, None, result),)
+        raise AssertionError(row)
+
+    def _moment_change(self, row: Moment, change: dict[Slot, Any]) -> Planar:
+        """What the unknowns add to the force F + inertia P on a link, in the link's frame."""
+        force, own = ZERO, ZERO
+        if row.F in change:
+            force = self.into(self._link(row.turn), change[row.F])
+        if row.bend in change:
+            own = change[row.bend][0][2]
+        by = self.coefficient(row.inertia)
+        return plus(force[0], times(by, own[0])), plus(force[1], times(by, own[1]))
+
+    def _link(self, turn: Slot) -> int:
+        row = self.program.rows[turn]
+        assert isinstance(row, Turn)
+        return row.link
+
+    def _as_planar(self, change: Any, z: Slot) -> Framed:
+        return change if z in self.planar else ((None, None, (change, 0.0)),)

@@ -1,0 +1,1 @@
+"""Loops: assembling and closing them, their rates, and where they are singular."""

@@ -1,0 +1,398 @@
+"""What a change point is, and what only looks like one: the one place that decides it.
+
+At a configuration q* where Psi loses rank, with U0 and V0 its left and right null spaces there,
+
+    gamma = U0^T gap(q*)                          the miss, m
+    the branches near q*:  gamma + 1/2 x^T H x = 0,     H = -V0^T diag(Re((u^T P) E)) V0, u of U0
+
+A **change point** has one freedom beside it, a miss of rounding, and an indefinite H: two branches
+cross there, and a motion runs straight on.  At a distance d from it rounding errs by eps/d^2 in the
+accelerations, and a state that strays from the closures by delta errs by delta/d, while the motion
+is smooth: so what is wanted there is interpolated along the branch, from K states before and K
+behind, at q + k step qd/max|qd|, where Psi is regular.  The wide step serves where two orders of it
+agree; where they do not (an inertia, or a spring's pull, that changes much on the way) the narrow
+one does.
+
+Everywhere else, and there is nothing else near which that may be done, the plain equations hold, on
+states that are closed well (`closing.py`).  A loop that **misses** a change point turns back from
+it within sqrt(gamma): steps are kept shorter than the distance, or they would leap to the other
+branch before any error shows (`Misses`).
+
+How near a state is, is told by s/L: s the least singular value of Psi that matters, L the size of
+the loop.  Solvers that have no singular values tell their pivots against squared lengths instead,
+which are about (s/L)^2: a "quality".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from math import comb
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import closed_form
+from robodyn.loops.closing import NEAR_SINGULAR, close_positions, exact_gap, loop_size
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+# the nearest closed state, and how regular Psi is there: about (s/L)^2
+Closing = Callable[[Array], tuple[Array, float]]
+
+EPS = float(np.finfo(float).eps)
+NEAR = 0.1  # s/L below which the nearest singular configuration is looked for
+SUSPECT = NEAR**2  # the same as a quality
+USUAL = 0.13  # part of what is usual below which a quality is suspect
+ROUNDING = 4.0 * EPS  # a miss, part of L; meant in decimals it was 0.62 eps on 622 four-bars
+WORTH_SAYING = 1e4 * EPS  # a miss, part of L, below which a scene may have meant none
+ALIKE = 5.0  # singular values up to so many times the least vanish with it
+DEFINITE = 1e-6  # ratio of eigenvalues of H of one sign, from which it is definite
+FOUND = 1e-9  # rad, the last step of a search that has found; s/L there
+LOST = 1e-7  # s/L below which a singular value is none, in a configuration so found
+REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
+SAME = 0.3  # rad, from a known one within which no other is looked for
+STEPS_TO_FIND = 10
+BARREN = 0.05  # rad, from a state where the search found nothing within which it is not repeated
+MOST_BARREN = 500  # of these states that are kept
+LOOKED_AT = 32  # states of a batch, the nearest to singular ones, of which a miss is told
+
+BESIDE = 0.08  # part of s/L beside it below which a state is taken from the branch
+STRAIGHT = 1e-9  # part of the loop's size that an interpolated position may be open by
+STEPS = (0.1, 0.03)  # rad of the fastest joint; the first serves up to d = 0.046
+SMOOTH = 1e-9  # part of the largest value by which two orders may differ
+K = 6
+OFFSETS = np.array([k for k in range(-K, K + 1) if k])
+
+SHARE = 0.5  # of the distance to a missed change point that a step may go
+FINE = 1e-3  # of it, rad, that a step may err
+CLOSEST = 1e-9  # rad, the least distance that is counted with
+SLOWEST = 1e-9  # rad/s: what is slower is held like this
+FAR = 1.0  # rad, within which steps that are not held are no use
+
+
+class Singular(NamedTuple):
+    """A configuration (n) where Psi loses rank, what the loops miss it by (m), what it is."""
+
+    q: Array
+    miss: float
+    crosses: bool  # a change point
+    misses: bool  # by more than rounding
+    freedoms: int  # beside it
+    worth_saying: bool  # as a miss
+
+
+@lru_cache(maxsize=64)
+def regular_rank(mechanism: Mechanism) -> int:
+    """The rank of Psi at closed configurations, but for singular ones."""
+    drawn = _closed_jacobians(mechanism)
+    if not len(drawn):
+        return min(len(mechanism.rows), mechanism.n)
+    s = np.linalg.svd(drawn, compute_uv=False)
+    return max(1, int((s > 1e-7 * loop_size(mechanism)).sum(axis=-1).max()))
+
+
+@lru_cache(maxsize=64)
+def suspect_quality(mechanism: Mechanism) -> float:
+    """The quality of a closing by pivots below which a state is near a singular one.
+
+    Loops of many links have small pivots everywhere, for their rows' sizes add up all links: what
+    is usual at closed states at random counts.
+    """
+    sizes = [row.size**2 for row in mechanism.rows]
+    # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
+    found = [
+        (np.asarray(np.linalg.qr(Psi.T, mode="r")).diagonal() ** 2 / sizes).min()
+        for Psi in _closed_jacobians(mechanism)
+        if len(sizes) <= mechanism.n
+    ]
+    return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
+
+
+@lru_cache(maxsize=64)
+def _closed_jacobians(mechanism: Mechanism) -> Array:
+    """Psi (k, r, n) at up to 16 closed configurations."""
+    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
+    q = close_positions(mechanism, drawn)
+    gap = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
+    closed = q[gap <= 1e-9 * loop_size(mechanism)]
+    Psi: Array = closed_form.closure_jacobian(mechanism, closed)
+    return Psi
+
+
+def nearness(mechanism: Mechanism, Psi: Array) -> Array:
+    """s/L (...) of Psi (..., r, n)."""
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return np.asarray(s[..., regular_rank(mechanism) - 1] / loop_size(mechanism))
+
+
+def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
+    """The rank that Psi has about q (n,), and s/L there.
+
+    Closures may depend on one another along the branch that q is on, and nowhere else.
+    """
+    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)
+    rank, size = regular_rank(mechanism), loop_size(mechanism)
+    if s[rank - 1] <= FOUND * size:
+        rank = _branch_rank(mechanism, tuple(q.tolist()))
+    return rank, float(s[rank - 1] / size)
+
+
+_branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()
+
+
+def _branch_rank(mechanism: Mechanism, q: tuple[float, ...]) -> int:
+    """The rank of Psi at closed states beside q; of the first that is asked for."""
+    if mechanism not in _branch_ranks:
+        noise = np.random.default_rng(0).normal(size=(8, mechanism.n))
+        beside = close_positions(mechanism, np.array(q) + 1e-2 * noise)
+        s = np.linalg.svd(closed_form.closure_jacobian(mechanism, beside), compute_uv=False)
+        _branch_ranks[mechanism] = max(1, int((s > LOST * loop_size(mechanism)).sum(-1).max()))
+    return _branch_ranks[mechanism]
+
+
+# -- the nearest singular configuration ------------------------------------------------------------
+
+
+@lru_cache(maxsize=64)
+def known(mechanism: Mechanism) -> list[Singular]:
+    """The singular configurations of a mechanism that were found, turns not counted."""
+    return []
+
+
+@lru_cache(maxsize=64)
+def _barren(mechanism: Mechanism) -> list[Array]:
+    """States of a mechanism from which no singular configuration was found."""
+    return []
+
+
+def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
+    """The singular configuration that q (n,) is near; None where it is near none."""
+    if not np.isfinite(q).all():
+        return None
+    rank, near = _measured(mechanism, q)
+    if near > NEAR:
+        return None
+    if (old := _known_near(mechanism, q, SAME)) is not None:
+        return old
+    barren = _barren(mechanism)
+    if barren and float(apart(mechanism, np.array(barren), q).min()) <= BARREN:
+        return None
+    found = _search(mechanism, q, rank)
+    if found is None:
+        if len(barren) < MOST_BARREN:
+            barren.append(q.copy())
+        return None
+    if (old := _known_near(mechanism, found.q, 1e-6)) is not None:
+        return old
+    known(mechanism).append(found)
+    return found
+
+
+def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
+    """How far q (..., n) is from `other` (n,) in its farthest joint, turns not counted, rad."""
+    way = q - other
+    if not mechanism.description.couplings:
+        way = np.remainder(way + np.pi, 2 * np.pi) - np.pi
+    return np.asarray(np.abs(way).max(axis=-1))
+
+
+def _known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None:
+    near = [(float(apart(mechanism, q, each.q)), k) for k, each in enumerate(known(mechanism))]
+    best = min(near, default=(np.inf, 0))
+    return known(mechanism)[best[1]] if best[0] <= within else None
+
+
+def _search(mechanism: Mechanism, q: Array, rank: int) -> Singular | None:
+    """Newton's method from q: close the regular part, move inside V0 until Psi vanishes there."""
+    size = loop_size(mechanism)
+    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)[:rank]
+    most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
+    for corank in sorted({most, 1}, reverse=True):
+        found = _singular(mechanism, q, rank - corank, rank)
+        if found is not None:
+            return found
+    return None
+
+
+def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Singular | None:
+    """Where Psi has the rank `regular`, near `start`, and what that is."""
+    size = loop_size(mechanism)
+    q = start
+    for _ in range(STEPS_TO_FIND):
+        U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+        left, right = U[:, regular:], Vt[regular:].T
+        H = _curvature(mechanism, q, left, right)
+        slope = left.T @ closed_form.closure_jacobian(mechanism, q) @ right
+        z = np.linalg.lstsq(H.reshape(-1, H.shape[-1]), -slope.ravel(), rcond=1e-9)[0]
+        gap = exact_gap(mechanism, q)
+        step = right @ z - Vt[:regular].T @ ((U[:, :regular].T @ gap) / s[:regular])
+        q = q + step
+        if not np.abs(q - start).max() <= REACH:
+            return None
+        if np.abs(step).max() <= FOUND:
+            break
+    U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+    least = s[regular:rank]
+    if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
+        return None
+    regular = int((s > LOST * size).sum())  # there more may vanish than beside it
+    left, right = U[:, regular:], Vt[regular:].T
+    miss = float(np.abs(left.T @ exact_gap(mechanism, q)).max())
+    values = np.linalg.eigvalsh(_curvature(mechanism, q, left, right))
+    top = np.abs(values).max(axis=-1)
+    definite = (values.min(axis=-1) > -DEFINITE * top) | (values.max(axis=-1) < DEFINITE * top)
+    may_cross = mechanism.n - rank == 1 and not (definite & (top > DEFINITE * size)).any()
+    crosses = may_cross and miss <= ROUNDING * size
+    misses = miss > ROUNDING * size
+    said = misses and miss <= WORTH_SAYING * size
+    return Singular(q, miss, crosses, misses, mechanism.n - rank, said)
+
+
+def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Array:
+    """H (c, f, f), one for each column of `left`, within the columns of `right`."""
+    arrays = mechanism.arrays
+    weights = -(left.T @ arrays.P * closed_form.phases(mechanism, q)).real
+    moved = arrays.J @ right
+    H: Array = moved.T @ (weights[:, :, None] * moved)
+    return H
+
+
+def miss_remark(mechanism: Mechanism, states: Array) -> str:
+    """Says that one of the states (..., n) is near a change point that the loops just miss."""
+    q_all = states.reshape(-1, mechanism.n)
+    if len(q_all) > LOOKED_AT:
+        near_all = nearness(mechanism, closed_form.closure_jacobian(mechanism, q_all))
+        q_all = q_all[np.argpartition(near_all, LOOKED_AT)[:LOOKED_AT]]
+    for q in q_all:
+        near = nearest_singular(mechanism, q)
+        if near is not None and near.worth_saying:
+            return f"misses a change point by {near.miss:.2g} m"
+    return ""
+
+
+# -- motions that pass a near miss ----------------------------------------------------------------
+
+
+class Misses:
+    """The missed change points of a mechanism, and what they allow an integrator."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self._known = mechanism, known(mechanism)
+        self._guards = regular_rank(mechanism) == len(mechanism.rows)
+
+    def distance(self, q: Array) -> float:
+        """To the nearest known one, rad; infinite where none is known."""
+        if not self._known:
+            return np.inf
+        missed = [each for each in self._known if not each.crosses]
+        least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
+        return max(least, CLOSEST)
+
+    def holds(self, y: Array | Sequence[float]) -> tuple[float, float]:
+        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad."""
+        if not self._known:
+            return np.inf, np.inf
+        n, y = self.mechanism.n, np.asarray(y)
+        distance = self.distance(y[:n])
+        return SHARE * distance / max(float(np.abs(y[n : 2 * n]).max()), SLOWEST), FINE * distance
+
+    def crosses(self, q: Array) -> bool:
+        """Whether a state of suspect quality is near a change point, not near a miss of one."""
+        found = nearest_singular(self.mechanism, q)
+        if found is None:  # what it is near to is not known
+            Psi = closed_form.closure_jacobian(self.mechanism, q)
+            return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
+        return found.crosses
+
+    def leaps(self, t: Array, y: Array) -> list[int]:
+        """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
+
+        Across a singular configuration the orientation of Psi's rows turns over, so that
+        det(Psi Psi'^T) < 0.  What was met so is known from then on, and holds the next steps.
+        """
+        q = y[:, : self.mechanism.n]
+        if not self._guards or not np.isfinite(q).all():
+            return []
+        Psi = closed_form.closure_jacobian(self.mechanism, q)
+        turned = np.linalg.slogdet(Psi[1:] @ np.swapaxes(Psi[:-1], -1, -2))[0] < 0.0
+        return [
+            int(k)
+            for k in np.flatnonzero(turned)
+            if self._between(q[k], q[k + 1]) and self.holds(y[k])[0] < 0.9 * abs(t[k + 1] - t[k])
+        ]
+
+    def _between(self, begin: Array, end: Array) -> bool:
+        """Whether what lies between two states is a missed change point."""
+        way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
+        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self._known]
+        nearest, crosses = min(far, default=(np.inf, False))
+        if nearest <= SAME:
+            return not crosses
+        way = close_positions(self.mechanism, way)
+        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, way))
+        found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
+        return found is not None and not found.crosses
+
+
+# -- what is taken from the branch ----------------------------------------------------------------
+
+
+def _weights(reach: int) -> Array:
+    """Of the values at -reach .. reach for the one in the middle."""
+    offsets = np.array([k for k in range(-reach, reach + 1) if k])
+    binomials = np.array([comb(2 * reach, reach + k) for k in offsets])
+    weights: Array = -((-1.0) ** offsets) * binomials / comb(2 * reach, reach)
+    return weights
+
+
+WEIGHTS = _weights(K)
+LOWER = np.concatenate([[0.0], _weights(K - 1), [0.0]])  # two orders less
+
+
+def lead_across(
+    mechanism: Mechanism,
+    closing: Closing,
+    y: Array,
+    quality: float,
+    evaluate: Callable[[Array], Array],
+) -> Array | None:
+    """What `evaluate` gives on the branch at y, from states beside it; None where y is near none.
+
+    `evaluate` takes states (2K, len(y)) to values (2K, m).  `quality` is that of y = (q, qd, ...);
+    what follows the rates is repeated as it is.
+    """
+    n = mechanism.n
+    fastest = float(np.abs(y[n : 2 * n]).max())
+    if quality > SUSPECT or not 0.0 < fastest < np.inf:
+        return None
+    near = nearest_singular(mechanism, y[:n])
+    if near is None or not near.crosses:
+        return None
+    for step in STEPS:
+        around = _beside(mechanism, closing, y, step / fastest)
+        if around is None:
+            continue
+        values = evaluate(around)
+        middle: Array = WEIGHTS @ values
+        differ = np.abs(middle - LOWER @ values)
+        if step == STEPS[-1] or (differ <= SMOOTH * np.abs(values).max()).all():
+            return middle
+    return None
+
+
+def _beside(mechanism: Mechanism, closing: Closing, y: Array, step: float) -> Array | None:
+    """Closed states (2K, len(y)) on both sides, `step` s apart; None where y is near none."""
+    n = mechanism.n
+    rows = np.repeat(y[None, :], len(OFFSETS), axis=0)
+    rows[:, :n] += step * OFFSETS[:, None] * y[n : 2 * n]
+    rows[0], rows[-1] = (closing(rows[k])[0] for k in (0, -1))
+    here, *there = (_measured(mechanism, row[:n])[1] for row in (y, rows[0], rows[-1]))
+    if here > BESIDE * max(there):
+        return None
+    for k in range(1, len(rows) - 1):
+        rows[k], _ = closing(rows[k])
+    gap = closed_form.closure_gap(mechanism, (WEIGHTS @ rows)[:n])
+    return rows if np.abs(gap).max() <= STRAIGHT * loop_size(mechanism) else None

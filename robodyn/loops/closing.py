@@ -1,0 +1,170 @@
+"""Closing loops by Newton's method, and the gap of a state to more digits than floats have.
+
+One loop serves whatever evaluates the gap and solves for a step: dense arrays of states here,
+sparse factorisations (`sparse.py`), extended precision (`extended.py`).  (Straight-line code of
+`straightline.py` and the loops over lanes have it written out, and hand what is near singular
+over to this one.)
+
+Where Psi is nearly singular a gap that is rounded to eps L moves a state by eps L/s, s the least
+singular value, and its accelerations by eps/s^3.  So there the gap is exact, in integers:
+then a closed state errs by its own rounding, and its accelerations by eps/s^2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
+from robodyn.mechanics.planar_model import Mechanism
+
+Array = NDArray[np.float64]
+# of q (..., n): which states are closed to rounding (...), and the Newton steps (..., n)
+Evaluator = Callable[[Any], tuple[Any, Any]]
+
+NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
+CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
+CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
+PASSES = 12
+LONGEST = 0.5  # rad of a step
+SETTLED = 1e-6  # rad; below it steps that shrink no more are rounding
+SHRINKS = 0.7  # at a singular configuration steps are halved, elsewhere squared
+
+
+@lru_cache(maxsize=256)
+def loop_size(mechanism: Mechanism) -> float:
+    """L, the largest sum of lengths in a closure, m: what a gap is measured against."""
+    sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
+    return max(sizes, default=0.0)
+
+
+def newton(q: Any, evaluate: Evaluator) -> Any:
+    """Newton steps from q (..., n), each state until it is closed or rounding moves it."""
+    before = np.full(q.shape[:-1], np.inf)
+    moving = np.ones(q.shape[:-1], bool)
+    for _ in range(PASSES):
+        closed, step = evaluate(q)
+        length = np.abs(step).max(axis=-1, initial=0.0)
+        moving = moving & ~closed & ~((length > SHRINKS * before) & (before < SETTLED))
+        if not moving.any():
+            break
+        part = np.minimum(1.0, LONGEST / np.maximum(length, LONGEST))
+        q = np.where(moving[..., None], q - part[..., None] * step, q)
+        before = length
+    return q
+
+
+def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = ()) -> Array:
+    """The nearest closed configuration by Newton's method, the `fixed` joints held, (..., n).
+
+    Where it does not converge the gap stays; the caller checks it.
+    """
+    given = np.array(q, dtype=float)
+    if not mechanism.rows or not given.size:
+        return given
+    free = [k for k in range(mechanism.n) if k not in set(fixed)]
+    size = loop_size(mechanism)
+
+    def evaluate(q: Array) -> tuple[Any, Array]:
+        gap = closure_gap(mechanism, q)
+        closed = np.abs(gap).max(axis=-1) <= CLOSED * size
+        step = np.zeros_like(q)
+        Psi = closure_jacobian(mechanism, q)[..., free]
+        Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
+        U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
+        held = s > CUT * s[..., :1]
+        near = np.where(held, s, np.inf).min(axis=-1) < NEAR_SINGULAR * size
+        for state in map(tuple, np.argwhere(near)):
+            gap[state] = exact_gap(mechanism, q[state])
+        inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
+        along = inverse * np.einsum("...ij,...i->...j", U, gap)
+        step[..., free] = np.einsum("...ji,...j->...i", Vt, along)
+        return closed & ~near, step
+
+    result: Array = newton(given, evaluate)
+    return result
+
+
+# -- the gap in integers ---------------------------------------------------------------------------
+
+BITS = 140  # behind the point
+ONE = 1 << BITS
+HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C89 >> (257 - BITS)
+
+
+class _Row(NamedTuple):
+    terms: list[tuple[int, int, int]]  # link, real and imaginary part of P
+    angles: list[tuple[int, int]]
+    offset: int
+
+
+@lru_cache(maxsize=64)
+def _rows(mechanism: Mechanism) -> tuple[list[_Row], int]:
+    """The rows as integers, in units of 2^-BITS of a power of two of metres; its exponent."""
+    exponent = math.frexp(loop_size(mechanism))[1]
+
+    def whole(x: float) -> int:
+        return int(math.ldexp(x, BITS - exponent))
+
+    rows = [
+        _Row(
+            [(k, whole(p.real), whole(p.imag)) for k, p in row.P],
+            [(k, whole(a)) for k, a in row.angles],
+            whole(row.offset),
+        )
+        for row in mechanism.rows
+    ]
+    return rows, exponent
+
+
+def exact_gap(mechanism: Mechanism, q: Any) -> Array:
+    """The gap (r) of one state q (n), of floats or of longdoubles, right to 1e-40 of the loop."""
+    rows, exponent = _rows(mechanism)
+    if not np.isfinite(q).all():
+        return np.full(len(rows), np.nan)
+    high = np.asarray(q, float)
+    low = np.asarray(q - high, float)
+    alpha = [
+        int(math.ldexp(x, BITS)) + int(math.ldexp(y, BITS))
+        for x, y in zip(high.tolist(), low.tolist(), strict=True)
+    ]
+    for k in mechanism.order:
+        above = mechanism.parent[k]
+        if above is not None:
+            alpha[k] += alpha[above]
+    E: dict[int, tuple[int, int]] = {}
+    gap = []
+    for row in rows:
+        total = 0
+        for k, re, im in row.terms:
+            if k not in E:
+                E[k] = _cos_sin(alpha[k])
+            total += re * E[k][0] - im * E[k][1]
+        total += sum(a * alpha[k] for k, a in row.angles)
+        gap.append(math.ldexp(float((total >> BITS) + row.offset), exponent - BITS))
+    return np.array(gap)
+
+
+def _cos_sin(angle: int) -> tuple[int, int]:
+    """Cosine and sine in units of 2^-BITS, by their series in the octants about the axes."""
+    quarter, x = divmod(angle + (HALF_PI >> 1), HALF_PI)
+    x -= HALF_PI >> 1
+    square = x * x >> BITS
+    cosine = term = ONE
+    sine = odd = x
+    k = 1
+    while term:
+        term = -(term * square >> BITS) // (k * (k + 1))
+        odd = -(odd * square >> BITS) // ((k + 1) * (k + 2))
+        cosine += term
+        sine += odd
+        k += 2
+        if abs(term) <= 1:  # floor division of a small negative number does not end
+            break
+    turned = ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))
+    return turned[quarter & 3]

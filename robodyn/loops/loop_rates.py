@@ -1,0 +1,208 @@
+"""Rates and accelerations that keep loops closed, the check of given ones, singular configurations.
+
+    Psi qd = 0        Psi qdd + Psidot qd = 0
+
+With the actuated joints' rates given the passive ones follow from the columns Psi_p of the passive
+joints.  Psi_p loses rank at a **dead centre** (the actuated joints cannot move the mechanism, or
+hold it); Psi itself loses rank at a **change point** (the mechanism gains a freedom there).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import (
+    absolute_rates,
+    as_states,
+    closure_bias,
+    closure_gap,
+    closure_jacobian,
+)
+from robodyn.errors import InputError, SingularError
+from robodyn.loops.change_points import nearest_singular
+from robodyn.loops.closing import close_positions, loop_size
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
+REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding
+GAP_ALLOWED = 1e-6  # part of the loop's size (or of the terms of a rate) that input may miss
+
+
+def loop_velocities(mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike) -> Array:
+    """All joint rates (..., n) from those of the actuated joints (..., actuated), rad/s.
+
+    q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
+    """
+    q = as_states(mechanism, "q", q)
+    return _complete(mechanism, q, np.asarray(qd_actuated, float), 0.0)
+
+
+def loop_accelerations(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd_actuated: ArrayLike
+) -> Array:
+    """All joint accelerations (..., n) from the actuated joints', rad/s^2.
+
+    q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point.
+    """
+    q = as_states(mechanism, "q", q)
+    bias = closure_bias(mechanism, q, qd)
+    return _complete(mechanism, q, np.asarray(qdd_actuated, float), bias)
+
+
+def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+    """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
+    Psi = closure_jacobian(mechanism, q)
+    rates = as_states(mechanism, "qd", qd)
+    excess = np.einsum("...ij,...j->...i", Psi, rates)
+    inverse = np.linalg.pinv(Psi, rcond=REDUNDANT)
+    closed: Array = rates - np.einsum("...ij,...j->...i", inverse, excess)
+    return closed
+
+
+def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
+    """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
+    if not mechanism.rows:
+        return ""
+    Psi, passive = closure_jacobian(mechanism, q), list(mechanism.passive)
+    if passive and _smallest(mechanism, Psi[:, passive]) > SINGULAR:
+        return ""
+    if _smallest(mechanism, Psi) <= SINGULAR:
+        near = nearest_singular(mechanism, np.asarray(q, float))
+        return "" if near is not None and near.misses else "change point"
+    return "dead centre" if passive else ""
+
+
+def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
+    """Whether Psi has a lower rank at the closed configuration q (n,) than closely beside it.
+
+    Closures that depend on one another everywhere make no change point.
+    """
+    here = np.asarray(q, float)
+    beside = here + 1e-3 * np.random.default_rng(0).normal(size=(4, mechanism.n))
+    beside = close_positions(mechanism, beside)
+    closed = np.abs(closure_gap(mechanism, beside)).max(axis=-1) < 1e-9 * loop_size(mechanism)
+    ranks = _rank(mechanism, closure_jacobian(mechanism, beside[closed]))
+    return bool((ranks > _rank(mechanism, closure_jacobian(mechanism, here))).any())
+
+
+def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
+    """Raise SingularError for the first of the states (T, n) that rests at a change point.
+
+    From there the mechanism can go on in two ways; one that moves has chosen its way.
+    """
+    resting = q[~np.any(qd, axis=-1)]
+    if not mechanism.rows or not len(resting):
+        return
+    ranks = _rank(mechanism, closure_jacobian(mechanism, resting))
+    for state in resting[ranks < len(mechanism.rows)]:
+        if change_point(mechanism, state):
+            at = ", ".join(f"{x:.9g}" for x in state)
+            raise SingularError(
+                f"singular configuration (change point) at q = {at}",
+                where=mechanism.source,
+                limit="the mechanism can go on in two ways: its acceleration is not unique",
+            )
+
+
+def _rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return np.asarray((s > SINGULAR * loop_size(mechanism)).sum(axis=-1))
+
+
+def check_closed(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array | None = None,
+    qdd: Array | None = None,
+) -> tuple[int, InputError] | None:
+    """The first of the states (..., n) that does not keep the closures, with the error to raise."""
+    if not mechanism.rows or q.size == 0:
+        return None
+    sizes = np.array([row.size for row in mechanism.rows])
+    checks = [("position", "m", closure_gap(mechanism, q), loop_size(mechanism))]
+    if qd is not None:
+        Psi = closure_jacobian(mechanism, q)
+        rates = np.abs(absolute_rates(mechanism, qd)).max(axis=-1, keepdims=True)
+        moving = np.einsum("...ij,...j->...i", Psi, qd)
+        checks.append(("velocity", "m/s", moving, sizes * rates))
+        if qdd is not None:
+            turning = np.abs(absolute_rates(mechanism, qdd)).max(axis=-1, keepdims=True)
+            bending = np.einsum("...ij,...j->...i", Psi, qdd) + closure_bias(mechanism, q, qd)
+            checks.append(("acceleration", "m/s^2", bending, sizes * (turning + rates**2)))
+    for what, unit, gap, size in checks:
+        excess = np.abs(gap) > GAP_ALLOWED * np.broadcast_to(size, gap.shape)
+        wrong = np.flatnonzero(excess.reshape(-1, gap.shape[-1]).any(axis=-1))
+        if wrong.size:
+            state = int(wrong[0])
+            error = _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
+            return state, error
+    return None
+
+
+def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
+    """The error of a state whose closures, or else couplings, are open by `gap` (r,)."""
+    limit = "give a closed motion, or the actuated joints only (the rest is assembled)"
+    pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
+    if np.abs(gap[pins]).max(initial=0.0) > GAP_ALLOWED * loop_size(mechanism) or not len(
+        mechanism.description.couplings
+    ):
+        distance = float(np.linalg.norm(gap[pins]))
+        return InputError(
+            f"the loops are open: gap in {what}", value=f"{distance:.6g} {unit}", limit=limit
+        )
+    arms = np.array([row.arm or np.inf for row in mechanism.rows])
+    turns = np.abs(gap / arms)
+    worst = int(np.argmax(turns)) - len(pins)
+    joint = mechanism.description.couplings[worst].joint
+    return InputError(
+        f"coupling {worst + 1} does not hold: q{joint + 1} is off in {what}",
+        value=f"{turns.max():.6g} {unit.replace('m', 'rad', 1)}",
+        limit=limit,
+    )
+
+
+def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
+    """The least singular value of Psi or of some of its columns, relative to the loop's size."""
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return np.asarray(s[..., -1] / loop_size(mechanism), dtype=float)
+
+
+def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
+    """x with Psi x = -bias, given its actuated part."""
+    driven, passive = list(mechanism.actuated), list(mechanism.passive)
+    values = np.zeros((*np.broadcast_shapes(q.shape[:-1], actuated.shape[:-1]), mechanism.n))
+    values[..., driven] = actuated
+    if not passive:
+        return values
+    undetermined = len(passive) > len(mechanism.rows)
+    if undetermined and (np.any(actuated) or np.any(bias)):
+        limit = f"{len(driven)} actuated joints do not determine the {len(passive)} others: "
+        limit += "name more in `actuated`, or give the values of all joints"
+        raise InputError("rates", where=mechanism.source, limit=limit)
+    Psi = np.broadcast_to(
+        closure_jacobian(mechanism, q), (*values.shape[:-1], len(mechanism.rows), mechanism.n)
+    )
+    right = -np.einsum("...ij,...j->...i", Psi[..., driven], values[..., driven]) - bias
+    if not np.any(right):
+        return values
+    columns = Psi[..., passive]
+    singular = (_smallest(mechanism, columns) <= SINGULAR) & np.any(right != 0.0, axis=-1)
+    for state in map(tuple, np.argwhere(singular)):
+        configuration = np.broadcast_to(q, values.shape)[state]
+        near = nearest_singular(mechanism, configuration)
+        if near is not None and near.misses and _smallest(mechanism, Psi[state]) > REDUNDANT:
+            continue  # as near as the loops ever come, and right to eps/s
+        kind = singular_kind(mechanism, configuration)
+        at = ", ".join(f"{x:.9g}" for x in configuration)
+        raise SingularError(
+            f"singular configuration ({kind}) at q = {at}",
+            where=mechanism.source,
+            limit="the actuated joints do not determine the motion of the others here; "
+            "give the values of all joints, or another configuration",
+        )
+    inverse = np.linalg.pinv(columns)
+    values[..., passive] = np.einsum("...ij,...j->...i", inverse, right)
+    return values

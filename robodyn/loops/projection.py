@@ -1,0 +1,140 @@
+"""The nearest state that keeps the closures: Newton steps of least norm.
+
+    q - Psi^T (Psi Psi^T)^-1 gap(q)    and    qd - Psi^T (Psi Psi^T)^-1 Psi qd
+
+Written out as straight-line floats for small mechanisms, and with singular values where Psi is
+near singular or its rows depend on one another; `sparse.py` has that of large ones.  Each tells
+how regular Psi is there, about d^2 at a distance d from a configuration where it loses rank.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import closed_form
+from robodyn.engines import straightline
+from robodyn.engines.formulas import projection_formula
+from robodyn.loops.change_points import (
+    SUSPECT,
+    Closing,
+    Misses,
+    lead_across,
+    regular_rank,
+    suspect_quality,
+)
+from robodyn.loops.closing import CLOSED, CUT, close_positions, loop_size
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+FloatClosing = Callable[[list[float]], tuple[list[float], float]]
+
+CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
+STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
+PASSES = 4
+EXACT = 0.04  # part of what is suspect below which a state is closed exactly: s/L < 2 NEAR_SINGULAR
+
+
+def dense_closing(mechanism: Mechanism) -> Closing:
+    """By singular values; directions that the closures hardly hold are left alone."""
+    n, size = mechanism.n, loop_size(mechanism)
+    rank = regular_rank(mechanism)
+
+    def nearest(y: Array) -> tuple[Array, float]:
+        closed = y.copy()
+        closed[:n] = close_positions(mechanism, y[:n])
+        qd = closed[n : 2 * n]
+        Psi = closed_form.closure_jacobian(mechanism, closed[:n])
+        U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
+        held = s > CUT * s[0]
+        qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
+        return closed, float((s[rank - 1] / size) ** 2)
+
+    return nearest
+
+
+def straight_closing(mechanism: Mechanism) -> Closing:
+    """By generated straight-line floats, handed to `dense_closing` where a pivot is too small."""
+    close = float_closing(mechanism)
+
+    def nearest(y: Array) -> tuple[Array, float]:
+        closed, quality = close(y.tolist())
+        return np.array(closed), quality
+
+    return nearest
+
+
+def best_closing(mechanism: Mechanism) -> Closing:
+    """What is fastest for its size: straight-line floats, or a sparse factorisation."""
+    if loop_terms(mechanism) <= STRAIGHT:
+        return straight_closing(mechanism)
+    from robodyn.engines import sparse
+
+    return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))
+
+
+def loop_terms(mechanism: Mechanism) -> int:
+    """Entries of A and P, which the cost of straight-line code grows with."""
+    return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)
+
+
+def float_closing(mechanism: Mechanism) -> FloatClosing:
+    """`best_closing` on lists, for steps that never leave plain floats."""
+    if loop_terms(mechanism) > STRAIGHT:
+        closing = best_closing(mechanism)
+
+        def by_arrays(y: list[float]) -> tuple[list[float], float]:
+            closed, quality = closing(np.array(y))
+            return closed.tolist(), quality
+
+        return by_arrays
+    close = _generated_closing(mechanism)
+    dense = dense_closing(mechanism)
+
+    def nearest(y: list[float]) -> tuple[list[float], float]:
+        try:
+            found = close(y)
+        except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
+            found = None
+        if found is None:
+            if not math.isfinite(sum(y)):
+                return y, 0.0
+            closed, quality = dense(np.array(y))
+            return closed.tolist(), quality
+        return found
+
+    return nearest
+
+
+class Projection:
+    """The nearest closed state; next to a change point that of the branch which leads across.
+
+    `misses` are the change points that the mechanism only nearly has, and hold an integrator.
+    """
+
+    def __init__(self, mechanism: Mechanism, closing: Closing) -> None:
+        self.mechanism, self.closing = mechanism, closing
+        self.misses = Misses(mechanism)
+
+    def __call__(self, y: Array) -> Array:
+        closed, quality = self.closing(y)
+        if quality > SUSPECT or not self.misses.crosses(closed[: self.mechanism.n]):
+            return closed
+        led = lead_across(self.mechanism, self.closing, y, quality, lambda states: states)
+        return closed if led is None else led
+
+
+@lru_cache(maxsize=64)
+def _generated_closing(
+    mechanism: Mechanism,
+) -> Callable[[list[float]], tuple[list[float], float] | None]:
+    size = loop_size(mechanism)
+    formula = projection_formula(mechanism)
+    if formula is None:
+        return lambda y: None
+    limits = EXACT * suspect_quality(mechanism), CLOSED * size, CONVERGED * size
+    return straightline.compile_closing(formula, PASSES, *limits)

@@ -1,0 +1,316 @@
+"""Where a simulation's torque comes from: constants, expressions of t, q, qd, or a table.
+
+Each source becomes lines of Python that the generated right-hand side contains; constants are
+folded into it.  Expressions are parsed and rewritten from a white list of syntax and names, so
+that nothing but arithmetic can run.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import warnings
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import Control, Steps
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.torque_times import Pieces
+
+_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
+
+
+def _sign(x: float) -> float:
+    return math.copysign(1.0, x) if x else 0.0
+
+
+def _exp(x: float) -> float:
+    try:
+        return math.exp(x)
+    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
+        return math.inf
+
+
+def _floor(x: float) -> float:
+    return float(math.floor(x))
+
+
+FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
+# math.pow: a root of a negative number is outside its domain, not complex
+_SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
+_SCOPE["_pow"] = math.pow
+CONSTANTS = {"pi": math.pi, "e": math.e}
+MAX_LENGTH = 2000  # characters of one expression
+MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
+
+_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
+_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
+_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
+
+    `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
+    onto them.  It calls `told`, where there is one, at the start and at each of them.  `leaves` are
+    ends of times, counted from the start: no step may be longer than one that it enters.
+    """
+
+    constants: tuple[float, ...] | None
+    lines: tuple[str, ...] = ()
+    scope: Mapping[str, object] = field(default_factory=dict)
+    kinks: tuple[float, ...] = ()
+    linear: bool = False  # in time between kinks, whatever the state is
+    span: tuple[str, float, float] | None = None  # what is defined from when to when, s
+    control: Control | None = None
+    pieces: Pieces | None = None  # of an expression over a run; see `torque_times.py`
+    leaves: tuple[float, ...] = ()
+
+    @property
+    def told(self) -> Steps | None:
+        """What follows the steps of a run."""
+        return self.control or self.pieces
+
+    @property
+    def active(self) -> bool:
+        """Whether any torque can act at all."""
+        return self.constants is None or any(self.constants)
+
+    def function(self, n: int) -> Callable[[float, Sequence[float]], list[float]]:
+        """The torques (n) as a function of t and y = (q, qd, ...)."""
+        if self.constants is not None:
+            constants = list(self.constants)
+            return lambda t, y: constants
+        names = [f"q{k}" for k in range(n)] + [f"qd{k}" for k in range(n)]
+        result = ", ".join(f"tau{k}" for k in range(n))
+        body = [f"{', '.join(names)}, *_ = y", *self.lines, f"return [{result}]"]
+        scope: dict[str, object] = {"__builtins__": {}, **self.scope}
+        source = "def torques(t, y):\n    " + "\n    ".join(body) + "\n"
+        exec(compile(source, "<robodyn torque>", "exec"), scope)
+        function: Callable[[float, Sequence[float]], list[float]] = scope["torques"]  # type: ignore[assignment]
+        return function
+
+
+def constant(mechanism: Mechanism, values: Sequence[float]) -> Actuation:
+    """Constant torques: all joints (passive ones zero), or the actuated ones, N m."""
+    n, driven = mechanism.n, mechanism.actuated
+    if len(values) not in (n, len(driven)):
+        limit = f"must have {n} values, one a joint"
+        if len(driven) != n:
+            limit = f"must have {len(driven)} values, one an actuated joint, or {n}, one a joint"
+        raise InputError("tau", value=f"{len(values)} values", limit=limit)
+    torques = [0.0] * n
+    for k, value in zip(driven if len(values) != n else range(n), values, strict=True):
+        torques[k] = float(value)
+    for k in mechanism.passive:
+        if torques[k] != 0.0:
+            raise InputError(
+                f"tau{k + 1}",
+                value=torques[k],
+                limit=f"joint {mechanism.link_names[k]} is passive; name it in `actuated`",
+            )
+    return Actuation(tuple(torques))
+
+
+def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
+    """Torques from comma-separated expressions in t, q1.., qd1.., one an actuated joint, N m.
+
+    Raises InputError for anything but arithmetic, comparisons, `a if b else c`, the functions
+    above, pi and e.
+    """
+    if len(text) > MAX_LENGTH:
+        raise InputError("expression", where=where, limit=f"is longer than {MAX_LENGTH} characters")
+    try:
+        line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
+        if line.endswith(","):
+            raise SyntaxError("an expression is missing at the end")
+        if not line.isascii():  # Python would take other scripts' letters for our own
+            raise SyntaxError("a character is not ASCII")
+        with warnings.catch_warnings():  # what Python warns of it will not take one day
+            warnings.simplefilter("error")
+            tree = ast.parse(line, mode="eval").body
+        nodes = tree.elts if isinstance(tree, ast.Tuple) else [tree]
+        writer = _Writer(mechanism.n, where)
+        written = [ast.unparse(writer.write(node)) for node in nodes]
+        for code in written:
+            compile(code, "<torque>", "eval")  # Python has limits of its own
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        reason = getattr(error, "msg", None) or str(error)
+        raise InputError(repr(text), where=where, limit=f"is no expression: {reason}") from None
+    if not writer.names:
+        values = [_constant(code, text, where) for code in written]
+        return constant(mechanism, values)
+    driven = mechanism.actuated
+    if len(written) == mechanism.n and len(driven) != mechanism.n:
+        for k in mechanism.passive:
+            if written[k] not in ("0.0", "-0.0", "0", "-0"):
+                limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
+                raise InputError(f"tau{k + 1}", where=where, limit=limit)
+        targets: Sequence[int] = range(mechanism.n)
+    else:
+        targets = driven
+    if len(written) != len(targets):
+        limit = f"must have {len(driven)} expressions, one an actuated joint"
+        raise InputError("tau", where=where, value=f"{len(written)} expressions", limit=limit)
+    lines = [f"tau{k} = {code}" for k, code in zip(targets, written, strict=True)]
+    lines += [f"tau{k} = 0.0" for k in range(mechanism.n) if k not in set(targets)]
+    return Actuation(None, tuple(lines), dict(_SCOPE))
+
+
+def table(
+    mechanism: Mechanism,
+    times: Sequence[float],
+    torques: Sequence[Sequence[float]],
+    where: str = "table",
+    until: float = 0.0,
+) -> Actuation:
+    """Torques (rows, actuated), N m, at increasing times, s, interpolated linearly between them.
+
+    Raises InputError unless there are two rows, increasing times, and all of 0 to `until`.
+    """
+    first, last = min(0.0, until), max(0.0, until)
+    if len(times) < 2:
+        limit = "a table of torques needs two rows or more"
+        raise InputError("rows", where=where, value=len(times), limit=limit)
+    for before, after in pairwise(times):
+        if not after > before:
+            limit = f"times must increase; the row before has {before:g}"
+            raise InputError("t", where=where, value=f"{after:g}", limit=limit)
+    if times[0] > first or times[-1] < last:
+        limit = f"must cover the simulation, {first:g} to {last:g} s"
+        raise InputError("t", where=where, value=f"{times[0]:g} to {times[-1]:g} s", limit=limit)
+    driven = mechanism.actuated
+    rows = [tuple(map(float, row)) for row in torques]
+    stamps = [float(t) for t in times]
+
+    def interpolate(t: float) -> tuple[float, ...]:
+        k = min(max(bisect_right(stamps, t), 1), len(stamps) - 1)
+        part = (t - stamps[k - 1]) / (stamps[k] - stamps[k - 1])
+        return tuple(a + part * (b - a) for a, b in zip(rows[k - 1], rows[k], strict=True))
+
+    targets = "".join(f"tau{k}, " for k in driven)
+    lines = [f"{targets}= _interpolate(t)"]
+    lines += [f"tau{k} = 0.0" for k in mechanism.passive]
+    span = ("table of torques", stamps[0], stamps[-1])
+    return Actuation(None, tuple(lines), {"_interpolate": interpolate}, tuple(stamps), True, span)
+
+
+def callback(
+    mechanism: Mechanism, function: Callable[[float, list[float], list[float]], Sequence[float]]
+) -> Actuation:
+    """Torques from a Python function of t, q (n), qd (n): all joints, or the actuated ones."""
+    n, driven = mechanism.n, mechanism.actuated
+
+    def torques(t: float, state: tuple[float, ...]) -> Sequence[float]:
+        values = [float(x) for x in function(t, list(state[:n]), list(state[n:]))]
+        if len(values) == n:
+            for k in mechanism.passive:
+                if values[k] != 0.0:
+                    limit = f"joint {mechanism.link_names[k]} is passive; its torque must be 0"
+                    raise InputError(f"tau{k + 1}", value=values[k], limit=limit)
+            return values
+        if len(values) != len(driven):
+            limit = f"must be {len(driven)} values, one an actuated joint, or {n}"
+            raise InputError("tau(t, q, qd)", value=f"{len(values)} values", limit=limit)
+        full = [0.0] * n
+        for k, value in zip(driven, values, strict=True):
+            full[k] = value
+        return full
+
+    targets = "".join(f"tau{k}, " for k in range(n))
+    state = "".join(f"q{k}, " for k in range(n)) + "".join(f"qd{k}, " for k in range(n))
+    return Actuation(None, (f"{targets}= _torques(t, ({state}))",), {"_torques": torques})
+
+
+class _Writer:
+    """Rewrites a parsed expression as Python over the generated code's names; refuses the rest."""
+
+    def __init__(self, n: int, where: str) -> None:
+        self.n = n
+        self.where = where
+        self.names: set[str] = set()
+
+    def write(self, node: ast.expr) -> ast.expr:
+        match node:
+            case ast.Constant(value=bool()):
+                pass
+            case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
+                return ast.Constant(_float(value))
+            case ast.Name(id=name):
+                return self.name(name)
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                return ast.UnaryOp(op, self.write(operand))
+            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
+                sides = [self.write(left), self.write(right)]
+                if not isinstance(op, ast.Pow):
+                    return ast.BinOp(sides[0], op, sides[1])
+                if _exponent(right) > MAX_POWER:
+                    raise self.refuse(f"an exponent above {MAX_POWER:g}")
+                if _exponent(right).is_integer():
+                    return ast.BinOp(sides[0], op, sides[1])
+                return ast.Call(ast.Name("_pow"), sides, [])
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(
+                op, _COMPARISONS
+            ):
+                return ast.Compare(self.write(left), [op], [self.write(right)])
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                return ast.IfExp(self.write(test), self.write(body), self.write(orelse))
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+                least, most = _ARGUMENTS.get(name, (1, 1))
+                if not least <= len(args) <= most:
+                    raise self.refuse(f"{len(args)} arguments of {name}")
+                return ast.Call(ast.Name(f"_{name}"), [self.write(x) for x in args], [])
+            case ast.Call(func=ast.Name(id=name)):
+                raise self.refuse(f"function {name}; known: {', '.join(FUNCTIONS)}")
+        raise self.refuse(f"`{ast.unparse(node)[:80]}`")
+
+    def name(self, name: str) -> ast.expr:
+        if name in CONSTANTS:
+            return ast.Constant(CONSTANTS[name])
+        kind = name.rstrip("0123456789")
+        number = name[len(kind) :]
+        if name == "t" or (kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= self.n):
+            self.names.add(name)
+            return ast.Name(name if name == "t" else f"{kind}{int(number) - 1}")
+        raise self.refuse(f"name {name}; known: t, q1..q{self.n}, qd1..qd{self.n}, pi, e")
+
+    def refuse(self, what: str) -> InputError:
+        return InputError(f"torque expression does not allow {what}", where=self.where)
+
+
+def _constant(code: str, text: str, where: str) -> float:
+    scope: dict[str, object] = {"__builtins__": {}}
+    scope |= _SCOPE
+    try:
+        value = float(eval(code, scope))
+    except (ArithmeticError, ValueError, TypeError) as error:
+        limit = f"is no real number: {error}"
+        raise InputError(repr(text), where=where, limit=limit) from None
+    if not math.isfinite(value):
+        raise InputError(repr(text), where=where, value=value, limit="must be finite")
+    return value
+
+
+def _float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _exponent(node: ast.expr) -> float:
+    while isinstance(node, ast.UnaryOp):
+        node = node.operand
+    return (
+        _float(node.value)
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+        else 0.5  # may be any: no whole number
+    )

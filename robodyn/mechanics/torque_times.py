@@ -1,0 +1,227 @@
+"""When the torques of expressions switch, and how fine their features are in time.
+
+What an expression makes of time alone is sampled over the run, part by part: where a part has a
+zero or an extreme, there a sample is added, so that the narrowest pulse shows at its middle.
+
+- A part that jumps or bends (a comparison, abs, min, max, sign, floor, %) is a *switch*: its times
+  are found to the spacing of floats, steps land on them, and between two of them it stands still.
+- Between those, the torque is cut into *leaves*, on each of which a polynomial of degree 16 meets
+  all samples.  No step may be longer than a leaf that it enters.
+"""
+
+from __future__ import annotations
+
+import ast
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.time_samples import (
+    call,
+    leaf_ends,
+    parts_of,
+    samples_of,
+    switching_times,
+    values_of,
+)
+
+NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
+
+
+class Pieces:
+    """How the switches stand, by time; at a switching time as ahead of it once it is reached."""
+
+    restarts = True  # a torque may jump there
+
+    def __init__(self, kinks: Sequence[float], values: Sequence[tuple[float, ...]]) -> None:
+        self.kinks, self.values = kinks, values
+        self.begin((), 1.0)
+
+    def begin(self, y: Sequence[float], t_end: float) -> None:
+        """See `Steps`."""
+        self.forward = t_end >= 0.0
+        self.reach(0.0, y)
+
+    def reach(self, t: float, y: Sequence[float]) -> None:
+        """See `Steps`."""
+        self.now = (bisect_right if self.forward else bisect_left)(self.kinks, t)
+
+    def at(self, t: float) -> tuple[float, ...]:
+        """The values of all switches at t; beyond a switching time not reached, those before it."""
+        if self.forward:
+            return self.values[min(bisect_right(self.kinks, t), self.now)]
+        return self.values[max(bisect_left(self.kinks, t), self.now)]
+
+
+def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
+    """A torque, N m, that moves the lightest link by less than `atol` in the time of a run."""
+    lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0), default=0.0)
+    return float(atol * lightest / (abs(t_end) or 1.0))
+
+
+def over_a_run(
+    actuation: Actuation, state: Sequence[float], t_end: float, small: float = 0.0
+) -> Actuation:
+    """The torques with their switching times and leaves from 0 to `t_end`.
+
+    `state` (2n) is that at the start: what depends on time and state is sampled as if it stayed.
+    A torque below `small`, N m, may be missed.
+    Torques that are no expressions of time are returned as they are.
+    """
+    if actuation.pieces is not None or not np.isfinite(t_end) or t_end == 0.0:
+        return actuation
+    try:
+        found = _found(actuation.lines, tuple(map(float, state)), float(t_end), small)
+    except (RecursionError, MemoryError):  # too deep an expression: as it is
+        return actuation
+    if found is None:
+        return actuation
+    lines, kinks, values, leaves = found
+    if not values[0]:  # no switch
+        return replace(actuation, leaves=leaves)
+    pieces = Pieces(kinks, values)
+    scope = {**actuation.scope, "_piece": pieces.at, "_int": int, "_pick": _pick}
+    lines = ("_s = _piece(t)", *lines)
+    return replace(actuation, lines=lines, scope=scope, kinks=kinks, pieces=pieces, leaves=leaves)
+
+
+def _pick(k: float, *values: float) -> float:
+    return values[int(k)]
+
+
+@lru_cache(maxsize=16)
+def _found(
+    lines: tuple[str, ...], state: tuple[float, ...], t_end: float, small: float
+) -> tuple[tuple[str, ...], tuple[float, ...], list[tuple[float, ...]], tuple[float, ...]] | None:
+    """The lines with switches held, when they switch, how they stand between, and the leaves.
+
+    None for lines that are no expressions, or do not depend on time, or switch too fast.
+    """
+    parts = _TimeParts()
+    written = []
+    for line in lines:
+        match ast.parse(line).body:
+            case [ast.Assign(targets=[ast.Name(id=target)], value=value)]:
+                written.append(f"{target} = {ast.unparse(parts.write(value))}")
+            case _:
+                return None
+    if not parts.size:
+        return None
+    n, span = len(state) // 2, abs(t_end)
+    names: dict[str, Any] = {f"q{k}": x for k, x in enumerate(state[:n])}
+    names |= {f"qd{k}": x for k, x in enumerate(state[n:])}
+    with np.errstate(all="ignore"):
+        samples = samples_of(parts.timely, parts.switches, parts.size, t_end)
+        if samples is None:
+            return None
+        times = switching_times(parts.switches, samples)
+        kinks = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
+        edges = np.array(sorted([0.0, *kinks, t_end]))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        table = [values_of(switch, {"t": middles}) for switch in parts.switches]
+        values = [tuple(row) for row in np.transpose(table).tolist()] or [()] * len(middles)
+        leaves = leaf_ends(parts.functions, names, edges, samples, small)
+    return tuple(written), tuple(kinks), values, tuple(np.sort(np.abs(leaves)).tolist())
+
+
+class _TimeParts:
+    """What expressions make of time alone; writes them with their switches held (`_s[k]`)."""
+
+    def __init__(self) -> None:
+        self.size = 0  # how many parts
+        self.timely: list[ast.expr] = []  # whose zeros and extremes are sampled
+        self.switches: list[ast.expr] = []  # whose values are whole numbers
+        self.functions: list[ast.expr] = []  # that must be resolved: torques, and of time alone
+
+    def write(self, torque: ast.expr) -> ast.expr:
+        written, kind = self._write(torque)
+        if kind:
+            self.functions.append(torque)
+        return written
+
+    def _write(self, node: ast.expr) -> tuple[ast.expr, int]:
+        """The node written, and what it depends on: 0 nothing, 1 time alone, 2 the state."""
+        if isinstance(node, ast.Name):
+            return node, 1 if node.id == "t" else 2
+        parts = parts_of(node)
+        found = [self._write(part) for part in parts]
+        written, kinds = [x for x, _ in found], [kind for _, kind in found]
+        kind = max(kinds, default=0)
+        if isinstance(node, ast.IfExp) and kinds[0] + isinstance(parts[0], ast.Compare) < 2:
+            written[0] = self._flag(call("_true", parts[0]))
+        if kind == 1:
+            self.size += 1
+            if not _linear(node, kinds):
+                for part in parts:
+                    self._sample(part)
+            return self._held(node, parts, written), 1
+        if kind == 2:
+            self.functions += [
+                part
+                for part, each in zip(parts, kinds, strict=True)
+                if each == 1 and not isinstance(part, ast.Name)
+            ]
+        return _rebuilt(node, written), kind
+
+    def _held(self, node: ast.expr, parts: list[ast.expr], x: list[ast.expr]) -> ast.expr:
+        """A node of time alone from its written parts, as it is between two switching times."""
+        match node:
+            case ast.Compare():
+                self._sample(ast.BinOp(parts[0], ast.Sub(), parts[1]))
+                return self._flag(node)
+            case ast.BinOp(op=ast.Mod()):
+                turns = self._switch(call("_turns", *parts))
+                return ast.BinOp(x[0], ast.Sub(), ast.BinOp(x[1], ast.Mult(), turns))
+            case ast.Call(func=ast.Name(id="_sign" | "_floor")):
+                return self._switch(node)
+            case ast.Call(func=ast.Name(id="_abs")):
+                return ast.BinOp(x[0], ast.Mult(), self._switch(call("_sign", *parts)))
+            case ast.Call(func=ast.Name(id="_min" | "_max" as name)):
+                for one, other in pairwise(parts):
+                    self._sample(ast.BinOp(one, ast.Sub(), other))
+                return call("_pick", self._switch(call(f"{name}_at", *parts)), *x)
+        return _rebuilt(node, x)
+
+    def _sample(self, node: ast.expr) -> None:
+        self.timely.append(node)
+
+    def _flag(self, node: ast.expr) -> ast.expr:
+        return call("_int", self._switch(node))  # an error where it is undefined
+
+    def _switch(self, node: ast.expr) -> ast.expr:
+        self.switches.append(node)
+        return ast.Subscript(ast.Name("_s"), ast.Constant(len(self.switches) - 1))
+
+
+def _linear(node: ast.expr, kinds: list[int]) -> bool:
+    """Whether a node makes nothing narrower than its parts are."""
+    match node:
+        case ast.UnaryOp() | ast.BinOp(op=ast.Add() | ast.Sub()):
+            return True
+        case ast.BinOp(op=ast.Mult()):
+            return 0 in kinds
+        case ast.BinOp(op=ast.Div()):
+            return kinds[1] == 0
+    return False
+
+
+def _rebuilt(node: ast.expr, x: list[ast.expr]) -> ast.expr:
+    match node:
+        case ast.UnaryOp(op=op):
+            return ast.UnaryOp(op, x[0])
+        case ast.BinOp(op=operation):
+            return ast.BinOp(x[0], operation, x[1])
+        case ast.Compare(ops=operators):
+            return ast.Compare(x[0], operators, x[1:])
+        case ast.IfExp():
+            return ast.IfExp(*x)
+        case ast.Call(func=function):
+            return ast.Call(function, x, [])
+    return node

@@ -1,0 +1,1 @@
+"""A run: its settings and record, scipy's solvers, its accuracy and its reference."""

@@ -1,0 +1,185 @@
+"""The global error of a simulation: estimated, and kept below what is asked for.
+
+A tolerance bounds what one step may miss; how that grows over a run is the motion's own affair
+(of a chaotic one, exponentially).  So the error is measured: two runs of different tolerance differ
+by the error of the looser one.  For an accuracy A the tolerance starts at A/100 and is divided by
+100 until two runs in a row differ by A at most; the last of them is taken, whose own error is
+smaller still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_times import over_a_run
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import SCIPY_RTOL, SMALLEST_RTOL, Settings, run
+from robodyn.taylor.run import stepping_engine
+
+Array = NDArray[np.float64]
+
+AUTO = "auto"
+SAMPLES = 200  # times at which runs are compared, besides those of the steps
+MARGIN = 4.0 / 3.0  # by which the tighter run may err as well
+CUTS = 4  # times of each step
+MOST = 4_000_000  # numbers of a run that are kept
+TIGHTER = 100.0  # factor between the tolerances of two runs
+
+
+class AccuracyError(RobodynError):
+    """The accuracy that was asked for is beyond what double precision keeps of this motion."""
+
+
+def error_estimate(
+    mechanism: Mechanism, state: Array, t_end: float, actuation: Actuation, settings: Settings
+) -> float:
+    """About the largest error of q (rad) and qd (rad/s) along a run, by a run 100 times as tight.
+
+    They are compared at the ends of the run's steps and between them.  The tighter run errs as
+    well: by a percent of that, with Radau, the worst, by a quarter.  So a third is added.
+    nan where there is no tighter run, or one of the two does not finish.
+    """
+    if tighter(settings) is None:
+        return np.nan
+    motion = _Motion(mechanism, state, t_end, actuation, settings)
+    tight = motion.tighter(settings)
+    assert tight is not None
+    return MARGIN * difference(*map(motion.sampled, (settings, tight)))
+
+
+def settings_for(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    accuracy: float,
+) -> tuple[Settings, float]:
+    """Settings whose run errs by `accuracy` (rad, rad/s) at most, and the estimate that says so.
+
+    Raises AccuracyError where no tolerance keeps it, InputError for an accuracy that is none.
+    """
+    if not (0.0 < accuracy < 1.0):
+        raise InputError("accuracy", value=accuracy, limit="must be in (0, 1)")
+    chooses = settings.method == AUTO
+    if chooses:
+        over = over_a_run(actuation, state.tolist(), float(t_end))
+        stabilizes = settings.stabilize != "baumgarte"
+        method = best_method(mechanism, over) if stabilizes else "DOP853"
+        settings = replace(settings, method=method)
+    first = max(accuracy / TIGHTER, TIGHTER * _smallest(settings))
+    loose = replace(settings, rtol=first, atol=first)
+    motion = _Motion(mechanism, state, t_end, actuation, loose)
+    before = motion.sampled(loose)
+    if before is None and chooses and settings.method == "taylor":  # a root begins: no series
+        others = replace(settings, method="DOP853")
+        return settings_for(mechanism, state, t_end, actuation, others, accuracy)
+    if before is None:  # the run itself tells why
+        return loose, np.nan
+    best = np.inf
+    while (tight := motion.tighter(loose)) is not None:
+        after = motion.sampled(tight)
+        if after is None:
+            break
+        estimate = difference(before, after)
+        if estimate <= accuracy:
+            return tight, estimate
+        best = min(best, estimate)
+        loose, before = tight, after
+    limit = "is not kept at the tightest tolerances"
+    if tight is not None:
+        limit = f"is not kept, and a run of rtol {tight.rtol:g} does not finish"
+    if np.isfinite(best):
+        limit += f"; runs differ by {best:.2g}: this motion forgets its start"
+    limit += "; ask for less, or for a shorter time"
+    raise AccuracyError("accuracy", where=mechanism.source, value=f"{accuracy:g}", limit=limit)
+
+
+def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
+    """The Taylor series, the cheapest at every accuracy; DOP853 where torques have none."""
+    try:
+        stepping_engine(mechanism, actuation, 1e-9, 1e-9)
+    except InputError:
+        return "DOP853"
+    return "taylor"
+
+
+def tighter(settings: Settings) -> Settings | None:
+    """Settings a hundred times as tight; None where the method takes none three times as tight."""
+    least = _smallest(settings)
+    rtol, atol = (max(x / TIGHTER, least) for x in (settings.rtol, settings.atol))
+    if rtol * 3.0 > settings.rtol and atol * 3.0 > settings.atol:
+        return None
+    return replace(settings, rtol=rtol, atol=atol)
+
+
+class Sampled(NamedTuple):
+    """The states (T, 2n) of a run, and what work its steps missed, of the energy in motion."""
+
+    y: Array
+    missed: float
+
+
+class _Motion:
+    """A motion, and the times at which runs of it are compared: where the first run may err most.
+
+    An error peaks where the motion is fast, and so are the steps short: `CUTS` times a step.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        state: Array,
+        t_end: float,
+        actuation: Actuation,
+        settings: Settings,
+    ) -> None:
+        self._of = mechanism, state, t_end, actuation
+        ends: list[Array] = []
+        outcome, _ = run(*self._of, settings, lambda t, y: ends.append(t))
+        self.finishes = outcome is Outcome.FINISHED
+        steps = np.concatenate(ends)
+        self.longest = float(np.abs(np.diff(steps)).max(initial=0.0)) or np.inf
+        apart = max(1.0 / CUTS, len(steps) * len(state) / MOST)
+        cuts = np.interp(np.arange(0, len(steps) - 1, apart), np.arange(len(steps)), steps)
+        self.times = np.unique(np.concatenate([cuts, steps[-1:], np.linspace(0.0, t_end, SAMPLES)]))
+        if t_end < 0.0:
+            self.times = self.times[::-1]
+
+    def tighter(self, settings: Settings) -> Settings | None:
+        """Tighter settings, whose steps are shorter too where no tolerance had chosen them.
+
+        The series errs by less without, as its order is higher.
+        """
+        tight = tighter(settings)
+        if tight is None or settings.method == "taylor":
+            return tight
+        return replace(tight, max_step=0.5 * min(settings.max_step, self.longest))
+
+    def sampled(self, settings: Settings) -> Sampled | None:
+        """A run's states at the times, or None where it does not finish, or the first did not."""
+        if not self.finishes:
+            return None
+        rows: list[Array] = []
+        outcome, report = run(*self._of, settings, lambda t, y: rows.append(y), self.times)
+        if outcome is not Outcome.FINISHED:
+            return None
+        return Sampled(np.concatenate(rows), report.work_missed)
+
+
+def difference(first: Sampled | None, second: Sampled | None) -> float:
+    """About the error of the first run; both err by what work both have missed."""
+    if first is None or second is None:
+        return np.nan
+    return max(float(np.abs(first.y - second.y).max()), second.missed)
+
+
+def _smallest(settings: Settings) -> float:
+    return SMALLEST_RTOL.get(settings.method, SCIPY_RTOL)

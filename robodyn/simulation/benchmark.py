@@ -1,0 +1,189 @@
+"""Speed against error of every method on one motion, and of the evaluators on single states.
+
+Errors are measured against `extended.py`; no error below its uncertainty is claimed.  Seconds are
+those of whole runs, statistics included, taken in turn: the median and the least.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import RobodynError
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.extended import Reference, reference
+from robodyn.simulation.recording import Outcome, Report
+from robodyn.simulation.simulation import METHODS, SCIPY_RTOL, SMALLEST_RTOL, Settings, run
+from robodyn.taylor.run import compiled_engine, stepping_engine
+
+Array = NDArray[np.float64]
+Watch = Callable[[float], object]  # the part that is done
+
+TOLERANCES = tuple(10.0**-k for k in range(3, 14))
+TIMES = 20  # output times at which errors are measured
+PATIENCE = 1.0  # s: a method whose run took longer is not asked for more digits
+MAX_EVALUATIONS = 1_000_000
+
+
+@dataclass(slots=True)
+class Measurement:
+    """One method at one tolerance."""
+
+    method: str
+    tolerance: float
+    outcome: str
+    error: float = np.inf  # largest of q (rad) and qd (rad/s) over the output times
+    error_end: float = np.inf
+    drift: float = np.nan
+    gap: float = np.nan
+    evaluations: int = 0
+    steps: int = 0
+    median: float = np.nan  # s
+    least: float = np.nan
+    front: bool = False  # no other is both faster and better
+    seconds: list[float] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Benchmark:
+    """Measurements of all methods, and how far the reference can be trusted."""
+
+    reference: Reference
+    measurements: list[Measurement]
+    left_out: list[str]
+
+
+def benchmark(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    *,
+    tolerances: Sequence[float] = TOLERANCES,
+    repeats: int = 3,
+    patience: float = PATIENCE,
+    watch: Watch = lambda part: None,
+) -> Benchmark:
+    """Every method at every tolerance on the motion from `state` (2n,) at t = 0 to t_end > 0.
+
+    Raises RobodynError where the reference cannot be computed.
+    """
+    times = np.linspace(0.0, t_end, TIMES + 1)[1:]
+    exact = reference(mechanism, state, times, actuation)
+    if not np.isfinite(exact.y).all():
+        raise RobodynError("bench", where=mechanism.source, limit="the motion is not finite")
+    watch(0.1)
+    names, left_out = _methods(mechanism, actuation)
+    found: list[Measurement] = []
+    problem = _Problem(mechanism, state, t_end, actuation, times, exact)
+    runs: list[tuple[Measurement, Settings]] = []
+    brief = replace(problem, t_end=t_end / 1000, times=np.array([t_end / 1000]))
+    for i, (name, settings) in enumerate(names):
+        brief.run(settings)  # what is loaded and compiled once is no part of a run
+        for tolerance in tolerances:
+            if tolerance < SMALLEST_RTOL.get(settings.method, SCIPY_RTOL):
+                continue
+            each = Settings(
+                settings.method,
+                tolerance,
+                tolerance,
+                max_evaluations=MAX_EVALUATIONS,
+                engine=settings.engine,
+            )
+            begun = time.perf_counter()
+            measured = problem.measure(name, each)
+            took = time.perf_counter() - begun
+            found.append(measured)
+            if measured.outcome == Outcome.FINISHED.label:
+                runs.append((measured, each))
+            if took > patience or measured.outcome != Outcome.FINISHED.label:
+                rest = [x for x in tolerances if x < tolerance]
+                if rest:
+                    why = measured.outcome if took <= patience else f"took {took:.2g} s"
+                    left_out.append(f"{name} below {tolerance:g}: {why} there")
+                break
+        watch(0.1 + 0.4 * (i + 1) / len(names))
+    for i in range(repeats):
+        for measured, each in runs:
+            measured.seconds.append(problem.seconds(each))
+        watch(0.5 + 0.5 * (i + 1) / repeats)
+    for measured, _ in runs:
+        measured.median, measured.least = median(measured.seconds), min(measured.seconds)
+    _mark_front(found, exact.uncertainty)
+    return Benchmark(exact, found, left_out)
+
+
+def _methods(
+    mechanism: Mechanism, actuation: Actuation
+) -> tuple[list[tuple[str, Settings]], list[str]]:
+    """Names and settings of the methods that serve this motion; which do not, and why."""
+    names = [(method, Settings(method)) for method in METHODS if method != "taylor"]
+    left_out = []
+    try:
+        stepping_engine(mechanism, actuation, 1e-9, 1e-9)
+        names.append(("taylor", Settings("taylor", engine="python")))
+    except RobodynError as error:
+        left_out.append(f"taylor: {error}")
+    if compiled_engine(mechanism, actuation, 1e-9, 1e-9, None) is not None:
+        names.append(("taylor compiled", Settings("taylor", engine="compiled")))
+    else:
+        needs = "pip install 'robodyn[fast]', a torque that has a series, and a small mechanism"
+        left_out.append(f"taylor compiled: needs {needs}")
+    return names, left_out
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """A motion, and the times at which it is compared."""
+
+    mechanism: Mechanism
+    state: Array
+    t_end: float
+    actuation: Actuation
+    times: Array
+    exact: Reference
+
+    def run(self, settings: Settings) -> tuple[Outcome, Report, Array]:
+        rows: list[Array] = []
+        outcome, report = run(
+            self.mechanism,
+            self.state,
+            self.t_end,
+            self.actuation,
+            settings,
+            lambda t, y: rows.append(y),
+            self.times,
+        )
+        y = np.concatenate(rows) if rows else np.zeros((0, len(self.state)))
+        return outcome, report, y
+
+    def measure(self, name: str, settings: Settings) -> Measurement:
+        outcome, report, y = self.run(settings)
+        measured = Measurement(name, settings.rtol, outcome.label)
+        measured.evaluations, measured.steps = report.evaluations, report.steps
+        measured.drift, measured.gap = report.energy_drift, report.largest_gap
+        if outcome is Outcome.FINISHED:
+            off = np.abs(y - self.exact.y).max(axis=1)
+            measured.error = max(float(off.max()), self.exact.uncertainty)
+            measured.error_end = max(float(off[-1]), self.exact.uncertainty)
+        return measured
+
+    def seconds(self, settings: Settings) -> float:
+        begun = time.perf_counter()
+        self.run(settings)
+        return time.perf_counter() - begun
+
+
+def _mark_front(found: list[Measurement], uncertainty: float) -> None:
+    """Mark those that none is both faster and better than; errors in the noise are equal."""
+    best = np.inf
+    for each in sorted(found, key=lambda x: (x.least if x.least == x.least else np.inf, x.error)):
+        if each.outcome == Outcome.FINISHED.label and each.error < best:
+            each.front = True
+            best = max(each.error, uncertainty)

@@ -1,0 +1,382 @@
+"""Motions in extended precision: what errors are measured against.
+
+Two computations that share the mechanism's constants and torques, and nothing else, run in numpy's
+longdouble (64 bits of mantissa where the platform has them): the Taylor series of the program's
+rows, and extrapolation of the midpoint rule on (33).  What the two differ by is the uncertainty of
+the reference: no error below it can be claimed.  Rounding of the constants themselves, which every
+run shares, is no part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import forces
+from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
+from robodyn.engines.series import FLOATS, Arithmetic
+from robodyn.errors import InputError, RobodynError
+from robodyn.loops.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.mechanics.torque_times import over_a_run
+from robodyn.taylor.run import reach
+from robodyn.taylor.steps import relative_matrix
+
+Array = NDArray[np.float64]
+Long = NDArray[Any]  # longdouble
+
+LONG, COMPLEX = np.longdouble, np.clongdouble
+NUMPY = {"atan": "arctan", "asin": "arcsin", "acos": "arccos"}  # what numpy calls them
+ORDER = 30
+TOLERANCE = 0.1  # of the series, in units of rounding
+SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
+EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
+SMALLEST_STEP = 1e-12  # s
+LARGEST_STEP = 0.25  # s, of the extrapolation
+AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
+TOO_NEAR = 1e-8  # s/L below which nothing is closed
+LARGE = 12  # links, up to which the second computation is worth its time
+
+
+class Reference(NamedTuple):
+    """States (T, 2n) at the times asked for, and what two computations of them differ by."""
+
+    y: Array
+    uncertainty: float
+
+
+def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
+    """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
+
+    For mechanisms of many links the second computation is another series, of other order and step.
+    Where the torques have no series, both are extrapolations.  Raises RobodynError where the
+    motion cannot be followed.
+    """
+    others = mechanism, state, times, over_a_run(actuation, state.tolist(), float(times[-1]))
+    with np.errstate(all="ignore"):
+        try:
+            first, second = _by_two(*others)
+        except (ArithmeticError, ValueError) as error:  # of torques; a singular matrix
+            raise _lost(mechanism, f"is not defined: {error}") from None
+    apart = float(np.abs(first - second).max())
+    eps = float(np.finfo(float).eps)
+    return Reference(first.astype(float), max(apart, eps))
+
+
+def _by_two(
+    mechanism: Mechanism, state: Array, times: Array, actuation: Actuation
+) -> tuple[Long, Long]:
+    motion = mechanism, state, times, actuation
+    try:
+        first = _by_series(*motion, ORDER, TOLERANCE)
+    except InputError:  # a torque without a series
+        first = _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
+        return first, _by_extrapolation(*motion, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED)
+    if mechanism.n <= LARGE:
+        return first, _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
+    return first, _by_series(*motion, ORDER - 9, 100.0 * TOLERANCE)
+
+
+def _lost(mechanism: Mechanism, why: str) -> RobodynError:
+    return RobodynError("the motion", where=mechanism.source, limit=why)
+
+
+# -- the Taylor series ---------------------------------------------------------------------------
+
+
+def _convolve(x: Long, y: Long, m: int, first: int, last: int) -> Any:
+    """Sum of x_j y_{m-j} for j from first to last."""
+    return np.dot(x[first : last + 1], y[m - last : m - first + 1][::-1])
+
+
+LONGS = Arithmetic(
+    cos=np.cos,
+    sin=np.sin,
+    power=lambda x, exponent: x ** LONG(exponent),
+    functions={name: getattr(np, NUMPY.get(name, name)) for name in FLOATS.functions},
+    convolve=_convolve,
+    room=lambda orders: np.zeros(orders, LONG),
+)
+
+
+class _Motion:
+    """The series of a motion in extended precision, by how the switches of its torques stand."""
+
+    def __init__(self, mechanism: Mechanism, actuation: Actuation) -> None:
+        self.mechanism, self.actuation = mechanism, actuation
+        self.torques = actuation.function(mechanism.n)
+        self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
+        MotionProgram(mechanism, actuation, False)  # every branch must have a series
+
+    def expand(self, t: Any, y: Long, order: int) -> tuple[Coefficients, list[Any], list[float]]:
+        """The series from y at t, the links' rates, and the arms of what is watched."""
+        held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
+        if held not in self.made:
+            self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
+        return self._expanded(self.made[held], t, y, order)
+
+    def _expanded(
+        self, motion: MotionProgram, t: Any, y: Long, order: int
+    ) -> tuple[Coefficients, list[Any], list[float]]:
+        given: tuple[Sequence[float], Sequence[float]] = ((), ())
+        if self.actuation.constants is None and self.actuation.linear:
+            floats = y.astype(float).tolist()
+            given = linear_piece(self.actuation, self.torques, float(t), floats, 1.0)
+        start = motion.state(LONGS, t, list(y), given)
+        numbers = [LONG(x) for x in motion.program.numbers]
+        return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
+
+    def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
+        """Whether what may bend, x after the series began, is at t and y what the series say."""
+        try:
+            found, _, _ = self._expanded(self.made[held], t, y, 1)
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        for each, known in zip(series.watched, found.watched, strict=True):
+            terms = np.array(each) * x ** np.arange(len(each))
+            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max():
+                return False
+        return True
+
+
+def _by_series(
+    mechanism: Mechanism,
+    state: Array,
+    times: Array,
+    actuation: Actuation,
+    order: int,
+    tolerance: float,
+) -> Long:
+    motion, closing = _Motion(mechanism, actuation), _Closing(mechanism)
+    y = _begun(actuation, closing(state.astype(LONG)), times)
+    rows, t = [], LONG(0.0)
+    tolerance *= float(np.finfo(LONG).eps)
+    for end in times.astype(LONG):
+        while t < end:
+            series, w, arms = motion.expand(t, y, order)
+            held = None if actuation.pieces is None else actuation.pieces.at(float(t))
+            longest = longest_step(series, w, tolerance, tolerance)
+            if not longest > SMALLEST_STEP:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            h = min(end - t, LONG(longest))
+            stop = _stop(actuation, t, end)
+            h = min(h, stop - t)
+            while h > SMALLEST_STEP:
+                new = _along(mechanism, series, y, h)
+                if not arms:
+                    break
+                states = ((h, new), (h / 2, _along(mechanism, series, y, h / 2)))
+                if all(motion.agrees(series, held, x, t + x, at) for x, at in states):
+                    break
+                h = h / 2
+            else:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            y = closing(new)
+            t = stop if t + h >= stop else t + h
+            reach(actuation, float(t), y)
+        rows.append(y)
+    return np.array(rows)
+
+
+def _begun(actuation: Actuation, y: Long, times: Array) -> Long:
+    if actuation.told is not None:
+        actuation.told.begin(y.tolist(), float(times[-1]))
+    return y
+
+
+def _stop(actuation: Actuation, t: Any, end: Any) -> Any:
+    stop = next_stop(actuation.kinks, actuation.leaves, float(t), float(end))
+    return min(end, LONG(stop)) if stop > t else end
+
+
+def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
+    """The state at h after y, where the series begin."""
+    n = mechanism.n
+    z = np.array(series.rho, LONG) + 1j * np.array(series.theta, LONG)
+    orders = np.arange(z.shape[1]).astype(LONG)
+    powers = h**orders
+    turn = (z * powers).sum(axis=1)
+    slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
+    rate = (turn.conj() * slope).imag / np.abs(turn) ** 2
+    relative = relative_matrix(mechanism)
+    way = np.arctan2(turn.imag, turn.real)
+    return np.concatenate([y[:n] + relative @ way, relative @ rate])
+
+
+# -- extrapolation of the midpoint rule ----------------------------------------------------------
+
+
+def _by_extrapolation(
+    mechanism: Mechanism,
+    state: Array,
+    times: Array,
+    actuation: Actuation,
+    substeps: Sequence[int],
+    tolerance: float,
+) -> Long:
+    rates = _rates(mechanism, actuation)
+    closing = _Closing(mechanism)
+    y = _begun(actuation, closing(state.astype(LONG)), times)
+    t, h = LONG(0.0), LONG(LARGEST_STEP / 8)
+    tolerance *= float(np.finfo(LONG).eps)
+    rows = []
+    for end in times.astype(LONG):
+        while t < end:
+            stop = _stop(actuation, t, end)
+            step = min(h, stop - t)
+            new, error = _extrapolated(rates, t, y, step, substeps)
+            scale = tolerance * (1.0 + float(np.abs(y).max()))
+            factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(substeps) - 1))
+            least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
+            if error <= scale or (least and np.isfinite(error)):
+                y = closing(new)
+                t = stop if t + step >= stop else t + step
+                reach(actuation, float(t), y)
+                # a step that was cut says nothing against longer ones
+                longer = max(float(step) * min(2.0, factor), float(h) if step < h else 0.0)
+                h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))
+            elif least:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            else:
+                h = LONG(max(SMALLEST_STEP, float(step) * max(0.3, factor)))
+        rows.append(y)
+    return np.array(rows)
+
+
+def _extrapolated(
+    rates: Any, t: Any, y: Long, step: Any, substeps: Sequence[int]
+) -> tuple[Long, float]:
+    """Gragg's midpoint rule with more and more substeps, extrapolated to none; its error."""
+    table: list[Long] = []
+    for k, count in enumerate(substeps):
+        h = step / count
+        before, now = y, y + h * rates(t, y)
+        for i in range(1, count):
+            before, now = now, before + 2 * h * rates(t + i * h, now)
+        row = [(before + now + h * rates(t + step, now)) / 2]
+        for j in range(1, k + 1):
+            ratio = LONG(count) / substeps[k - j]
+            row.append(row[-1] + (row[-1] - table[j - 1]) / (ratio * ratio - 1))
+        table = row
+    return table[-1], float(np.abs(table[-1] - table[-2]).max())
+
+
+def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
+    """dy/dt by (33), from the closed forms of M, C, G and Psi in joint coordinates."""
+    n, arrays = mechanism.n, mechanism.arrays
+    J = arrays.J.astype(LONG)
+    A = arrays.A.astype(COMPLEX)
+    P = arrays.P.astype(COMPLEX)
+    angles = arrays.angles.astype(LONG)
+    weight = np.asarray(mechanism.weights, COMPLEX)
+    moments = np.asarray(mechanism.moments, LONG)
+    own = _scene_torques(mechanism)
+    damping = np.asarray(mechanism.damping, LONG)
+    torques = actuation.function(n)
+
+    def rates(t: Any, y: Long) -> Long:
+        q, qd = y[:n], y[n:]
+        E, w = np.exp(1j * (J @ q)), J @ qd
+        W = E.conj()[:, None] * A * E
+        try:
+            tau = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
+        except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
+            tau = np.full(n, LONG(np.nan))
+        if own is not None:
+            tau = tau + own(y)
+        force = tau - damping * qd + J.T @ (W.imag @ w**2 - (weight * E).imag + moments)
+        M = J.T @ W.real @ J
+        if not len(P):
+            return np.concatenate([qd, solve_columns(M, force[:, None])[:, 0]])
+        Psi = (angles - (P * E).imag) @ J
+        bend = (P * E).real @ w**2  # -Psidot qd
+        inverse = solve_columns(M, np.concatenate([force[:, None], Psi.T], axis=1))
+        free, X = inverse[:, 0], inverse[:, 1:]
+        multipliers = solve_columns(Psi @ X, (bend - Psi @ free)[:, None])[:, 0]
+        return np.concatenate([qd, free + X @ multipliers])
+
+    return rates
+
+
+def _scene_torques(mechanism: Mechanism) -> Callable[[Long], Long] | None:
+    """The joint torques (n) of springs and the like, in extended precision."""
+    if not mechanism.has_state_forces:
+        return None
+    J = mechanism.arrays.J.astype(LONG)
+    n = mechanism.n
+
+    def torques(y: Long) -> Long:
+        q, qd = y[:n], y[n:]
+        E = np.exp(1j * (J @ q))
+        rates: Long = J @ qd
+        held: Long = forces.potential_torques(mechanism, q, E)
+        return np.asarray(held + forces.other_torques(mechanism, qd, E, rates))
+
+    return torques
+
+
+def solve_columns(matrix: Long, columns: Long) -> Long:
+    """matrix^-1 columns in any precision, by elimination with partial pivoting."""
+    size = len(matrix)
+    work = np.concatenate([matrix, columns], axis=1)
+    for i in range(size):
+        pivot = i + int(np.argmax(np.abs(work[i:, i])))
+        if pivot != i:
+            work[[i, pivot]] = work[[pivot, i]]
+        work[i] = work[i] / work[i, i]
+        others = np.arange(size) != i
+        work[others] -= work[others, i, None] * work[i]
+    return work[:, size:]
+
+
+class _Closing:
+    """The nearest closed state, by Newton steps in extended precision."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        arrays = mechanism.arrays
+        self.mechanism, self.n = mechanism, mechanism.n
+        self.J = arrays.J.astype(LONG)
+        self.P = arrays.P.astype(COMPLEX)
+        self.angles = arrays.angles.astype(LONG)
+        self.offset = np.asarray(arrays.offset, LONG)
+        self.size = loop_size(mechanism)
+
+    def __call__(self, y: Long) -> Long:
+        if not len(self.P):
+            return y
+        n = self.n
+        try:
+            q = newton(y[:n], self._step)
+            Psi, normal, _ = self._at(q)
+            projected = y[n:] - Psi.T @ solve_columns(normal, (Psi @ y[n:])[:, None])[:, 0]
+        except _TooNear:
+            return y  # next to a change point: the two computations will tell
+        return np.concatenate([q, projected])
+
+    def _at(self, q: Long) -> tuple[Long, Long, Long]:
+        """Psi, Psi Psi^T and the gap, which is exact where Psi is nearly singular."""
+        alpha = self.J @ q
+        PE = self.P * np.exp(1j * alpha)
+        Psi = (self.angles - PE.imag) @ self.J
+        normal = Psi @ Psi.T
+        least = float(np.linalg.svd(Psi.astype(float), compute_uv=False)[-1]) / self.size
+        if least < TOO_NEAR:
+            raise _TooNear
+        if least < NEAR_SINGULAR:
+            return Psi, normal, exact_gap(self.mechanism, q).astype(LONG)
+        return Psi, normal, PE.real.sum(axis=1) + self.angles @ alpha + self.offset
+
+    def _step(self, q: Long) -> tuple[bool, Long]:
+        Psi, normal, gap = self._at(q)
+        step = Psi.T @ solve_columns(normal, gap[:, None])[:, 0]
+        return bool(np.abs(step).max() < 10.0 * np.finfo(LONG).eps), step
+
+
+class _TooNear(Exception):
+    """Psi is singular."""

@@ -1,0 +1,308 @@
+"""What a simulation leaves behind: its outcome, its statistics, and its rows as they come.
+
+The recorder sees every accepted step; rows and steps are taken in batches, so that numpy works on
+many at once and memory does not grow with the length of a run.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import closed_form
+from robodyn.loops.change_points import miss_remark
+from robodyn.loops.closing import loop_size
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.run_control import JointTracking
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.simulation.unseen_work import UnseenWork
+from robodyn.taylor import Chunk
+
+if TYPE_CHECKING:
+    from scipy.integrate import OdeSolver
+
+Array = NDArray[np.float64]
+Sink = Callable[[Array, Array], None]
+
+STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
+ROWS_AT_ONCE = 512
+WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
+
+
+class Outcome(Enum):
+    """How a run ended, and what to do about it."""
+
+    FINISHED = ("finished", "")
+    STEP_TOO_SMALL = (
+        "step too small",
+        "the tolerance asks for more digits than the motion keeps here: loosen rtol and atol, or "
+        "see whether a torque is undefined or the motion is singular at this time",
+    )
+    SINGULAR = (
+        "singular",
+        "the motion ran into a singular configuration: start beside it, or loosen rtol and atol",
+    )
+    TOO_MANY_EVALUATIONS = (
+        "too many evaluations",
+        "raise the limit (--max-evals), loosen rtol and atol, or try another method",
+    )
+    STIFF = (
+        "stiff",
+        "the explicit method is held to tiny steps by its stability: take --method Radau "
+        "(or BDF, LSODA)",
+    )
+    INTERRUPTED = ("interrupted", "what was computed until then is kept")
+
+    @property
+    def label(self) -> str:
+        return self.value[0]
+
+    @property
+    def advice(self) -> str:
+        return self.value[1]
+
+
+@dataclass(slots=True)
+class Report:
+    """What a run did: SI units; drift is relative to the largest energy in motion."""
+
+    outcome: str = Outcome.FINISHED.label
+    advice: str = ""
+    method: str = ""
+    rtol: float = 0.0
+    atol: float = 0.0
+    stabilize: str = ""
+    evaluator: str = ""
+    t_end: float = 0.0
+    t_reached: float = 0.0
+    steps: int = 0
+    evaluations: int = 0
+    seconds: float = 0.0
+    energy_start: float = 0.0
+    energy_drift: float = 0.0  # largest |E(t) - E(0) - work done| / energy in motion
+    energy_in_motion: float = 0.0  # largest KE, or change of PE, J
+    work: float = 0.0  # of torques less dampers, J
+    work_missed: float = 0.0  # of a torque between the steps, part of the energy in motion
+    largest_gap: float = 0.0  # m
+    largest_gap_rate: float = 0.0  # m/s
+    nearest_singular: float | None = None  # least singular value of Psi against the loop's size
+    nearest_singular_time: float | None = None
+    missed: str = ""  # of a change point that the loops just miss there
+    error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
+    tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
+    hint: str = ""  # what would make it faster
+
+
+class StopRun(Exception):
+    """Ends a run from within the observer."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+
+
+@dataclass(slots=True)
+class Recorder:
+    """Sees every accepted step: makes the rows, keeps the statistics."""
+
+    mechanism: Mechanism
+    report: Report
+    sink: Sink
+    times: Array | EvenTimes | None
+    max_evaluations: int
+    watch: Callable[[float], bool] | None
+    actuation: Actuation
+    next_row: int = 0
+    rows: list[tuple[Array, Array]] = field(default_factory=list)
+    waiting: int = 0
+    steps: list[tuple[Array, Array]] = field(default_factory=list)
+    held: int = 0  # steps not yet in the statistics
+    last_singular: float | None = None
+    rank: int = 0
+    begun: bool = False  # whether the energy at the start is known
+    unseen: UnseenWork | None = None
+    missed: float = 0.0  # J
+    ended: int = 0  # evaluations of solvers that have ended, and expansions of series
+
+    def begin(self, y: Array) -> None:
+        smooth = self.actuation.constants is not None or self.actuation.linear
+        if not smooth and self.actuation.control is None:
+            self.unseen = UnseenWork(self.actuation.function(self.mechanism.n), self.report.t_end)
+        zero = np.zeros(1)
+        if self.times is None or (len(self.times) and self.times[0] == 0.0):
+            self._row(zero, y[None, :])
+            self.next_row = 1
+        self.steps.append((zero, y[None, :]))
+
+    def step(self, solver: OdeSolver) -> None:
+        t = float(solver.t)
+        y = solver.y.copy()
+        self.report.steps += 1
+        self.report.evaluations = self.ended + solver.nfev
+        if self.times is None:
+            self._row(np.array([t]), y[None])
+        else:
+            between = cache(solver.dense_output)  # made where a row asks for it
+            self._due(t, y, lambda times: between()(times).T)
+        self.steps.append((np.array([t]), y[None]))
+        self.held += 1
+        self._stepped(t, solver.status == "running")
+
+    def end_solver(self, solver: OdeSolver) -> None:
+        """Count what a solver did that another one follows."""
+        self.ended += solver.nfev
+
+    @property
+    def rows_at_once(self) -> int:
+        return max(1, min(ROWS_AT_ONCE, WORK_AT_ONCE // self.mechanism.n**3))
+
+    def times_until(self, bound: float) -> Array:
+        """The output times still to come, up to `bound`; of many the first."""
+        if self.times is None or self.next_row == len(self.times):
+            return np.zeros(0)
+        forward = -1.0 if self.times[-1] < 0.0 else 1.0
+        last = min(len(self.times), self.next_row + self.rows_at_once)
+        end = bisect_right(
+            self.times, bound * forward, self.next_row, last, key=lambda time: time * forward
+        )
+        return self.times[self.next_row : end]
+
+    def chunk(self, chunk: Chunk, t_end: float, within: Callable[[Array], Array]) -> None:
+        """Take steps of the Taylor integrator; `within` gives the states (k, N) at times (k,).
+
+        It does so for the times of the last step that the chunk has no rows for.
+        """
+        count = len(chunk.t)
+        self.ended += count
+        self.report.evaluations = self.ended
+        self.report.steps += count
+        if not count:
+            return
+        t = float(chunk.t[-1])
+        if self.times is None:
+            self._row(chunk.t, chunk.y)
+        else:
+            if len(chunk.row_t):
+                self.next_row += len(chunk.row_t)
+                self._row(chunk.row_t, chunk.row_y)
+            self._due(t, chunk.y[-1], within)
+        self.steps.append((chunk.t, chunk.y))
+        self.held += count
+        self._stepped(t, t != t_end)
+
+    def _due(self, t: float, y: Array, states: Callable[[Array], Array]) -> None:
+        """The rows still to come up to t, where the state is y; `states` gives those before."""
+        while len(due := self.times_until(t)):
+            rows = y[None] if due[0] == t else states(due)
+            if due[-1] == t:
+                rows[-1] = y
+            self.next_row += len(due)
+            self._row(due, rows)
+            if due[-1] != t:
+                self._look(float(due[-1]))
+
+    def _look(self, t: float) -> None:
+        """The run is at t: end it there where that is wanted."""
+        self.report.t_reached = t
+        if self.watch is not None and self.watch(t):
+            raise StopRun(Outcome.INTERRUPTED)
+
+    def _stepped(self, t: float, running: bool) -> None:
+        self.report.t_reached = t
+        if self.held >= STEPS_AT_ONCE:
+            self.flush_steps()
+        if self.report.evaluations > self.max_evaluations and running:
+            raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
+        self._look(t)
+
+    def finish(self) -> None:
+        self.flush_steps()
+        self._flush_rows()
+        if self.actuation.control is not None:
+            self.report.tracking = self.actuation.control.tracking()
+
+    def _row(self, t: Array, y: Array) -> None:
+        self.rows.append((t, y))
+        self.waiting += len(t)
+        if self.waiting >= self.rows_at_once:
+            self._flush_rows()
+
+    def _flush_rows(self) -> None:
+        if self.rows:
+            t = np.concatenate([t for t, _ in self.rows])
+            y = np.concatenate([y for _, y in self.rows])
+            self.rows, self.waiting = [], 0
+            self.sink(t, y[:, : 2 * self.mechanism.n])
+
+    def flush_steps(self) -> None:
+        """Take the waiting steps into the statistics."""
+        if not self.steps:
+            return
+        report, mechanism, n = self.report, self.mechanism, self.mechanism.n
+        t = np.concatenate([t for t, _ in self.steps])
+        y = np.concatenate([y for _, y in self.steps])
+        self.steps, self.held = [], 0
+        finite = np.isfinite(y).all(axis=1)
+        t, y = t[finite], y[finite]
+        if not len(t):
+            return
+        if self.actuation.control is not None:
+            self.actuation.control.observe(t, y)
+        q, qd = y[:, :n], y[:, n : 2 * n]
+        KE, PE = closed_form.energies(mechanism, q, qd)
+        work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
+        if self.unseen is not None:
+            unseen = self.unseen(t, q, qd)
+            work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))
+        if not self.begun:
+            report.energy_start, self.begun = float(KE[0] + PE[0]), True
+        error = float(np.abs(KE + PE - work - report.energy_start).max())
+        before = report.energy_drift * report.energy_in_motion
+        moving = max(float(KE.max()), float(np.ptp(PE)), report.energy_in_motion)
+        report.energy_in_motion = moving
+        report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
+        report.work_missed = self.missed / moving if moving > 0.0 else 0.0
+        report.work = float(work[-1])
+        if mechanism.rows:
+            self._flush_loops(t, q, qd)
+
+    def _flush_loops(self, t: Array, q: Array, qd: Array) -> None:
+        report, mechanism = self.report, self.mechanism
+        gap = closed_form.closure_gap(mechanism, q)
+        report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
+        stride = 1 + mechanism.n * len(mechanism.rows) // 2000
+        Psi = closed_form.closure_jacobian(mechanism, q[::stride])
+        rate = np.einsum("...ij,...j->...i", Psi, qd[::stride])
+        report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
+        least = self._least_singular(Psi)
+        worst = int(np.argmin(least))
+        self.last_singular = float(least[-1])
+        if report.nearest_singular is None or least[worst] < report.nearest_singular:
+            report.nearest_singular = float(least[worst])
+            report.nearest_singular_time = float(t[::stride][worst])
+            report.missed = miss_remark(mechanism, q[::stride][worst])
+
+    def _least_singular(self, Psi: Array) -> Array:
+        """The least singular values (k,) of Psi (k, r, n), of those that can be other than 0."""
+        size = loop_size(self.mechanism)
+        if not self.rank:  # of closures that depend on one another not all count
+            s = np.linalg.svd(Psi[:: max(1, len(Psi) // 8)], compute_uv=False)
+            self.rank = max(1, int((s > 1e-9 * size).sum(axis=-1).max()))
+        if self.rank == Psi.shape[1] == 2:  # one loop: where it may be the least, it is exact
+            product = Psi @ np.swapaxes(Psi, -1, -2)
+            half = 0.5 * (product[:, 0, 0] + product[:, 1, 1])
+            apart = np.hypot(0.5 * (product[:, 0, 0] - product[:, 1, 1]), product[:, 0, 1])
+            least = np.sqrt(np.maximum(half - apart, 0.0))
+            near = least**2 <= least.min() ** 2 + 1e-14 * half  # rounding hides which is the least
+            at = np.append(np.flatnonzero(near), -1)
+            least[at] = np.linalg.svd(Psi[at], compute_uv=False)[:, 1]
+            return np.asarray(least / size)
+        s = np.linalg.svd(Psi, compute_uv=False)
+        return np.asarray(s[:, self.rank - 1] / size)

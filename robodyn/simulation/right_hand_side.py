@@ -1,0 +1,183 @@
+"""dy/dt of a mechanism for an integrator, and the projection back onto states that close.
+
+The state is y = (q, qd), with the work done by torques less dampers appended where it is wanted.
+Three evaluators serve three sizes (`make bench` shows where they cross):
+
+- few links: generated straight-line floats;
+- more: a sparse factorisation of the symmetric system [M Psi^T; Psi 0] in absolute angles;
+- where M alone is singular or nearly so, and for states nearly singular: `dense_dynamics.py`,
+  which keeps to the freedoms that the closures leave.
+
+Near a singular configuration, at a distance d from it, a gap of delta in position or velocity
+makes an error of delta/d in the accelerations.  A stage of an integrator strays from the closures
+by more than the step's error, and such errors would stall it; so a state whose closures' pivots
+are small is projected before it is evaluated, and one nearer still is not solved at all
+(`change_points.py`).  On closed states that changes nothing.  A step of an explicit method that
+meets such a state is taken again with every stage projected: stages of one step must not belong
+to two different extensions of the vector field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics.closed_form import other_forces
+from robodyn.engines import straightline
+from robodyn.loops.change_points import lead_across, nearest_singular, regular_rank
+from robodyn.loops.projection import (
+    STRAIGHT,
+    Projection,
+    dense_closing,
+    loop_terms,
+    straight_closing,
+)
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Rates = Callable[[float, Array], Any]
+
+STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest
+SINGULAR = 1e-4  # relative pivot below which the written-out solve loses digits to the dense one
+NEAR = 0.1  # relative pivot of a closure below which a state is projected before evaluation
+
+
+@dataclass(frozen=True, slots=True)
+class RightHandSide:
+    """The rates dy/dt as a function of t and y, and the projection (None without closures)."""
+
+    rates: Rates
+    projection: Projection | None
+    kind: str  # straight-line, sparse or dense
+    near: NearSingular | None = None
+
+
+@dataclass(slots=True)
+class NearSingular:
+    """Rates that project every state first, and whether a state near a singularity was met."""
+
+    rates: Rates
+    met: bool = False
+
+
+def right_hand_side(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    *,
+    work: bool = False,
+    baumgarte: float = 0.0,
+    kind: str | None = None,
+) -> RightHandSide:
+    """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
+    if kind is None:
+        kind = _best_kind(mechanism)
+
+    def straight(least_pivot: float, otherwise: Rates, torques: Actuation = actuation) -> Rates:
+        return straightline.compile_rates(
+            mechanism,
+            torques,
+            work=work,
+            baumgarte=baumgarte,
+            least_pivot=least_pivot,
+            otherwise=otherwise,
+        )
+
+    def solving(torques: Actuation) -> Rates:
+        """The rates of a state as it is."""
+        fallback = _dense_rates(mechanism, torques, work, baumgarte)
+        if kind == "sparse":
+            return sparse.rates(system, torques, work, baumgarte, fallback)
+        return fallback if kind == "dense" else straight(SINGULAR, fallback, torques)
+
+    if kind == "sparse":
+        from robodyn.engines import sparse
+
+        system = sparse.SparseMechanism(mechanism)
+    solved = solving(actuation)
+    if not mechanism.rows:
+        return RightHandSide(solved, None, kind)
+    if kind == "sparse":
+        closing = sparse.closing(system, dense_closing(mechanism))
+    else:
+        closing = (dense_closing if kind == "dense" else straight_closing)(mechanism)
+    project = Projection(mechanism, closing)
+    if baumgarte:  # its restoring terms need the gap: no state is projected
+        return RightHandSide(solved, project, kind)
+
+    # across a change point the state's own torque is kept: beside it it may bend
+    held = [0.0] * mechanism.n
+    beside, torques = solved, None
+    if actuation.constants is None:
+        names = ", ".join(f"tau{k}" for k in range(mechanism.n))
+        beside = solving(Actuation(None, (f"{names}, = _held",), {"_held": held}))
+        torques = actuation.function(mechanism.n)
+
+    def missing(y: Array) -> bool:
+        """Whether a state is near a singular configuration that is no change point."""
+        near = nearest_singular(mechanism, y[: mechanism.n])
+        return near is not None and not near.crosses
+
+    def careful(t: float, y: Array) -> Any:
+        if missing(y):  # a stage that were closed here would bend the step
+            return solved(t, y)
+        closed, quality = closing(y)
+
+        def evaluate(states: Array) -> Array:
+            if torques is not None:
+                held[:] = torques(t, closed.tolist())
+            return np.array([beside(t, state) for state in states])
+
+        try:
+            led = lead_across(mechanism, closing, y, quality, evaluate)
+        except (ArithmeticError, ValueError):  # outside the torque's domain
+            return np.full(len(y), np.nan)
+        return solved(t, closed) if led is None else led
+
+    if kind != "straight-line":  # a projection costs little beside them
+        return RightHandSide(careful, project, kind)
+
+    def watched(t: float, y: Array) -> Any:
+        near.met = True
+        return careful(t, y)
+
+    rates = straight(NEAR, watched)
+    near = NearSingular(lambda t, y: watched(t, y))
+    return RightHandSide(rates, project, kind, near)
+
+
+def _best_kind(mechanism: Mechanism) -> str:
+    if not dense_dynamics.elimination_is_safe(mechanism):
+        return "dense"
+    if mechanism.rows and regular_rank(mechanism) < len(mechanism.rows):
+        return "dense"  # closures that depend on one another leave no pivot
+    most = STRAIGHT if mechanism.rows else STRAIGHT_OPEN  # the sparse way projects every stage
+    return "straight-line" if loop_terms(mechanism) <= most else "sparse"
+
+
+def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
+    n = mechanism.n
+    torques = actuation.function(n)
+    damping = np.array(mechanism.damping)
+    forced = mechanism.has_state_forces
+
+    def rates(t: float, y: Array) -> Array:
+        q, qd = y[:n], y[n : 2 * n]
+        try:
+            tau = np.array(torques(t, y.tolist()))
+        except (ArithmeticError, ValueError):  # outside the torque's domain
+            return np.full(len(y), np.nan)
+        if not np.isfinite(y).all():
+            return np.full(len(y), np.nan)
+        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
+        if work and forced:
+            tau = tau + other_forces(mechanism, q, qd)
+        power = [tau @ qd - damping @ qd**2] if work else []
+        return np.concatenate([qd, qdd, power])
+
+    return rates

@@ -1,0 +1,352 @@
+"""Forward simulation: solve_ivp with constraint projection, or the Taylor series.
+
+A run goes through one of scipy's solvers, made to project after every step (`solvers.py`), or
+through the Taylor integrator (`taylor/run.py`), which needs no scipy.  Rows of output and the
+statistics leave the run in batches, so its memory does not grow with its length.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics import closed_form, dense_dynamics, dynamics
+from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.loops import loop_rates
+from robodyn.loops.projection import Projection, best_closing
+from robodyn.mechanics import actuation as torque_sources
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_times import harmless_torque, over_a_run
+from robodyn.simulation.even_times import EvenTimes
+from robodyn.simulation.recording import Outcome, Recorder, Report, Sink, StopRun
+from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
+
+Array = NDArray[np.float64]
+
+MAX_EVALUATIONS = 2_000_000
+NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor")
+ENGINES = ("auto", "python", "compiled")
+ORDERS = (4, 60)  # of the Taylor series
+STABILIZERS = ("projection", "baumgarte", "none")
+SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
+SMALLEST_RTOL = {"taylor": 1e-16}  # of the methods that do
+
+
+@dataclass
+class Motion:
+    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, and the report."""
+
+    t: Array
+    q: Array
+    qd: Array
+    tau: Array
+    outcome: Outcome
+    report: Report
+    mechanism: Mechanism
+
+    @cached_property
+    def qdd(self) -> Array:
+        """The accelerations (T, n), rad/s^2, computed when they are asked for."""
+        return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
+
+
+@dataclass(slots=True)
+class Settings:
+    """How to integrate."""
+
+    method: str = "DOP853"
+    rtol: float = 1e-9
+    atol: float = 1e-9
+    stabilize: str = "projection"
+    baumgarte: float = 20.0  # 1/s
+    max_evaluations: int = MAX_EVALUATIONS
+    order: int | None = None  # of the Taylor series; None: by the tolerance
+    engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
+    max_step: float = np.inf  # s
+
+    def check(self) -> None:
+        """Raise InputError for a setting that is none."""
+        if self.method not in METHODS:
+            raise InputError("method", value=self.method, limit=f"must be of {', '.join(METHODS)}")
+        if self.stabilize not in STABILIZERS:
+            limit = f"must be of {', '.join(STABILIZERS)}"
+            raise InputError("stabilize", value=self.stabilize, limit=limit)
+        least = SMALLEST_RTOL.get(self.method, SCIPY_RTOL)
+        if not least <= self.rtol < 1.0:
+            raise InputError("rtol", value=self.rtol, limit=f"must be in [{least:g}, 1)")
+        if not 0.0 < self.atol < np.inf:
+            raise InputError("atol", value=self.atol, limit="must be > 0 and finite")
+        if not 0.0 < self.baumgarte < np.inf:
+            raise InputError("baumgarte_rate", value=self.baumgarte, limit="must be > 0 and finite")
+        if not self.max_step > 0.0:
+            raise InputError("max_step", value=self.max_step, limit="must be > 0")
+        if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
+            limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
+            raise InputError("order", value=self.order, limit=limit)
+        if self.engine not in ENGINES:
+            raise InputError("engine", value=self.engine, limit=f"must be of {', '.join(ENGINES)}")
+        taylor = self.method == "taylor"
+        if not taylor and (self.order is not None or self.engine != "auto"):
+            what = "order" if self.order is not None else "engine"
+            raise InputError(what, limit="is for the method taylor alone")
+        if taylor and self.stabilize == "baumgarte":
+            limit = "the Taylor series goes with projection or none"
+            raise InputError("stabilize", value=self.stabilize, limit=limit)
+        if self.max_evaluations < 1:
+            raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
+
+
+def simulate(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    t_end: float,
+    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None = None,
+    method: str = "DOP853",
+    rtol: float = 1e-9,
+    atol: float = 1e-9,
+    t_eval: ArrayLike | None = None,
+    stabilize: str = "projection",
+    max_evals: int = MAX_EVALUATIONS,
+    order: int | None = None,
+    engine: str = "auto",
+    max_step: float = np.inf,
+) -> Motion:
+    """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
+
+    tau: constants, an expression such as "2*sin(3*t)", a function tau(t, q, qd), or None.  The
+    motion is given at `t_eval`, or at the accepted steps where that is None.  A run that does not
+    finish is no exception: `motion.outcome` tells, and the motion holds what was computed.
+    `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
+    and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
+    compiled where a run takes, or this process took, many steps of the mechanism.
+    Raises InputError for arguments that do not fit, a state that does not close among them.
+    """
+    q = closed_form.as_states(mechanism, "q", q)
+    qd = closed_form.as_states(mechanism, "qd", qd)
+    if q.ndim != 1 or qd.ndim != 1:
+        shapes = f"{q.shape} and {qd.shape}"
+        raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")
+    fault = loop_rates.check_closed(mechanism, q, qd)
+    if fault is not None:
+        raise fault[1]
+    actuation = _as_actuation(mechanism, tau)
+    rows: list[tuple[Array, Array]] = []
+    times = None if t_eval is None else np.asarray(t_eval, float)
+    outcome, report = run(
+        mechanism,
+        np.concatenate([q, qd]),
+        float(t_end),
+        actuation,
+        Settings(
+            method,
+            rtol,
+            atol,
+            stabilize,
+            max_evaluations=max_evals,
+            order=order,
+            engine=engine,
+            max_step=max_step,
+        ),
+        lambda t, y: rows.append((t, y)),
+        times,
+    )
+    n = mechanism.n
+    t = np.concatenate([t for t, _ in rows]) if rows else np.zeros(0)
+    y = np.concatenate([y for _, y in rows]) if rows else np.zeros((0, 2 * n))
+    torques = applied_torques(mechanism, actuation, t, y)
+    return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, report, mechanism)
+
+
+def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
+    """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
+    if actuation.constants is not None:
+        return np.broadcast_to(np.array(actuation.constants), (len(t), mechanism.n))
+    torques = actuation.function(mechanism.n)
+    rows = [torques(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
+    return np.array(rows, float).reshape(len(t), mechanism.n)
+
+
+def run(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    sink: Sink,
+    times: Array | EvenTimes | None = None,
+    watch: Callable[[float], bool] | None = None,
+) -> tuple[Outcome, Report]:
+    """Integrate from `state` (2n,) and hand rows (t (k,), y (k, 2n)) to `sink` as they come.
+
+    Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
+    the run as interrupted when it returns True.
+    """
+    settings.check()
+    if not np.isfinite(t_end):
+        raise InputError("time", value=t_end, limit="must be finite")
+    if isinstance(times, np.ndarray):
+        _check_times(times, t_end)
+    if actuation.span is not None:
+        what, first, last = actuation.span
+        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
+            span = f"{first:g} to {last:g} s"
+            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
+    small = harmless_torque(mechanism, settings.atol, t_end)
+    given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
+    work = actuation.active or mechanism.changes_energy
+    report = Report(
+        method=settings.method,
+        rtol=settings.rtol,
+        atol=settings.atol,
+        stabilize=settings.stabilize if mechanism.rows else "none",
+        t_end=t_end,
+    )
+    projects = settings.stabilize == "projection" and bool(mechanism.rows)
+    baumgarte = settings.baumgarte if settings.stabilize == "baumgarte" and mechanism.rows else 0.0
+    y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
+    taylor = settings.method == "taylor"
+
+    @cache
+    def side() -> RightHandSide:
+        return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
+
+    if t_end != 0.0:
+        loop_rates.check_way_on(
+            mechanism, y0[None, : mechanism.n], y0[None, mechanism.n :][:, : mechanism.n]
+        )
+    if projects:
+        y0 = Projection(mechanism, best_closing(mechanism))(y0)
+    if actuation.told is not None:
+        actuation.told.begin(y0.tolist(), float(t_end))
+    if taylor:  # tell now where no motion is defined
+        if not dense_dynamics.elimination_is_safe(mechanism):
+            n = mechanism.n
+            dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
+    else:
+        report.evaluator = side().kind
+        if not np.isfinite(np.asarray(side().rates(0.0, y0), float)).all():
+            limit = "the torque or the acceleration is not finite there"
+            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, given)
+    recorder.begin(y0)
+    begun = time.perf_counter()
+    outcome = Outcome.FINISHED
+    if t_end != 0.0:
+        integrate = _integrate_series if taylor else _integrate
+        try:
+            outcome = integrate(side, y0, t_end, actuation, settings, recorder, projects)
+        except SingularError:
+            outcome = Outcome.SINGULAR
+        except StopRun as stop:
+            outcome = stop.outcome
+    recorder.finish()
+    report.seconds = time.perf_counter() - begun
+    report.outcome, report.advice = outcome.label, outcome.advice
+    return outcome, report
+
+
+def _integrate_series(
+    side: Callable[[], RightHandSide],
+    y0: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    recorder: Recorder,
+    projects: bool,
+) -> Outcome:
+    from robodyn.taylor.run import taylor_run
+
+    return taylor_run(
+        recorder.mechanism,
+        actuation,
+        y0,
+        t_end,
+        recorder,
+        rtol=float(settings.rtol),
+        atol=float(settings.atol),
+        order=settings.order,
+        engine=settings.engine,
+        project=projects,
+        max_step=float(settings.max_step),
+        side=side,
+    )
+
+
+def _integrate(
+    side: Callable[[], RightHandSide],
+    y0: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    recorder: Recorder,
+    projects: bool,
+) -> Outcome:
+    from scipy.integrate import solve_ivp
+
+    from robodyn.simulation.solvers import StiffError, projected
+
+    atol = np.full(len(y0), settings.atol)
+    atol[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
+    options: dict[str, Any] = {
+        "method": projected(settings.method),
+        "t_eval": [t_end],  # the observer takes the rows; solve_ivp need not keep them
+        "rtol": settings.rtol,
+        "atol": atol,
+        "projection": side().projection if projects else None,
+        "near": side().near,
+        "observer": recorder.step,
+        "kinks": actuation.kinks,
+        "leaves": actuation.leaves,
+        "told": actuation.told,
+        "max_step": settings.max_step,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # LSODA's; the outcome says it
+        try:
+            solution = solve_ivp(side().rates, (0.0, t_end), y0, **options)
+        except StiffError:
+            return Outcome.STIFF
+    if solution.success:
+        return Outcome.FINISHED
+    recorder.flush_steps()
+    near = recorder.last_singular
+    return (
+        Outcome.SINGULAR if near is not None and near < NEARLY_SINGULAR else Outcome.STEP_TOO_SMALL
+    )
+
+
+def _check_times(times: Array, t_end: float) -> None:
+    direction = -1.0 if t_end < 0.0 else 1.0
+    if times.ndim != 1 or not np.isfinite(times).all():
+        raise InputError("t_eval", limit="must be a list of finite times")
+    ordered = (np.diff(times) * direction > 0.0).all()
+    within = len(times) == 0 or (
+        times[0] * direction >= 0.0 and times[-1] * direction <= t_end * direction
+    )
+    if not (ordered and within):
+        raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
+
+
+def _as_actuation(
+    mechanism: Mechanism,
+    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None,
+) -> Actuation:
+    if tau is None:
+        return Actuation((0.0,) * mechanism.n)
+    if isinstance(tau, Actuation):
+        return tau
+    if isinstance(tau, str):
+        return torque_sources.expressions(mechanism, tau, "tau")
+    if callable(tau):
+        return torque_sources.callback(mechanism, tau)
+    return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])

@@ -1,0 +1,251 @@
+"""scipy's solvers, each with a projection after every accepted step, as classes for solve_ivp.
+
+`projected(method)` subclasses one of scipy's solvers.  After each step that the solver accepts
+
+1. the state is brought back onto positions and velocities that close, by the least change;
+2. what the solver keeps of the state (its derivative, a multistep solver's history) follows;
+3. a torque that may jump there, at a kink, is told, and the next step starts the method afresh;
+4. an observer sees the step.
+
+Near a change point that the loops miss, steps are held, and one that leapt across is taken again.
+
+The change is of the order of the step's local error, so the order of the method stays.  A dense
+output is projected as well, so that states between steps close too; at a step's ends it meets the
+projected states up to the square of that change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
+
+from robodyn.loops.projection import Projection
+from robodyn.mechanics.kinks import NEAR, kink_at, next_stop
+from robodyn.mechanics.run_control import Steps
+from robodyn.simulation.right_hand_side import NearSingular
+
+Array = NDArray[np.float64]
+Observer = Callable[[Any], None]
+
+METHODS: dict[str, type[OdeSolver]] = {
+    "DOP853": DOP853,
+    "RK45": RK45,
+    "RK23": RK23,
+    "Radau": Radau,
+    "BDF": BDF,
+    "LSODA": LSODA,
+}
+EXPLICIT = ("DOP853", "RK45", "RK23")
+COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
+UNBOUNDED = 1e50  # a tolerance from which what it is for chooses no step
+STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
+STIFF_SAMPLE = 10  # every so many steps are looked at
+STABILITY_EDGE = {"DOP853": 4.5, "RK45": 2.5, "RK23": 1.0}  # |h lambda| near the stable limit
+
+
+class StiffError(Exception):
+    """An explicit method is held back by its stability, not by its accuracy."""
+
+
+@cache
+def projected(method: str) -> type[OdeSolver]:
+    """The scipy solver called `method`, with projection, observation and steps onto kinks."""
+    base = METHODS[method]
+    edge = STABILITY_EDGE.get(method, np.inf)
+
+    class Projected(base):  # type: ignore[misc, valid-type]
+        """See the module."""
+
+        def __init__(
+            self,
+            fun: Callable[..., Any],
+            t0: float,
+            y0: Array,
+            t_bound: float,
+            *,
+            projection: Projection | None = None,
+            observer: Observer | None = None,
+            kinks: Sequence[float] = (),
+            leaves: Sequence[float] = (),
+            told: Steps | None = None,
+            near: NearSingular | None = None,
+            **options: Any,
+        ) -> None:
+            super().__init__(fun, t0, y0, t_bound, **options)
+            self.t: float
+            self.y: Array
+            self.f: Any
+            self.h_abs: float
+            self.nfev: int
+            self.projection = projection
+            self.observer = observer
+            self.kinks = sorted(kinks)
+            self.leaves = leaves
+            self.told = told
+            self._jumped = False  # whether the torque may have, at self.t
+            self._options = options
+            self.steps = 0
+            self._tolerances: tuple[Any, Array] | None = None  # as they were given
+            self._stiff_steps = 0
+            self._rates = fun  # not counted
+            self.near = near if method in EXPLICIT else None
+            if method in EXPLICIT:
+                self._plain = self.fun = self._counted(fun)
+            if self.near is not None:
+                self._careful = self._counted(self.near.rates)
+                self.near.met = False
+
+        def _counted(self, fun: Callable[..., Any]) -> Callable[..., Any]:
+            """`fun` less scipy's conversion to an array: a stage takes its list as it is."""
+
+            def counted(t: float, y: Array) -> Any:
+                self.nfev += 1
+                return fun(t, y)
+
+            return counted
+
+        def _step_impl(self) -> tuple[bool, str | None]:
+            if self._jumped:
+                self._restart()
+            end = self.t_bound
+            begun = self.t, self.y, self.f if method in EXPLICIT else None
+            self._bound(next_stop(self.kinks, self.leaves, self.t, end, NEAR))
+            self._hold()
+            try:
+                success, message = self._take_step()
+            except ValueError as error:  # an implicit method met a rate that is not finite
+                success, message = False, str(error)
+            self._bound(end)
+            if success and method not in EXPLICIT:  # those go on where a rate is not finite
+                success = bool(np.isfinite(np.asarray(self._rates(self.t, self.y))).all())
+            if not success:
+                return success, message
+            if self.projection is not None:
+                y = self.projection(self.y)
+                times, ends = np.array([begun[0], self.t]), np.stack([begun[1], y])
+                if self.projection.misses.leaps(times, ends):
+                    self.t, self.y, self.f = begun
+                    self._restart()
+                    return self._step_impl()
+                if y is not self.y:
+                    self._accept(y)
+            self.steps += 1
+            if edge < np.inf:
+                self._watch_stability()
+            if self.told is not None:
+                self._reach(self.told)
+            return success, message
+
+        def _hold(self) -> None:
+            """Bound the step near a missed change point, and its error."""
+            if self.projection is None:
+                return
+            longest, fine = self.projection.misses.holds(self.y)
+            if longest < abs(self.t_bound - self.t):
+                self._bound(self.t + self.direction * longest)
+            if self._tolerances is None:
+                if fine == np.inf:
+                    return
+                self._tolerances = self._options["rtol"], np.array(self._options["atol"])
+            rtol, atol = self._tolerances
+            self.rtol = min(rtol, fine)
+            self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
+            if base is LSODA:
+                self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
+
+        def _reach(self, told: Steps) -> None:
+            """Tell a kink that the step ended on.  The dense output of the step stays as it is."""
+            kink = kink_at(self.kinks, self.t)
+            if kink is not None:
+                if self.t * self.direction < kink * self.direction <= self.t_bound * self.direction:
+                    self.t = kink  # missed by rounding
+                told.reach(kink, self.y.tolist())
+                self._jumped = told.restarts
+
+        def _restart(self) -> None:
+            """Start the method afresh: beyond this time the rates are others."""
+            self._jumped = False
+            if method in EXPLICIT:
+                self.f = self.fun(self.t, self.y)
+                return
+            before = {name: getattr(self, name) for name in COUNTS}
+            super().__init__(self._rates, self.t, self.y, self.t_bound, **self._options)
+            for name in COUNTS:
+                setattr(self, name, before[name] + getattr(self, name))
+
+        def _take_step(self) -> tuple[bool, str | None]:
+            """A step of the method; near a singularity, one with every stage projected."""
+            near = self.near
+            if near is None:
+                return super()._step_impl()  # type: ignore[no-any-return]
+            self.fun = self._careful if near.met else self._plain
+            begun = self.t, self.y, self.f, self.h_abs
+            near.met = False
+            success, message = super()._step_impl()
+            if near.met and self.fun is self._plain:
+                self.t, self.y, self.f, self.h_abs = begun
+                self.fun = self._careful
+                success, message = super()._step_impl()
+            return success, message
+
+        def step(self) -> str | None:
+            message: str | None = super().step()
+            if self.status != "failed" and self.observer is not None:
+                self.observer(self)
+            return message
+
+        def _dense_output_impl(self) -> DenseOutput:
+            dense = super()._dense_output_impl()
+            return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
+
+        def _bound(self, t: float) -> None:
+            self.t_bound = t
+            if base is LSODA:  # its core keeps the bound in its work array
+                self._lsoda_solver._integrator.rwork[0] = t
+
+        def _accept(self, y: Array) -> None:
+            """Make the projected state the solver's own."""
+            self.y = y
+            if base is BDF:
+                self.D[0] = y
+            elif base is LSODA:
+                solver = self._lsoda_solver
+                solver._y = y.copy()
+                solver._integrator.rwork[20 : 20 + self.n] = y
+            else:
+                self.f = self.fun(self.t, y)
+
+        def _watch_stability(self) -> None:
+            """Hairer's test: the last stage and the new state tell |h lambda| where it is large."""
+            if self.steps % STIFF_SAMPLE:
+                return
+            last = self.n_stages - 1
+            stage = self.y_old + self.h_previous * (self.A[last, :last] @ self.K[:last])
+            moved = np.linalg.norm(self.y - stage)
+            turned = np.linalg.norm(self.K[-1] - self.K[last])
+            held = moved > 0.0 and abs(self.h_previous) * turned > edge * moved
+            self._stiff_steps = self._stiff_steps + 1 if held else self._stiff_steps // 2
+            if self._stiff_steps * STIFF_SAMPLE >= STIFF_STEPS:
+                raise StiffError
+
+    Projected.__name__ = Projected.__qualname__ = f"Projected{method}"
+    return Projected
+
+
+class _ProjectedOutput(DenseOutput):
+    """A solver's dense output, projected onto states that close."""
+
+    def __init__(self, dense: DenseOutput, projection: Projection) -> None:
+        super().__init__(dense.t_old, dense.t)
+        self._dense, self._projection = dense, projection
+
+    def _call_impl(self, t: Array) -> Array:
+        y: Array = self._dense(t)
+        if y.ndim == 1:
+            return self._projection(y)
+        return np.stack([self._projection(column) for column in y.T], axis=-1)

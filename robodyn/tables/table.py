@@ -1,0 +1,247 @@
+"""CSV read for batch commands, streamed.
+
+A batch command takes numbers from some columns of a table and writes each row as it came,
+with its own columns appended:
+
+    reader = Reader(sys.stdin.buffer, "stdin")
+    chunks = reader.chunks(["q1", "q2"])
+    with open_output("-") as stream:
+        writer = Writer(stream, ["tau1", "tau2"], reader.header)
+        for chunk in chunks:
+            writer.write_rows(chunk.lines, torques(chunk.values))
+        writer.close()
+
+Rows go out as rows come in, memory holds one chunk however long the file is, and fields that
+nobody needs as numbers pass through byte for byte.  Numbers are read as `float` reads them
+(less its underscores, nan and inf) and written as `repr` writes them, so they round-trip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, repeat
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+
+from robodyn.errors import InputError
+from robodyn.tables.csv_fields import ends_open, finite, shown, split_fields, unquoted
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
+LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Some successive rows of a table: n lines as they came, k of their columns as numbers."""
+
+    lines: list[str]  # (n,) without line ends
+    line_numbers: Sequence[int]  # (n,) where each row begins in the file, whose header is line 1
+    values: Array  # (n, k)
+
+    @property
+    def first_line(self) -> int:
+        """The line of the file on which the first row begins."""
+        return self.line_numbers[0]
+
+
+class _Rows(NamedTuple):
+    """Rows as they arrive, whole but not checked."""
+
+    lines: list[str]
+    numbers: Sequence[int]
+    quoted: bool  # whether any has a quote, so that not every comma ends a field
+
+
+@dataclass(slots=True)
+class _OpenRow:
+    """The lines so far of a row in which a quoted field is open; none where there is no such."""
+
+    lines: list[str] = field(default_factory=list)
+    number: int = 1  # the line of the file on which it begins
+    size: int = 0  # bytes
+
+
+class Reader:
+    """A CSV table (RFC 4180, UTF-8) read from a binary stream; `source` names it in errors.
+
+    The header is read at once: `header` holds the names, less the spaces around them.
+    Raises InputError where the input is empty or a name occurs twice.
+    """
+
+    def __init__(self, stream: BinaryIO, source: str) -> None:
+        self.source = source
+        arrivals = self._arrivals(stream)
+        lines, numbers, quoted = next(arrivals, _Rows([], [], False))
+        if not lines:
+            limit = "it must begin with a line of column names, such as t,q1,q2"
+            raise InputError("the input is empty", where=source, limit=limit)
+        names = self._split(lines[0], numbers[0])
+        self.header = tuple(unquoted(name).strip() for name in names)
+        self._place = {name: place for place, name in enumerate(self.header)}
+        for place, name in enumerate(self.header):
+            if self._place[name] != place:
+                limit = "the name occurs twice in the header"
+                raise self._fault(numbers[0], "column", shown(name) or "''", limit)
+        self._rows = chain([_Rows(lines[1:], numbers[1:], quoted)], arrivals)
+
+    def require(self, names: Iterable[str]) -> None:
+        """Raise InputError, with the columns that are there, where one of `names` is missing."""
+        missing = [name for name in names if name not in self._place]
+        if missing:
+            what = f"column {shown(', '.join(missing))} is missing"
+            limit = f"the header has {shown(', '.join(self.header))}"
+            raise InputError(what, where=self.source, limit=limit)
+
+    def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
+        """The rows that are left, the columns `names` as numbers, each as soon as it arrives.
+
+        Raises InputError at once where a column is missing.  The rows before a faulty one (not
+        UTF-8, bad quoting, a wrong number of fields, a named column that is not a finite number)
+        are yielded first; the next step raises InputError with its line, column and text.
+        """
+        self.require(names)
+        return self._checked(names, [self._place[name] for name in names])
+
+    def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:
+        for rows in self._rows:
+            values, fault = self._parse_fast(rows, places), None
+            if values is None:
+                values, fault = self._parse_slow(rows, names, places)
+            if n := len(values):
+                yield Chunk(rows.lines[:n], rows.numbers[:n], values)
+            if fault:
+                raise fault
+
+    def _parse_fast(self, rows: _Rows, places: list[int]) -> Array | None:
+        """The values (n, k) of plain and faultless rows; None where there is more to them."""
+        if rows.quoted or not places:
+            return None
+        import numpy as np  # here, so that a command that writes one row starts without it
+
+        # loadtxt parses exactly, but given columns it does not mind rows of unequal length.
+        if set(map(str.count, rows.lines, repeat(","))) != {len(self.header) - 1}:
+            return None
+        try:
+            values = np.loadtxt(
+                rows.lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
+            )
+        except ValueError:
+            return None
+        return values if np.isfinite(values).all() else None
+
+    def _parse_slow(
+        self, rows: _Rows, names: Sequence[str], places: list[int]
+    ) -> tuple[Array, InputError | None]:
+        """The values (n, k) of the rows before the first faulty one, and its fault."""
+        import numpy as np
+
+        values: list[list[float]] = []
+        fault = None
+        try:
+            for line, number in zip(rows.lines, rows.numbers, strict=True):
+                fields = self._split(line, number)
+                if len(fields) != len(self.header):
+                    limit = f"the header has {len(self.header)}"
+                    raise self._fault(number, "number of fields", len(fields), limit)
+                texts = [unquoted(fields[place]) for place in places]
+                values.append(list(map(self._number, texts, names, repeat(number))))
+        except InputError as error:
+            fault = error
+        return np.array(values, dtype=float).reshape(len(values), len(places)), fault
+
+    def _number(self, text: str, name: str, line_number: int) -> float:
+        value = finite(text)
+        if value is not None:
+            return value
+        if not text.strip():
+            raise self._fault(line_number, name, None, "the field is empty, not a finite number")
+        raise self._fault(line_number, name, shown(text), "must be a finite number")
+
+    def _split(self, line: str, line_number: int) -> list[str]:
+        fields = split_fields(line)
+        if ",".join(fields) != line:
+            limit = "a closing quote must end its field"
+            raise self._fault(line_number, "bad quoting", None, limit)
+        return fields
+
+    def _fault(self, line_number: int, what: str, value: object, limit: str) -> InputError:
+        where = f"{self.source}: line {line_number}"
+        return InputError(what, where=where, value=value, limit=limit)
+
+    def _arrivals(self, stream: BinaryIO) -> Iterator[_Rows]:
+        """The rows, header included, as reads complete them; raises after the last good one."""
+        # read would wait until it has all that it was asked for; read1 takes what is there.
+        read: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
+        pending = bytearray()  # of a line whose end has not come
+        row = _OpenRow()
+        number = 1  # the line of the file that `pending` begins with
+        at_end = False
+        while not at_end:
+            data = read(READ_BYTES)
+            at_end = not data
+            if at_end and pending:
+                data = b"\n"  # the last line may lack its end
+            pending += data
+            if b"\n" in data:
+                block = bytes(pending[: pending.rfind(b"\n") + 1])
+                del pending[: len(block)]
+                text, fault = self._decode(block, number)
+                rows = _whole_rows(text, number, row)
+                if rows.lines:
+                    yield rows
+                if fault:
+                    raise fault
+                number += block.count(b"\n")
+            if row.size + len(pending) > LONGEST_ROW or (at_end and row.lines):
+                limit = f"a row ends within {LONGEST_ROW} bytes; is a quote left open?"
+                begin = row.number if row.lines else number
+                raise self._fault(begin, "the row does not end", None, limit)
+
+    def _decode(self, block: bytes, number: int) -> tuple[str, InputError | None]:
+        """The text of whole lines, up to the first that is not UTF-8, and the fault of that."""
+        try:
+            return block.decode("utf-8-sig" if number == 1 else "utf-8"), None
+        except UnicodeDecodeError as error:
+            good = error.object[: error.object.rfind(b"\n", 0, error.start) + 1]
+            value = f"0x{error.object[error.start]:02x}"
+            fault = self._fault(number + good.count(b"\n"), "byte", value, "text must be UTF-8")
+            return good.decode(), fault
+
+
+def _whole_rows(text: str, number: int, row: _OpenRow) -> _Rows:
+    """The rows that whole lines of text end; `row` is left with what follows them."""
+    quoted = '"' in text or bool(row.lines)
+    numbers: Sequence[int]
+    if quoted:
+        lines, numbers = _join_quoted(text.split("\n")[:-1], number, row)
+    else:
+        text = text.replace("\r\n", "\n") if "\r" in text else text
+        lines = text.split("\n")[:-1]
+        numbers = range(number, number + len(lines))
+    if not all(map(str.strip, lines)):
+        numbers = [n for n, line in zip(numbers, lines, strict=True) if line.strip()]
+        lines = [line for line in lines if line.strip()]
+    return _Rows(lines, numbers, quoted)
+
+
+def _join_quoted(pieces: list[str], number: int, row: _OpenRow) -> tuple[list[str], list[int]]:
+    """The rows, and the line numbers they begin on, of lines that a quoted field may span."""
+    rows: list[str] = []
+    numbers: list[int] = []
+    for at, piece in enumerate(pieces, number):
+        inside = bool(row.lines)
+        row.lines.append(piece)
+        row.number = row.number if inside else at
+        if ends_open(piece, inside):
+            row.size += len(piece.encode()) + 1
+            continue
+        rows.append("\n".join(row.lines).removesuffix("\r"))
+        numbers.append(row.number)
+        row.lines, row.size = [], 0
+    return rows, numbers

@@ -1,0 +1,207 @@
+"""Reference motions: the joints of a mechanism led through points in given times.
+
+The path is that of the actuated joints (`joint_paths.py`); in a closed mechanism the others follow
+along one branch (`loop_path.py`).  With the duration T and u = t/T
+
+    q = q(u)        qd = q'(u) / T        qdd = q''(u) / T^2
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.loops import assembly, loop_rates
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.trajectories.continuation import PathEndError, Watch
+from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
+from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.profiles import ACCELERATION
+
+Array = NDArray[np.float64]
+
+LONGEST = 1e100  # s
+
+SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceMotion:
+    """A motion of all joints from the time `begin` on for `duration`, s."""
+
+    mechanism: Mechanism
+    path: OpenPath | LoopPath
+    duration: float
+    begin: float = 0.0
+
+    @property
+    def end(self) -> float:
+        return self.begin + self.duration
+
+    def states(self, t: ArrayLike) -> tuple[Array, Array, Array]:
+        """q, qd, qdd (..., n) at times t (...) from `begin` to `end`, rad, rad/s, rad/s^2.
+
+        At a jump of qdd it is the value after it.  Raises InputError for other times, and
+        SingularError where the actuated joints do not determine the others.
+        """
+        times = np.asarray(t, float)
+        slack = 1e-9 * self.duration + 4 * math.ulp(abs(self.end))
+        if not ((times >= self.begin - slack) & (times <= self.end + slack)).all():
+            limit = f"must be from {self.begin:g} to {self.end:g} s"
+            raise InputError("t", limit=limit)
+        u = np.clip((times.reshape(-1) - self.begin) / self.duration, 0.0, 1.0)
+        u[times.reshape(-1) >= self.end] = 1.0
+        try:
+            values = self.path.evaluate(u)
+        except SingularError:
+            for part in u:
+                with _placed(self.begin, self.duration, float(part)):
+                    self.path.evaluate(np.array([part]))
+            raise
+        q, q1, q2 = (x.reshape(*times.shape, self.mechanism.n) for x in values)
+        return q + 0.0, q1 / self.duration + 0.0, q2 / self.duration**2 + 0.0  # + 0.0: no -0.0
+
+
+def reference_motion(
+    mechanism: Mechanism,
+    points: ArrayLike,
+    duration: float | None = None,
+    *,
+    times: ArrayLike | None = None,
+    profile: str = "quintic",
+    acceleration: float = ACCELERATION,
+    natural: bool = False,
+) -> ReferenceMotion:
+    """The motion through points (K, actuated) or (K, n), at rest at its ends.
+
+    In a closed mechanism a first point with all joints picks the branch, else the scene's
+    `assembly` does.  `times` (K,) s are those of the points; without them `duration` is spread in
+    proportion to the distances in joint space.  `profile` is cubic or quintic (through more than
+    two points a spline, C2 or C4; `natural`: a cubic spline with qdd = 0 at its ends in place of
+    qd = 0), or trapezoidal, cycloidal (these stop at each point).  `acceleration` is the part of
+    the time in which a trapezoidal one speeds up, > 0, <= 1/2.
+
+    Raises InputError for arguments that do not fit, AssemblyError where a loop cannot be closed on
+    the way, SingularError where the actuated joints do not determine the others.
+    """
+    full = all_joints(mechanism, points)
+    if (duration is None) == (times is None):
+        raise InputError("duration and times", limit="give one of them")
+    path = path_through(full[:, list(mechanism.actuated)], times, profile, acceleration, natural)
+    if times is not None:
+        stamps = np.asarray(times, float)
+        return motion_along(mechanism, path, full, float(np.ptp(stamps)), float(stamps[0]))
+    assert duration is not None
+    return motion_along(mechanism, path, full, duration)
+
+
+def motion_along(
+    mechanism: Mechanism,
+    path: JointPath,
+    points: Array,
+    duration: float,
+    begin: float = 0.0,
+    watch: Watch = lambda u: None,
+) -> ReferenceMotion:
+    """The motion along a path of the actuated joints from the first of points (K, n).
+
+    Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
+    (0 to 1) the loops are followed.
+    """
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise InputError("duration", value=duration, limit="must be > 0 and finite")
+    if duration > LONGEST:
+        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
+    try:
+        whole = whole_path(mechanism, path, points, watch)
+    except PathEndError as error:
+        error.what = f"t = {begin + error.u * duration:.6g} s: {error.what}"
+        raise
+    return ReferenceMotion(mechanism, whole, duration, begin)
+
+
+def whole_path(
+    mechanism: Mechanism, path: JointPath, points: Array, watch: Watch = lambda u: None
+) -> OpenPath | LoopPath:
+    """The path of all joints; `points` (K, n) as for `motion_along`."""
+    if not mechanism.passive and not mechanism.rows:
+        return OpenPath(mechanism, path)
+    _check_determined(mechanism)
+    driven = list(mechanism.actuated)
+    first = path.evaluate(np.zeros(1))[0][0]
+    if np.isnan(points[0]).any():
+        start = assembly.assemble(mechanism, first)
+    else:
+        start = points[0].copy()
+        fault = loop_rates.check_closed(mechanism, start)
+        if fault is not None:
+            raise fault[1]
+    start[driven] = first
+    whole = LoopPath(mechanism, path, start, watch)
+    if isinstance(path, Legs | Spline) and len(points) == len(path.knots):
+        _check_reached(mechanism, whole, path.knots, points)
+    return whole
+
+
+def all_joints(mechanism: Mechanism, points: ArrayLike) -> Array:
+    """Points (K, n) from (K, n) or (K, actuated); the passive joints of the latter are NaN."""
+    given = np.array(points, dtype=float)
+    n, driven = mechanism.n, list(mechanism.actuated)
+    if given.ndim != 2 or given.shape[1] not in (n, len(driven)):
+        limit = f"must be (K, {len(driven)}), the actuated joints, or (K, {n}), all joints"
+        raise InputError("points.shape", value=given.shape, limit=limit)
+    if not np.isfinite(given).all():
+        raise InputError("points", limit="must be finite")
+    if given.shape[1] == n:
+        return given
+    full = np.full((len(given), n), np.nan)
+    full[:, driven] = given
+    return full
+
+
+def _check_determined(mechanism: Mechanism) -> None:
+    """Raise InputError where the actuated joints leave a freedom."""
+    passive, closures = mechanism.passive, len(mechanism.rows)
+    if len(passive) <= closures:
+        return
+    names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in passive)
+    freedoms = mechanism.n - closures
+    limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are named"
+    raise InputError(
+        f"the actuated joints do not determine {names}", where=mechanism.source, limit=limit
+    )
+
+
+def _check_reached(mechanism: Mechanism, whole: LoopPath, knots: Array, points: Array) -> None:
+    """Raise InputError where a point given in full is not on the branch of the motion."""
+    passive = list(mechanism.passive)
+    given = ~np.isnan(points).any(axis=1)
+    if not given.any() or not passive:
+        return
+    reached = whole.evaluate(knots[given])[0]
+    miss = np.remainder(reached - points[given] + np.pi, 2 * np.pi) - np.pi
+    wrong = np.argwhere(np.abs(miss[:, passive]) > SAME)
+    if len(wrong):
+        at, joint = int(wrong[0][0]), passive[int(wrong[0][1])]
+        number = int(np.flatnonzero(given)[at]) + 1
+        limit = f"on the branch of the first point q{joint + 1} = {reached[at, joint]:.9g} there"
+        what = f"point {number}: q{joint + 1} ({mechanism.link_names[joint]})"
+        raise InputError(what, value=f"{points[given][at, joint]:.9g}", limit=limit)
+
+
+class _placed:
+    """Names the time in an error of the block."""
+
+    def __init__(self, begin: float, duration: float, u: float) -> None:
+        self._place = f"t = {begin + u * duration:.6g} s"
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, RobodynError) and not isinstance(error, PathEndError):
+            error.add_place(self._place)

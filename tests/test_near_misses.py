@@ -1,0 +1,68 @@
+"""Linkages that narrowly miss a change point: the table of `make hard`, in small, and more."""
+
+import warnings
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+import robodyn
+from hard_cases import near_misses
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.loops.change_points import known, nearest_singular
+from robodyn.loops.closing import BITS, HALF_PI, _cos_sin
+from robodyn.simulation.simulation import simulate
+
+FAST = {"method": "taylor", "engine": "python", "rtol": 1e-14, "atol": 1e-14}
+
+
+def test_cosine_and_sine_in_integers():
+    with mp.workprec(300):
+        one = mp.mpf(2) ** BITS
+        assert abs(HALF_PI / one - mp.pi / 2) < 2 / one
+        for angle in (0.0, 1e-9, -0.7, 0.785398163397448, 3.0, -1000.1, 1e5):
+            cosine, sine = _cos_sin(int(mp.mpf(angle) * one))
+            assert abs(cosine / one - mp.cos(angle)) < 200_000 / one
+            assert abs(sine / one - mp.sin(angle)) < 200_000 / one
+
+
+def test_states():
+    for case, worst in near_misses.states((1e-14, 1e-9, 1e-3)):
+        assert worst < 100.0, case
+
+
+@pytest.mark.parametrize("make", near_misses.PASSES, ids=lambda make: make.__name__)
+def test_motions(make):
+    found, bound = near_misses.motion_error(make, 1e-9, **FAST)
+    assert found < bound
+
+
+@pytest.mark.parametrize(("factor", "crosses"), [(0.0, True), (3.0, True), (30.0, False)])
+def test_what_is_a_change_point(factor, crosses):
+    mechanism = near_misses.parallelogram(factor * near_misses.EPS * 2.0)
+    found = nearest_singular(mechanism, robodyn.assemble(mechanism, [0.02]))
+    assert found is not None
+    assert found.crosses is crosses
+    assert len(known(mechanism)) == 1
+    qd = robodyn.loop_velocities(mechanism, robodyn.assemble(mechanism, [0.5]), [-5.0])
+    q = robodyn.assemble(mechanism, [0.5])
+    motion = simulate(mechanism, q, qd, 0.2, method="taylor", engine="python")
+    assert bool(abs(motion.q[-1, 0] - motion.q[-1, 2]) < 1e-6) is crosses
+
+
+def test_two_freedoms_are_never_interpolated():
+    mechanism = near_misses.five_bar(0.0)
+    found = nearest_singular(mechanism, np.array([0.01, -0.012, 0.008, np.pi - 0.01]))
+    assert found is not None
+    assert not found.crosses
+
+
+def test_it_is_said():
+    mechanism = near_misses.parallelogram(1e-12)
+    q = robodyn.assemble(mechanism, [0.01])
+    with pytest.warns(RobodynWarning, match="misses a change point by 1e-12 m"):
+        robodyn.forward_dynamics(mechanism, q, np.zeros(3), np.zeros(3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wide = near_misses.parallelogram(1e-9)
+        robodyn.forward_dynamics(wide, robodyn.assemble(wide, [0.01]), np.zeros(3), np.zeros(3))
