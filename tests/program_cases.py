@@ -6,6 +6,7 @@ virtual power (`test_forces.Forces`), all of what the description of the scene s
 """
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -173,6 +174,8 @@ def random_case(name, seed, acted):
     scene = plain_scene(name, seed)
     if acted:
         scene = forced(seed, scene)
+        more = "{joint: link0, stiffness: 2.5, angle: 0.7}, {joint: link0, stiffness: 3, angle: 2}"
+        scene = replace(scene, text=scene.text.replace("springs: [", f"springs: [{more}, "))
     return case(scene.mechanism, scene.q, scene.qd, seed)
 
 

@@ -15,16 +15,14 @@ from robodyn import assemble, closure_gap, kinetic_energy, load, potential_energ
 from robodyn.engines import machine
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import suspect_quality
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.sweeps import lanes, lanes_compiled
-from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.scene_values import SceneValues
 from robodyn.taylor import Status, best_order
-from robodyn.taylor.layout import numbers
 
 ENGINES = ["python"]
 if machine.available():
@@ -43,13 +41,16 @@ def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None
         (found,) = lanes_compiled.integrate([motions], t_end, chosen, [True] * mechanism.n)
         assert found is not None
         return found
-    whole, real, at = numbers(mechanism, Actuation((0.0,) * mechanism.n), best_order(1e-12))
-    reals = np.tile(real, (len(y), 1))
-    reals[:, at.torque : at.torque + at.n] = tau
     work = bool(tau.any()) or any(mechanism.damping)
-    return lanes.integrate(
-        whole, reals, at, y, t_end, angle, Aims(suspect=suspect, work=work, **options)
-    )
+    order, given = best_order(1e-12), Aims(suspect=suspect, work=work, **options)
+    return lanes.integrate(together([mechanism], tau, order), y, t_end, angle, given)
+
+
+def together(made: list[Mechanism], tau, order: int) -> LaneMotion:
+    """Lanes of mechanisms, as many of each, under torques tau (L, n)."""
+    programs = [LaneProgram(mechanism, np.any(tau, axis=0), order) for mechanism in made]
+    which = np.repeat(np.arange(len(made)), len(tau) // len(made))
+    return LaneMotion(programs, which, tau)
 
 
 @cache
@@ -121,11 +122,10 @@ class TestForces:
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
         still = np.zeros(1)
-        whole, real, at = numbers(mechanism, Actuation((0.0,) * n), best_order(1e-12))
         suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
         aims = Aims(1e-12, 1e-12, suspect=suspect, work=True)
-        forces = LaneForces([mechanism], np.zeros(1, int))
-        found = lanes.integrate(whole, real[None], at, y, 0.3, still, aims, forces)
+        series = together([mechanism], np.zeros((1, n)), best_order(1e-12))
+        found = lanes.integrate(series, y, 0.3, still, aims)
         motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert found.status == Status.REACHED
@@ -138,17 +138,14 @@ class TestForces:
     def test_each_lane_may_have_springs_of_its_own(self) -> None:
         scene = (ROOT / "robots/spring-slider-crank.yaml").read_text()
         values = SceneValues(scene, "x")
-        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.0)]
+        given = [(100.0, 0.2), (350.0, 0.4), (700.0, 0.1)]
         names = ("springs[0].stiffness", "springs[0].damping")
         made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
         y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
         y = np.repeat(y, 2, axis=0)
-        parts = [numbers(m, Actuation((0.0, 0.0)), best_order(1e-11)) for m in made]
-        reals = np.repeat([real for _, real, _ in parts], 2, axis=0)
         aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
-        forces = LaneForces(made, np.repeat(np.arange(3), 2))
-        whole, _, at = parts[0]
-        found = lanes.integrate(whole, reals, at, y, 0.4, np.zeros(6), aims, forces)
+        series = together(made, np.zeros((6, 2)), best_order(1e-11))
+        found = lanes.integrate(series, y, 0.4, np.zeros(6), aims)
         for k in range(6):
             m = made[k // 2]
             motion = simulate(m, y[k, :2], y[k, 2:], 0.4, rtol=1e-11, atol=1e-11)

@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 from program_cases import KINDS, ROBOTS, SEEDS, accelerations, cases, known, torques
 
-from robodyn.engines import blocks, formulas, machine, straightline
+from robodyn.engines import array_blocks, formulas, machine, straightline
 from robodyn.engines.expansion import MotionProgram, expansion
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.machine_rows import Rows
@@ -106,7 +106,7 @@ def run_blocks(formula, arrays):
     """By numpy calls on blocks; of three equal states the last."""
     function, buffers = straightline.compile_arrays(formula, "blocks")
     outputs = [np.empty((3, len(part))) for part in (formula.outputs, formula.pivots)]
-    blocks.evaluate(function, buffers, [np.tile(x, (3, 1)) for x in arrays], outputs)
+    array_blocks.evaluate(function, buffers, [np.tile(x, (3, 1)) for x in arrays], outputs)
     return outputs[0][-1]
 
 
@@ -261,10 +261,8 @@ def test_recorded_series(name, engine):
     for one in cases(name, SEEDS[:seeds]):
         n = one.mech.n
         actuation = Actuation(tuple(one.tau.tolist()))
-        found = expansion(one.mech, actuation, order, False)
-        outputs = tuple(
-            x for part in (found.series.rho, found.series.theta) for c in part for x in c
-        )
+        found = expansion(MotionProgram(one.mech, actuation, False), order)
+        outputs = tuple(x for part in (found.rho, found.theta) for c in part for x in c)
         outputs = (*outputs, found.longest)
         names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
         formula = Formula((*names, "rtol", "atol"), outputs, ())

@@ -1,6 +1,4 @@
-"""Single rows of a program in closed form; what they look ahead; shapes; and the elimination."""
-
-import itertools
+"""Single rows of a program in closed form; what they look ahead; and shapes."""
 
 import mpmath
 import numpy as np
@@ -13,7 +11,6 @@ from random_mechanisms import mechanism
 from robodyn.engines import straightline
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.expression import Graph
-from robodyn.engines.factors import SMALL, Factors, elimination_order
 from robodyn.engines.formulas import RECORDED, Formula
 from robodyn.engines.series import FLOATS, Series, State
 from robodyn.mechanics.actuation import Actuation
@@ -22,14 +19,18 @@ from robodyn.mechanics.program import (
     Derivative,
     Function,
     Given,
+    Inner,
     Integral,
     Number,
+    PlanarSum,
     Power,
     Primitive,
     Product,
     Program,
     Quotient,
     Rate,
+    RealPart,
+    Scaled,
     Sum,
     Turn,
     Unknown,
@@ -191,28 +192,47 @@ class TestSchedule:
 
     @pytest.mark.parametrize("name", [*KINDS, *ROBOTS], ids=lambda x: getattr(x, "stem", x))
     def test_what_is_completed_is_what_the_rows_say(self, name):
-        """Each slot evaluated anew, after unknowns were added, is what it was made by adding."""
         for one in cases(name, SEEDS[:2]):
             motion = MotionProgram(one.mech, Actuation(tuple(one.tau.tolist())), work=True)
             program, y = motion.program, [*one.q.tolist(), *one.qd.tolist()]
             start = motion.state(FLOATS, 0.0, y, ((), ()))
             wanted = [*program.named["gap"], *motion.power]
             series = Series(program, FLOATS, program.numbers, 4, start, slots=wanted)
-            rng = np.random.default_rng(0)
-            for p in range(4):
-                series.residuals(p)
-                series.complete(rng.normal(size=len(program.unknowns)).tolist())
-                for slot, row in series.rows:
-                    if isinstance(row, Turn | Unknown):
-                        continue
-                    m = p + series.ahead[slot]
-                    if slot in series.planar:
-                        made, anew = series.ground(slot, m), series._known(slot, row, m)
-                        anew = series.into(None, anew)
-                    else:
-                        made, anew = series.real[slot][m], series._known(slot, row, m)
-                    size = 1.0 + np.max(np.abs([made, anew]))
-                    assert np.max(np.abs(np.subtract(made, anew))) <= 1e-9 * size, (row, p)
+            completed_anew(series)
+
+    def test_all_rows_that_unknowns_may_change(self):
+        """Second derivatives of products of what moves."""
+        program = self.program
+        add = program.add
+        other = add(Turn(1))
+        d = add(PlanarSum((0.3, -0.2), (((1.0, 0.0), self.E), ((0.5, 0.2), other))))
+        q = add(Integral(add(Anchored(self.w, "qd0")), "q0"))
+        products = [add(Inner(d, d)), add(Inner(d, other)), add(Product(q, q))]
+        products += [add(RealPart(add(Scaled(q, d)))), add(Product(q, products[0]))]
+        products.append(add(RealPart(add(Scaled(add(Given("t")), d)))))
+        program.residuals = [add(Derivative(add(Derivative(x)))) for x in products]
+        given = {"qd0": (1.5,), "q0": (0.8,), "t": (0.4, 1.0)}
+        state = State([(0.6, 0.8), (-0.8, 0.6)], [1.5, -0.7], given)
+        completed_anew(Series(program, FLOATS, program.numbers, 4, state))
+
+
+def completed_anew(series):
+    """Each slot evaluated anew, after unknowns were added, is what it was made by adding."""
+    rng = np.random.default_rng(0)
+    for p in range(4):
+        series.residuals(p)
+        series.complete(rng.normal(size=len(series.program.unknowns)).tolist())
+        for slot, row in series.rows:
+            if isinstance(row, Turn | Unknown):
+                continue
+            m = p + series.ahead[slot]
+            anew = series.known(slot, row, m)
+            if slot in series.planar:
+                made, anew = series.ground(slot, m), series.into(None, anew)
+            else:
+                made = series.real[slot][m]
+            size = 1.0 + np.max(np.abs([made, anew]))
+            assert np.max(np.abs(np.subtract(made, anew))) <= 1e-9 * size, (row, p)
 
 
 FOUR_BAR = """
@@ -271,66 +291,3 @@ class TestShape:
         )
         series.residuals(0)
         assert series.real[slot][0] == 2.0 - 3.0 * 5.0 - 5.0 - 2.0 * 5.0
-
-
-def n_four_bar(N):
-    """K of N four-bars in a row, at a crank angle of 2 rad; and the number of links."""
-    bar = "m: 1, l: 1, r: 0.5, I: 0.08333333333333333"
-    links = [f"{{name: v{k}, {bar}, from: [{k}, 0]}}" for k in range(N + 1)]
-    links += [f"{{name: h{k}, {bar}, from: v{k}}}" for k in range(N)]
-    closures = ", ".join(f"[h{k}, v{k + 1}]" for k in range(N))
-    mech = mechanism(f"links: [{', '.join(links)}]\nclosures: [{closures}]\n")
-    motion = MotionProgram(mech, Actuation((0.0,) * mech.n), False)
-    y = [2.0] * (N + 1) + [-2.0] * N + [1.0] * (N + 1) + [-1.0] * N
-    start = motion.state(FLOATS, 0.0, y, ((), ()))
-    series = Series(motion.program, FLOATS, motion.program.numbers, 1, start)
-    series.residuals(0)
-    return series.matrix(), mech.n
-
-
-def dense(matrix):
-    K = np.zeros((len(matrix), len(matrix)))
-    for i, row in enumerate(matrix):
-        K[i, list(row)] = list(row.values())
-    return K
-
-
-class TestFactors:
-    def test_long_rows_of_four_bars_fill_little(self):
-        fills = []
-        for N in (10, 20, 40):
-            matrix, links = n_four_bar(N)
-            size = len(matrix)
-            assert (size, links) == (4 * N + 1, 2 * N + 1)
-            factors = Factors(matrix, links)
-            assert sorted(factors.place) == list(range(size))
-            for r in range(links, size):  # a closure stands after its links
-                assert all(factors.place[r] > factors.place[k] for k in matrix[r] if k < links)
-            pivots = np.array(factors.pivots)
-            assert (pivots[:links] > 1e-3).all()
-            assert (pivots[links:] < -1e-3).all()
-            right = np.random.default_rng(N).normal(size=size)
-            K = dense(matrix)
-            assert np.allclose(K, K.T, atol=1e-14)
-            assert K @ factors.solve(right.tolist()) == pytest.approx(right, abs=1e-10)
-            fills.append(sum(map(len, factors.columns)))
-        for few, many in itertools.pairwise(fills):
-            assert many < 2.2 * few
-        assert fills[-1] < 12 * 40 * 2
-
-    @pytest.mark.parametrize("links", [1, 4, 15, 30])
-    def test_any_saddle_matrix(self, links):
-        rng = np.random.default_rng(links)
-        for closures in (0, links // 3, links // 2):
-            A = rng.normal(size=(links, links)) * (rng.uniform(size=(links, links)) < 0.2)
-            M = A @ A.T + np.eye(links)
-            Psi = rng.normal(size=(closures, links))
-            K = np.block([[M, Psi.T], [Psi, np.zeros((closures, closures))]])
-            matrix = [{j: float(x) for j, x in enumerate(row) if x} for row in K]
-            order = elimination_order(matrix, links)
-            assert sorted(order) == list(range(len(K)))
-            if len(K) <= SMALL:
-                assert order == list(range(len(K)))
-            right = rng.normal(size=len(K))
-            found = Factors(matrix, links).solve(right.tolist())
-            assert K @ found == pytest.approx(right, abs=1e-8)

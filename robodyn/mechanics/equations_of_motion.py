@@ -65,8 +65,8 @@ class EquationsOfMotion:
     """Writes the program of a scene.
 
     `program.named` tells the slots of E (n), mu (r), gap (r), load (n: what turns each link,
-    without the torques at joints), bends (what a series may not tell) and power; `torques` (n) all
-    that acts at each joint, None where nothing does.
+    without the torques at joints), bends (what a series may not tell), power, KE and PE; `torques`
+    (n) all that acts at each joint, None where nothing does.
     """
 
     mechanism: Mechanism
@@ -118,8 +118,9 @@ class EquationsOfMotion:
     ) -> Program:
         """The residuals, with the joint torques tau (n; None where there is none).
 
-        With `work` the power of torques and of what has no potential is among `named`; that of
-        `steady` torques is left out, as their work is tau times the way.
+        With `work` the energies are among `named` (PE less its constant), and the power of torques
+        and of what has no potential; that of `steady` torques is left out, as their work is tau
+        times the way.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         links = _Links(
@@ -153,7 +154,49 @@ class EquationsOfMotion:
         program.named |= {"E": self.E, "mu": multipliers, "load": loads}
         if work:
             program.named["power"] = [program.sum(*links.power)] if links.power else []
+            program.named |= {"KE": [self._kinetic()], "PE": [self._potential()]}
         return program
+
+    def _kinetic(self) -> Slot:
+        """1/2 sum of A_jj w_j^2, and of Re(conj(E_j') A_jk E_k')."""
+        program = self.program
+        terms: list[tuple[Coefficient, Slot]] = []
+        for j, k, value in self.mechanism.A:
+            if j == k:
+                half = program.number(0.5 * value.real)
+                terms.append((half, program.add(Product(self.w(j), self.w(j)))))
+            else:
+                one, other = (program.add(Derivative(self.E[i])) for i in (j, k))
+                turned = ((program.planar_number(value), other),)
+                moved = program.add(PlanarSum((0.0, 0.0), turned))
+                terms.append((1.0, program.add(Inner(one, moved))))
+        return program.sum(*terms)
+
+    def _potential(self) -> Slot:
+        """That of weights, of constant moments, and of springs."""
+        program, number, mechanism = self.program, self.program.number, self.mechanism
+        terms: list[tuple[Coefficient, Slot]] = []
+        for k in range(mechanism.n):
+            weight = program.planar_number(-mechanism.weights[k])
+            if weight != (0.0, 0.0):
+                down = program.add(PlanarSum((0.0, 0.0), ((weight, self.E[k]),)))
+                terms.append((1.0, program.add(RealPart(down))))
+            if mechanism.moments[k]:
+                angle = program.add(Integral(self.w(k), f"alpha{k}"))
+                terms.append((number(-mechanism.moments[k]), angle))
+        for spring in mechanism.springs:
+            if spring.stiffness:
+                d = self.point(spring.between)
+                square = program.add(Inner(d, d))
+                if spring.length:
+                    reach = program.add(Power(square, 0.5))
+                    longer = program.sum((1.0, reach), constant=number(-spring.length))
+                    square = program.add(Product(longer, longer))
+                terms.append((number(0.5 * spring.stiffness), square))
+        for turned in mechanism.joint_springs:
+            way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
+            terms.append((number(0.5 * turned.stiffness), program.add(Product(way, way))))
+        return program.sum(*terms)
 
     def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
         """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""

@@ -214,6 +214,7 @@ class Program:
     planar: list[bool] = field(default_factory=list)
     arms: dict[Slot, float] = field(default_factory=dict)  # of slots that bend: torque per unit
     _known: dict[Row, Slot] = field(default_factory=dict)
+    _schedules: dict[tuple[int, ...], Schedule] = field(default_factory=dict)
 
     # -- building ----------------------------------------------------------------------------------
 
@@ -260,6 +261,12 @@ class Program:
 
     def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
         """In what order, and how many orders ahead of the unknowns, slots must be known."""
+        key = (len(self.rows), len(self.residuals), *self.residuals, *wanted)
+        if key not in self._schedules:
+            self._schedules[key] = self._scheduled(wanted)
+        return self._schedules[key]
+
+    def _scheduled(self, wanted: Sequence[Slot]) -> Schedule:
         ahead = dict.fromkeys([*self.residuals, *wanted], 0)
         for slot in self.unknowns:
             ahead[slot] = 2 if isinstance(self.rows[slot], Turn) else 0

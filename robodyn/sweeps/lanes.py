@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.sweeps.lane_forces import LaneForces
-from robodyn.sweeps.lane_series import LaneSeries
+from robodyn.sweeps.lane_motion import Expanded, LaneMotion
 from robodyn.sweeps.step_extremes import crossings, extremes, values
 from robodyn.taylor import PARTS, Status
-from robodyn.taylor.layout import Layout
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+SMALLEST_TIME = 1e-6  # s, whose spacing steps at the start may have
 
 
 class Aims(NamedTuple):
@@ -63,29 +63,17 @@ class Ends:
         return cls(np.zeros(L), wide[0], wide[1], wide[2], energy, *long, *whole)
 
 
-def integrate(
-    whole: Integers,
-    reals: Array,
-    at: Layout,
-    y: Array,
-    t_end: float,
-    angle: Array,
-    aims: Aims,
-    forces: LaneForces | None = None,
-) -> Ends:
+def integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
     """The motions from y (L, 2n) at t = 0 to t_end.
 
-    `reals` (L, R), or (1, R) where all lanes share it, as `taylor.layout.numbers` makes them.
     `angle` (L,) is that of the link whose flip is wanted, from hanging: it flips where |angle|
-    exceeds pi.  `forces` act besides what `reals` hold.  A lane that cannot go on stops; its status
-    tells why.
+    exceeds pi.  A lane that cannot go on stops; its status tells why.
     """
     with np.errstate(all="ignore"):  # what leaves the floats is told by its status
-        real = reals[0] if len(reals) == 1 else np.ascontiguousarray(reals.T)
-        return _integrate(LaneSeries(whole, real, at, forces), y, t_end, angle, aims)
+        return _integrate(series, y, t_end, angle, aims)
 
 
-def _integrate(series: LaneSeries, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
+def _integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
     L, n = len(y), series.n
     ends = Ends.room(L, n)
     q, qd = np.ascontiguousarray(y[:, :n].T), np.ascontiguousarray(y[:, n:].T)
@@ -104,14 +92,15 @@ def _integrate(series: LaneSeries, y: Array, t_end: float, angle: Array, aims: A
             if not stay.any():
                 return ends
             now.keep(stay)
-            series.kept(stay)
-        W = series.expand(now.q, now.qd)
+            series = series.kept(stay)
+        expanded = series.expand(now.q, now.qd)
+        W = expanded.rates
         own = series.relative(W)
         longest = series.longest(W, aims.rtol, aims.atol)
         now.status[np.isnan(longest)] = Status.NOT_FINITE
         longest = np.nan_to_num(longest, nan=0.0)
         left = np.abs(t_end - now.t)
-        h, q, qd, now.quality = _landed(series, own, now, longest, left, direction, aims)
+        h, q, qd, now.quality = _landed(series, expanded, own, now, longest, left, direction, aims)
         end = np.where(np.abs(h) >= left, t_end, now.t + h)
         now.status[(end == now.t) & (now.status < 0)] = Status.STUCK
         h = end - now.t
@@ -124,8 +113,8 @@ def _integrate(series: LaneSeries, y: Array, t_end: float, angle: Array, aims: A
             if len(b):
                 begun = now.angle[b] + series.absolute(now.q[:, b])[aims.link]
                 now.flip[b] = now.t[b] + crossings(begun, W[:, aims.link, b], h[b], math.pi)
-        if aims.work:
-            now.work = now.work + values(series.power(W)[:, None], h)[0][0]
+        if expanded.power is not None:
+            now.work = now.work + values(expanded.power[:, None], h)[0][0]
         now.t, now.q, now.qd, now.steps = end, q, qd, now.steps + 1
         now.weigh(*series.energies(q, qd))
         if aims.extremes:  # the states at the ends are closed, the series are so to the tolerance
@@ -212,7 +201,8 @@ class _Running:
 
 
 def _landed(
-    series: LaneSeries,
+    series: LaneMotion,
+    expanded: Expanded,
     own: Array,
     now: _Running,
     longest: Array,
@@ -222,6 +212,8 @@ def _landed(
 ) -> tuple[Array, Array, Array, Array]:
     """Steps h (B,), closed states there, and their qualities: where the next step starts well."""
     q, qd, t = now.q, now.qd, now.t
+    if expanded.watched.shape[1]:
+        longest = _held(series, expanded, own, now, np.minimum(longest, left), direction, aims)
     h = np.minimum(longest, left) * direction
     x = np.where(longest >= left, left * direction, (t + h) - t)  # the bound is met exactly
     new_q, new_qd, quality = _closed(series, own, q, qd, x)
@@ -231,7 +223,7 @@ def _landed(
             break
         (b,) = np.nonzero(poor)
         shorter = np.minimum(part * longest[b], left[b]) * direction
-        there_q, there_qd, there = _closed(series.some(b), own[:, :, b], q[:, b], qd[:, b], shorter)
+        there_q, there_qd, there = _closed(series.kept(b), own[:, :, b], q[:, b], qd[:, b], shorter)
         better = there > quality[b]
         to = b[better]
         x[to], quality[to] = shorter[better], there[better]
@@ -240,8 +232,38 @@ def _landed(
     return x, new_q, new_qd, quality
 
 
+def _held(
+    series: LaneMotion,
+    expanded: Expanded,
+    own: Array,
+    now: _Running,
+    h: Array,
+    direction: float,
+    aims: Aims,
+) -> Array:
+    """Steps (B,) halved until the torques at their ends are those of the series.
+
+    And in their middles, where friction may turn over and back.  Zero where no step serves.
+    """
+    h = h.copy()
+    (b,) = np.nonzero(h > 0.0)
+    while len(b):
+        some, part = series.kept(b), expanded.some(b)
+        agrees = np.ones(len(b), bool)
+        for where in (1.0, 0.5) if series.rubs else (1.0,):
+            x = where * h[b] * direction
+            turn, rate, _ = values(own[:, :, b], x)
+            agrees &= some.agrees(part, x, now.q[:, b] + turn, rate, aims.rtol, aims.atol)
+        b = b[~agrees]
+        h[b] *= 0.5
+        lost = h[b] < 4.0 * np.spacing(np.maximum(np.abs(now.t[b]), SMALLEST_TIME))
+        h[b[lost]] = 0.0
+        b = b[~lost]
+    return h
+
+
 def _closed(
-    series: LaneSeries, own: Array, q: Array, qd: Array, x: Array
+    series: LaneMotion, own: Array, q: Array, qd: Array, x: Array
 ) -> tuple[Array, Array, Array]:
     """The closed states at x (B,) after q, qd, and their qualities."""
     turn, rate, _ = values(own, x)

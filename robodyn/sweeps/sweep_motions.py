@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.loops.change_points import regular_rank, suspect_quality
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps import lanes
-from robodyn.sweeps.lane_forces import LaneForces
+from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.sweep_plan import Plan, base_mechanism
 from robodyn.taylor import Status, best_order
-from robodyn.taylor.layout import Layout, numbers
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -130,9 +128,8 @@ def _columns(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
 
 
 def _served(mechanism: Mechanism) -> bool:
-    """Whether lanes serve it: no friction, which no series sees coming, no couplings; regular M."""
-    smooth = not mechanism.friction and not mechanism.description.couplings
-    return smooth and elimination_is_safe(mechanism)
+    """Whether lanes serve it: M is regular."""
+    return elimination_is_safe(mechanism)
 
 
 def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
@@ -152,39 +149,20 @@ def _integrated(
 ) -> Iterator[tuple[Indices, Ends]]:
     """Points whose mechanisms have the same structure, and what their motions leave behind."""
     order = best_order(plan.rtol)
-    alike: dict[tuple[object, ...], list[tuple[Group, Array]]] = {}
-    structures: dict[tuple[object, ...], tuple[NDArray[np.int64], Layout]] = {}
+    alike: dict[LaneProgram, list[tuple[Group, LaneProgram]]] = {}
     for group in groups:
         if len(group.points):
-            whole, real, at = numbers(group.mechanism, Actuation((0.0,) * group.q.shape[1]), order)
-            key = (at, whole.tobytes(), *_forces_of(group.mechanism))
-            alike.setdefault(key, []).append((group, real))
-            structures[key] = whole, at
-    for key, members in alike.items():
-        whole, at = structures[key]
-        chosen = np.concatenate([group.points for group, _ in members])
-        tau = np.concatenate([group.tau for group, _ in members])
-        y = np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g, _ in members])
-        shared = len(members) == 1 and (tau == tau[0]).all()
-        if shared:
-            reals = members[0][1][None]
-            reals[0, at.torque : at.torque + at.n] = tau[0]
-        else:
-            reals = np.concatenate([np.tile(real, (len(g.points), 1)) for g, real in members])
-            reals[:, at.torque : at.torque + at.n] = tau
-        given = (whole, reals, at, y, plan.t_end, angle[chosen], aims)
-        if not members[0][0].mechanism.has_state_forces:
-            yield chosen, lanes.integrate(*given)
-            continue
+            program = LaneProgram(group.mechanism, np.any(group.tau, axis=0), order)
+            alike.setdefault(program, []).append((group, program))
+    for members in alike.values():
+        chosen, tau, y = _gathered([group for group, _ in members])
         which = np.repeat(np.arange(len(members)), [len(group.points) for group, _ in members])
-        forces = LaneForces([group.mechanism for group, _ in members], which)
-        yield chosen, lanes.integrate(*given, forces)
+        series = LaneMotion([program for _, program in members], which, tau)
+        yield chosen, lanes.integrate(series, y, plan.t_end, angle[chosen], aims)
 
 
-def _forces_of(mechanism: Mechanism) -> tuple[object, ...]:
-    """What must agree where lanes share the structure of their forces."""
-    return (
-        len(mechanism.springs),
-        tuple(spring.joint for spring in mechanism.joint_springs),
-        tuple((force.link, force.turns) for force in mechanism.forces),
-    )
+def _gathered(groups: list[Group]) -> tuple[Indices, Array, Array]:
+    """The points of groups, their torques, and their states at the start."""
+    chosen = np.concatenate([group.points for group in groups])
+    tau = np.concatenate([group.tau for group in groups])
+    return chosen, tau, np.concatenate([np.concatenate([g.q, g.qd], axis=1) for g in groups])
