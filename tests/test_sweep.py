@@ -267,6 +267,28 @@ def test_a_chunk_is_part_of_the_whole() -> None:
     assert whole(parts, workers=1).values == pytest.approx(expected, abs=1e-12, nan_ok=True)
 
 
+@pytest.mark.skipif("compiled" not in ENGINES, reason="needs llvmlite")
+@pytest.mark.parametrize(
+    ("name", "axes"),
+    [
+        ("2r", (Axis("q1", low=-3.0, high=3.0), Axis("links.forearm.m", (0.9, 1.0, 1.1)))),
+        ("four-bar", (Axis("q1", low=-3.0, high=3.0), Axis("tau1", (0.0, 0.5, 1.0)))),
+        (
+            "spring-slider-crank",
+            (Axis("q1", low=0.5, high=2.0), Axis("springs[0].damping", (0.0, 1.0))),
+        ),
+    ],
+)
+def test_no_digit_depends_on_the_chunk_or_the_lane(name, axes) -> None:
+    """A number that is 0 or 1 at a point, or the same at all of a chunk, is no other code."""
+    drawn = replace(plan(name, *axes, sample=37, seed=3), engine="compiled", t_end=0.5)
+    expected = whole(replace(drawn, chunk=37), workers=1)
+    for chunk in (1, 5, 16):
+        found = whole(replace(drawn, chunk=chunk), workers=1)
+        assert found.outcomes == expected.outcomes
+        assert np.array_equal(found.values, expected.values, equal_nan=True)
+
+
 def _late(plan: Plan, number: int) -> Rows:
     raise TimeoutError("too late")
 

@@ -23,7 +23,7 @@ from robodyn.engines.expression import FUNCTIONS
 
 # Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
 # with 8 lanes, 20 to 30 % with one
-LARGE = 2000
+LARGE = 5000
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
 PLAIN = "plain"  # the processor's family without what is optional: for tests

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine import Code, Processor
-from robodyn.engines.machine_steps import SINGULAR, Scene
+from robodyn.engines.machine_closing import SINGULAR
+from robodyn.engines.machine_steps import Scene
 from robodyn.taylor import Status
 
 RUNNING = -1.0

@@ -28,11 +28,12 @@ from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
 from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
 from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
 from robodyn.engines.formulas import Formula, projection_formula
+from robodyn.engines.machine_closing import write_close
 from robodyn.engines.segment import Segment
 from robodyn.loops.assembly import loop_size
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.closing import CLOSED
-from robodyn.loops.projection import CONVERGED, PASSES
+from robodyn.loops.projection import CONVERGED
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
@@ -46,8 +47,6 @@ COMMON = (
     "quality", "agrees", "miss", "relative", "rtol", "atol", "suspect", "lightest", "rounding",
     "converged", "base_t",
 )  # fmt: skip
-
-SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
 
 
 class Scene:
@@ -252,7 +251,7 @@ class Scene:
         self._expand(module)
         self._evaluate(module)
         if self.closing is not None:
-            self._close(module, self.closing)
+            write_close(self, module, self.closing)
         if self.bends:
             self._compare(module)
 
@@ -292,54 +291,15 @@ class Scene:
             self.put(k, block, f"to_{name}", word)
         k.done()
 
-    def _there(self, names: Sequence[str], prefix: str = "") -> dict[str, str]:
+    def there(self, names: Sequence[str], prefix: str = "") -> dict[str, str]:
+        """Inputs of a graph, taken from the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
-
-    def _close(self, module: Module, formula: Formula) -> None:
-        """Newton's method as `straightline.compile_closing` has it, lane by lane."""
-        k, block = self.kernel(module, "close")
-        n, rows = self.mechanism.n, len(formula.pivots)
-        outputs = [*formula.outputs, *formula.pivots]
-        graph = next(x.graph for x in outputs if isinstance(x, Expression))
-        names = self._there([f"{name}{j}" for name in ("q", "qd") for j in range(n)])
-        moving, passes = k.slot(k.all_lanes(True)), k.slot(k.whole(0))
-        quality = k.slot(k.number(0.0))
-        speeds = [k.slot(self.get(k, block, f"to_qd{j}")) for j in range(n)]
-        with k.forever() as closed:
-            words = self.segment(k, block, graph, names).write(outputs)
-            now = k.get(moving, k.mask)
-            pivots = words[2 * n + rows :]
-            least = pivots[0]
-            for pivot in pivots[1:]:
-                least = k.select(k.compare("ult", pivot, least), pivot, least)
-            k.set(quality, k.select(now, least, k.get(quality)))
-            now = k.both(now, k.less(k.number(SINGULAR), least))
-            gap = k.number(0.0)
-            for word in words[2 * n : 2 * n + rows]:
-                size = k.intrinsic("fabs", word)
-                gap = k.select(k.compare("ugt", size, gap), size, gap)
-            for slot, word in zip(speeds, words[n : 2 * n], strict=True):
-                k.set(slot, k.select(now, word, k.get(slot)))
-            now = k.both(now, k.compare("ugt", gap, self.get(k, block, "rounding")))
-            for j in range(n):
-                before = self.get(k, block, f"to_q{j}")
-                self.put(k, block, f"to_q{j}", k.select(now, words[j], before))
-            now = k.both(now, k.compare("ugt", gap, self.get(k, block, "converged")))
-            k.set(moving, now)
-            count = k.add(k.get(passes, "i64"), k.whole(1))
-            k.set(passes, count)
-            k.leave(k.invert(k.any(now)), closed)
-            k.leave(k.compare("sge", count, k.whole(PASSES)), closed)
-        for j, slot in enumerate(speeds):
-            self.put(k, block, f"to_qd{j}", k.get(slot))
-        self.put(k, block, "quality", k.get(quality))
-        k.done()
 
     def _compare(self, module: Module) -> None:
         """Whether what may bend is, at the state there, what its series gives at x."""
         k, block = self.kernel(module, "compare")
         found, count = self.found, len(self.bends)
-        names = self._there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
+        names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
         values = self.segment(k, block, found.graph, names).write([x[0] for x in found.watched])
         x, small, relative = (self.get(k, block, name) for name in ("x", "miss", "relative"))
         agrees = k.all_lanes(True)
