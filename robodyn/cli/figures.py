@@ -116,8 +116,9 @@ def work_precision(result: Benchmark, title: str, path: str) -> None:
         )
     axes.axvline(result.reference.uncertainty, color="0.8", lw=1.0, ls=":")
     axes.margins(y=0.1)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    if labelled:  # matplotlib has no logarithms of nothing
+        axes.set_xscale("log")
+        axes.set_yscale("log")
     axes.set_xlabel("largest error of q (rad) and qd (rad/s)")
     axes.set_ylabel("time of a run, ms")
     axes.set_title(shown(title), parse_math=False)

@@ -274,8 +274,11 @@ class EquationsOfMotion:
             place = spring.between
             reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
             factor = program.sum(*pull, constant=number(-spring.stiffness))
-            self._bends(factor, reach * reach)
-            self._act(links, spring.between, program.add(Scaled(factor, d)))
+            force = program.add(Scaled(factor, d))
+            for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
+                part = program.add(PlanarSum((0.0, 0.0), ((along, force),)))
+                self._bends(program.add(RealPart(part)), reach)
+            self._act(links, spring.between, force)
         elif spring.stiffness:
             self._act(links, spring.between, d, -spring.stiffness)
 
