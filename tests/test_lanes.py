@@ -18,7 +18,8 @@ from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.sweeps import lanes, lanes_compiled
-from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
+from robodyn.sweeps.lane_motion import LaneMotion
+from robodyn.sweeps.lane_program import LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.scene_values import SceneValues
@@ -173,7 +174,7 @@ class TestForces:
         mechanism = scene(name)
         y = turning(mechanism, 3) if mechanism.rows else swings(3)
         found = run("python", mechanism, y, 0.3)
-        monkeypatch.setattr("robodyn.sweeps.lane_motion.STRAIGHT", 0)
+        monkeypatch.setattr("robodyn.sweeps.lane_program.STRAIGHT", 0)
         other = run("python", mechanism, y, 0.3)
         for each in ("t", "y", "low", "high", "energy"):
             assert getattr(other, each) == pytest.approx(getattr(found, each), rel=1e-9, abs=1e-9)
@@ -182,7 +183,7 @@ class TestForces:
     @pytest.mark.parametrize("name", ["pendulum", "2r", "four-bar", "spring-slider-crank"])
     def test_lanes_are_the_same_to_the_last_bit(self, name, straight, monkeypatch) -> None:
         """However many go together."""
-        monkeypatch.setattr("robodyn.sweeps.lane_motion.STRAIGHT", straight)
+        monkeypatch.setattr("robodyn.sweeps.lane_program.STRAIGHT", straight)
         mechanism, n = scene(name), scene(name).n
         rng = np.random.default_rng(5)
         y = turning(mechanism, 9) if mechanism.rows else rng.normal(size=(9, 2 * n))

@@ -110,6 +110,7 @@ class MotionProgram:
         order: int,
         state: State,
         grounded: bool = False,
+        pivoted: bool = False,
     ) -> Coefficients:
         """The series to an order; raises ZeroDivisionError where there are none."""
         series = Series(
@@ -120,6 +121,7 @@ class MotionProgram:
             state,
             slots=[*self.power, *self.bends],
             grounded=grounded,
+            pivoted=pivoted,
         )
         series.expand()
         if self.power:  # the residuals of the last order are not wanted, what works there is

@@ -281,6 +281,7 @@ def _forward(
             x = series.real[gap]
             right[n + r] = right[n + r] - 2.0 * baumgarte * x[1] - baumgarte**2 * x[0]
     factors = series.factorise()
+    assert isinstance(factors, Factors)
     solution = factors.solve(right)
     series.complete(solution)
     qdd = [

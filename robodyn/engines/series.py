@@ -28,7 +28,7 @@ from robodyn.engines.arithmetic import Planar as Planar
 from robodyn.engines.arithmetic import Value as Value
 from robodyn.engines.arithmetic import conjugate_times as conjugate_times
 from robodyn.engines.arithmetic import plus, some, times
-from robodyn.engines.factors import Factors
+from robodyn.engines.factors import Factors, PivotedFactors
 from robodyn.engines.frames import Framed
 from robodyn.engines.rules import Rules
 from robodyn.engines.state import State as State
@@ -59,10 +59,12 @@ class Series(Rules):
         *,
         slots: Sequence[Slot] = (),
         grounded: bool = False,
+        pivoted: bool = False,
     ) -> None:
         """`orders` of unknowns are expanded; `slots` are wanted besides the residuals.
 
-        With `grounded` forces are summed in the ground's frame, which pays on deep trees.
+        With `grounded` forces are summed in the ground's frame, which pays on deep trees;
+        `pivoted` factors serve floats where M alone is singular.
         """
         self.program, self.arithmetic, self.numbers, self.state = (
             program,
@@ -70,7 +72,7 @@ class Series(Rules):
             numbers,
             state,
         )
-        self.orders, self.grounded = orders, grounded
+        self.orders, self.grounded, self.pivoted = orders, grounded, pivoted
         order, self.ahead, self.live = program.schedule(slots)
         self.rows: list[tuple[Slot, Row]] = [(x, program.rows[x]) for x in order]
         self.real: dict[Slot, Any] = {}
@@ -97,7 +99,7 @@ class Series(Rules):
                 self.put(slot, m, self.known(slot, row, m))
         self._balance: dict[Slot, int] = {}
         self._residuals: list[Value] = []
-        self.factors: Factors | None = None
+        self.factors: Factors | PivotedFactors | None = None
         self.p = 0
 
     # -- one order ---------------------------------------------------------------------------------
@@ -145,7 +147,7 @@ class Series(Rules):
                 case _:
                     self.real[slot][m] = plus(self.real[slot][m], delta)
 
-    def expand(self, factors: Factors | None = None) -> list[list[Value]]:
+    def expand(self, factors: Factors | PivotedFactors | None = None) -> list[list[Value]]:
         """All orders; the unknowns of each."""
         found: list[list[Value]] = []
         for p in range(self.orders):
@@ -162,8 +164,10 @@ class Series(Rules):
         """The coefficients rho and theta of a direction."""
         return self._moment[slot]
 
-    def factorise(self) -> Factors:
+    def factorise(self) -> Factors | PivotedFactors:
         """K factored; after `residuals(0)`."""
+        if self.pivoted:
+            return PivotedFactors(self.matrix())
         return Factors(self.matrix(), self.first_unknowns, self.arithmetic.keep)
 
     @property

@@ -14,7 +14,8 @@ from robodyn.loops.change_points import regular_rank, suspect_quality
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps import lanes
-from robodyn.sweeps.lane_motion import LaneMotion, LaneProgram
+from robodyn.sweeps.lane_motion import LaneMotion
+from robodyn.sweeps.lane_program import LaneProgram
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.sweeps.sweep_plan import Plan, base_mechanism

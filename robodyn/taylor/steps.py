@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines.expansion import MotionProgram, longest_step
 from robodyn.engines.series import FLOATS
 from robodyn.engines.step_text import StepText, step_text
@@ -303,14 +304,16 @@ class InterpretedEngine(_SeriesEngine):
     def watched(
         self, made: MotionProgram, t: float, y: list[float], given: Pieces
     ) -> Sequence[float]:
-        found = made.expand(FLOATS, made.program.numbers, 1, made.state(FLOATS, t, y, given))
+        start, pivoted = made.state(FLOATS, t, y, given), not elimination_is_safe(self.mechanism)
+        found = made.expand(FLOATS, made.program.numbers, 1, start, pivoted=pivoted)
         return [each[0] for each in found.watched]
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         made: MotionProgram = self.at(t)
         try:
             start = made.state(FLOATS, t, y, self.given(t, y, direction))
-            found = made.expand(FLOATS, made.program.numbers, self.order, start)
+            numbers, pivoted = made.program.numbers, not elimination_is_safe(self.mechanism)
+            found = made.expand(FLOATS, numbers, self.order, start, pivoted=pivoted)
             longest = longest_step(found, start.w, *self.tolerances)
         except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
             return 0.0, y, ()
