@@ -460,7 +460,8 @@ class TestNothingElseCanRun:
     def test_huge_powers_end_at_once(self, text):
         """A power of whole numbers would never end, nor answer a Ctrl-C."""
         program = (
-            "import sys, resource; from robodyn import actuation, load; "
+            "import sys, resource; from robodyn import load; "
+            "from robodyn.mechanics import actuation; "
             "resource.setrlimit(resource.RLIMIT_CPU, (5, 5)); "
             "from robodyn.errors import RobodynError\n"
             "try:\n"

@@ -370,7 +370,8 @@ def test_a_scheduler_that_dies(tmp_path: Path) -> None:
             process.kill()
             process.communicate()
     assert sweep.returncode == 1
-    assert told == "Error: the scheduler was lost: it ended, or the way to it did\n"
+    # its workers may be seen to be lost first
+    assert told.endswith("Error: the scheduler was lost: it ended, or the way to it did\n")
 
 
 def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch) -> None:

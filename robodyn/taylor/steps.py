@@ -222,8 +222,7 @@ class _SeriesEngine(SteppingEngine):
         self._function = self.actuation.function(self.mechanism.n)
         if self.actuation.pieces is not None:
             self.make(None)  # every branch must have a series
-        self.works, self.arms = self.reads(self.at(0.0))
-        self.bends = bool(self.arms)
+        self.at(0.0)
 
     def make(self, held: tuple[float, ...] | None) -> Any:
         """What expands the motion while switches are held so."""
@@ -236,6 +235,21 @@ class _SeriesEngine(SteppingEngine):
     def watched(self, made: Any, t: float, y: list[float], given: Pieces) -> Sequence[float]:
         """The values of what is watched, at a state."""
         raise NotImplementedError
+
+    @property
+    def works(self) -> bool:  # type: ignore[override]  # by how the switches stand
+        """Whether the series hold a power besides that of constant torques."""
+        return self.reads(self.now)[0]
+
+    @property
+    def bends(self) -> bool:  # type: ignore[override]
+        """Whether anything is watched."""
+        return bool(self.arms)
+
+    @property
+    def arms(self) -> list[float]:
+        """What make torques of what is watched."""
+        return self.reads(self.now)[1]
 
     def at(self, t: float) -> Any:
         """What expands the motion from t on."""
