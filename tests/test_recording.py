@@ -22,7 +22,8 @@ from robodyn.taylor.steps import InterpretedEngine, StraightEngine
 def least_singular(mech, q):
     """The recorder's values, and those of numpy's decomposition."""
     Psi = closed_form.closure_jacobian(mech, q)
-    recorder = Recorder(mech, Report(), lambda t, y: None, None, 10**6, None)
+    idle = Actuation((0.0,) * mech.n)
+    recorder = Recorder(mech, Report(), lambda t, y: None, None, 10**6, None, idle)
     s = np.linalg.svd(Psi, compute_uv=False)[:, -1]
     return recorder._least_singular(Psi), s / loop_size(mech)
 
