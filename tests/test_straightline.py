@@ -240,7 +240,7 @@ links:
 
     def test_damping_is_one_term(self):
         mech = mechanism("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.25, damping: 3}]")
-        assert source(formulas.inverse_formula(mech)) == "3.0*qd0 + 0.5*qdd0"
+        assert source(formulas.inverse_formula(mech)) == "0.5*qdd0 + 3.0*qd0"
         assert source(formulas.forward_formula(mech)) == "2.0*(tau0 - 3.0*qd0)"
 
     @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def projected(method: str) -> type[OdeSolver]:
             y0: Array,
             t_bound: float,
             *,
-            projection: Projection | None = None,
+            projection: Callable[[Array], Array] | None = None,
             observer: Observer | None = None,
             kinks: Sequence[float] = (),
             leaves: Sequence[float] = (),
@@ -83,6 +83,7 @@ def projected(method: str) -> type[OdeSolver]:
             self.h_abs: float
             self.nfev: int
             self.projection = projection
+            self.misses = projection.misses if isinstance(projection, Projection) else None
             self.observer = observer
             self.kinks = sorted(kinks)
             self.leaves = leaves
@@ -128,7 +129,7 @@ def projected(method: str) -> type[OdeSolver]:
             if self.projection is not None:
                 y = self.projection(self.y)
                 times, ends = np.array([begun[0], self.t]), np.stack([begun[1], y])
-                if self.projection.misses.leaps(times, ends):
+                if self.misses is not None and self.misses.leaps(times, ends):
                     self.t, self.y, self.f = begun
                     self._restart()
                     return self._step_impl()
@@ -143,9 +144,9 @@ def projected(method: str) -> type[OdeSolver]:
 
         def _hold(self) -> None:
             """Bound the step near a missed change point, and its error."""
-            if self.projection is None:
+            if self.misses is None:
                 return
-            longest, fine = self.projection.misses.holds(self.y)
+            longest, fine = self.misses.holds(self.y)
             if longest < abs(self.t_bound - self.t):
                 self._bound(self.t + self.direction * longest)
             if self._tolerances is None:
@@ -240,7 +241,7 @@ def projected(method: str) -> type[OdeSolver]:
 class _ProjectedOutput(DenseOutput):
     """A solver's dense output, projected onto states that close."""
 
-    def __init__(self, dense: DenseOutput, projection: Projection) -> None:
+    def __init__(self, dense: DenseOutput, projection: Callable[[Array], Array]) -> None:
         super().__init__(dense.t_old, dense.t)
         self._dense, self._projection = dense, projection
 
