@@ -229,7 +229,7 @@ def run(
     if actuation.told is not None:
         actuation.told.begin(y0.tolist(), float(t_end))
     if taylor:  # tell now where no motion is defined
-        if not dense_dynamics.elimination_is_safe(mechanism):
+        if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
             n = mechanism.n
             dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
     else:

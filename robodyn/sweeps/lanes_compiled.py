@@ -88,15 +88,18 @@ def integrate(
 def _scene(mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, order: int) -> Scene | None:
     if not serves(mechanism, order):
         return None
-    return Scene(
-        mechanism,
-        Actuation(tuple(map(float, driven))),
-        order,
-        work=aims.work,
-        rate_series=aims.extremes,
-        link=aims.link,
-        kept=kept(mechanism),
-    )
+    try:
+        return Scene(
+            mechanism,
+            Actuation(tuple(map(float, driven))),
+            order,
+            work=aims.work,
+            rate_series=aims.extremes,
+            link=aims.link,
+            kept=kept(mechanism),
+        )
+    except ZeroDivisionError:  # no state has a series: the others say why
+        return None
 
 
 def _shape(key: str, scene: Scene, aims: Aims) -> _Shape | None:
