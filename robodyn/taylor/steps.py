@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
@@ -221,7 +222,8 @@ class _SeriesEngine(SteppingEngine):
         self._made: dict[tuple[float, ...] | None, Any] = {}
         self._function = self.actuation.function(self.mechanism.n)
         if self.actuation.pieces is not None:
-            self.make(None)  # every branch must have a series
+            with suppress(ZeroDivisionError):  # of numbers that no switch holds
+                self.make(None)  # every branch must have a series
         self.at(0.0)
 
     def make(self, held: tuple[float, ...] | None) -> Any:
