@@ -55,8 +55,8 @@ LOST = 1e-7  # s/L below which a singular value is none, in a configuration so f
 REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
 SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
-BARREN = 0.05  # rad, from a state where the search found nothing within which it is not repeated
-MOST_BARREN = 500  # of these states that are kept
+REPEATED = 0.05  # rad, from the start of a search within which none is made again
+MOST_SEARCHED = 500  # searches that are kept
 LOOKED_AT = 32  # states of a batch, the nearest to singular ones, of which a miss is told
 
 BESIDE = 0.08  # part of s/L beside it below which a state is taken from the branch
@@ -162,10 +162,17 @@ def known(mechanism: Mechanism) -> list[Singular]:
     return []
 
 
+class _Searched(NamedTuple):
+    """Where searches began (rows of an array), and what each found."""
+
+    starts: Array
+    found: list[Singular | None]
+
+
 @lru_cache(maxsize=64)
-def _barren(mechanism: Mechanism) -> list[Array]:
-    """States of a mechanism from which no singular configuration was found."""
-    return []
+def _searched(mechanism: Mechanism) -> _Searched:
+    """The searches of a mechanism."""
+    return _Searched(np.zeros((MOST_SEARCHED, mechanism.n)), [])
 
 
 def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
@@ -177,17 +184,21 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
         return None
     if (old := _known_near(mechanism, q, SAME)) is not None:
         return old
-    barren = _barren(mechanism)
-    if barren and float(apart(mechanism, np.array(barren), q).min()) <= BARREN:
-        return None
+    searched = _searched(mechanism)
+    if searched.found:
+        from_there = apart(mechanism, searched.starts[: len(searched.found)], q)
+        nearest = int(np.argmin(from_there))
+        if from_there[nearest] <= REPEATED:
+            return searched.found[nearest]
     found = _search(mechanism, q, rank)
-    if found is None:
-        if len(barren) < MOST_BARREN:
-            barren.append(q.copy())
-        return None
-    if (old := _known_near(mechanism, found.q, 1e-6)) is not None:
-        return old
-    known(mechanism).append(found)
+    if found is not None:
+        old = _known_near(mechanism, found.q, 1e-6)
+        if old is None:
+            known(mechanism).append(found)
+        found = old or found
+    if len(searched.found) < MOST_SEARCHED:
+        searched.starts[len(searched.found)] = q
+        searched.found.append(found)
     return found
 
 
