@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.dynamics.closed_form import other_forces, scene_torques
-from robodyn.loops.change_points import Closing, suspect_quality
+from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -170,7 +170,7 @@ def closing(system: SparseMechanism, fallback: Closing) -> Closing:
     """The nearest state that closes (`projection.py`); singular ones are left to `fallback`."""
     n = system.n
 
-    suspect = suspect_quality(system.mechanism)
+    least_ratio = EXACT * suspect_quality(system.mechanism)
 
     def nearest(y: Array) -> tuple[Array, float]:
         last: list[Any] = []
@@ -178,7 +178,7 @@ def closing(system: SparseMechanism, fallback: Closing) -> Closing:
         def evaluate(q: Array) -> tuple[bool, Array]:
             last[:] = system.closing_step(q)
             gap, _, ratio, least = last
-            if not ratio > suspect:
+            if not ratio > least_ratio:
                 raise _Lost
             step = least(gap)
             return bool(np.abs(step).max() <= CONVERGED), step

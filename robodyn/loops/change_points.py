@@ -45,6 +45,7 @@ Closing = Callable[[Array], tuple[Array, float]]
 EPS = float(np.finfo(float).eps)
 NEAR = 0.1  # s/L below which the nearest singular configuration is looked for
 SUSPECT = NEAR**2  # the same as a quality
+EXACT = 0.04  # part of what is suspect below which a state is closed exactly: s/L < 2 NEAR_SINGULAR
 USUAL = 0.13  # part of what is usual below which a quality is suspect
 ROUNDING = 4.0 * EPS  # a miss, part of L; meant in decimals it was 0.62 eps on 622 four-bars
 WORTH_SAYING = 1e4 * EPS  # a miss, part of L, below which a scene may have meant none

@@ -20,6 +20,7 @@ from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
 from robodyn.engines.formulas import projection_formula
 from robodyn.loops.change_points import (
+    EXACT,
     SUSPECT,
     Closing,
     Misses,
@@ -36,7 +37,6 @@ FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too
 STRAIGHT = 800  # entries of A and P up to which straight-line code is the fastest
 PASSES = 4
-EXACT = 0.04  # part of what is suspect below which a state is closed exactly: s/L < 2 NEAR_SINGULAR
 
 
 def dense_closing(mechanism: Mechanism) -> Closing:

@@ -39,6 +39,7 @@ SUBSTEPS = (2, 4, 6, 8, 10, 12, 14, 16)  # of the extrapolated midpoint rule
 EXTRAPOLATED = 100.0  # what a step of it may miss, in units of rounding
 SMALLEST_STEP = 1e-12  # s
 LARGEST_STEP = 0.25  # s, of the extrapolation
+ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
 AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
 LARGE = 12  # links, up to which the second computation is worth its time
@@ -113,6 +114,7 @@ class _Motion:
         self.torques = actuation.function(mechanism.n)
         self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
         MotionProgram(mechanism, actuation, False)  # every branch must have a series
+        self.lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
 
     def expand(self, t: Any, y: Long, order: int) -> tuple[Coefficients, list[Any], list[float]]:
         """The series from y at t, the links' rates, and the arms of what is watched."""
@@ -133,14 +135,19 @@ class _Motion:
         return motion.expand(LONGS, numbers, order, start), list(start.w), motion.arms
 
     def agrees(self, series: Coefficients, held: Any, x: Any, t: Any, y: Long) -> bool:
-        """Whether what may bend, x after the series began, is at t and y what the series say."""
+        """Whether what may bend, x after the series began, is at t and y what the series say.
+
+        A difference that changes no rate by more than its rounding counts as none.
+        """
         try:
-            found, _, _ = self._expanded(self.made[held], t, y, 1)
+            found, _, arms = self._expanded(self.made[held], t, y, 1)
         except (ArithmeticError, ValueError):  # outside the domain
             return False
-        for each, known in zip(series.watched, found.watched, strict=True):
+        rates = y[self.mechanism.n : 2 * self.mechanism.n]
+        small = ROUNDING * np.abs(rates).max() * self.lightest / x  # N m
+        for each, known, arm in zip(series.watched, found.watched, arms, strict=True):
             terms = np.array(each) * x ** np.arange(len(each))
-            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max():
+            if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
                 return False
         return True
 
