@@ -10,6 +10,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
+# the workers of a test run share the processors: threads of the matrix library would only wait
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS      := 1
+
 .PHONY: demo test hard bench pictures peers clean
 
 $(READY): pyproject.toml

@@ -21,7 +21,7 @@ from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.errors import InputError
 from robodyn.loops import loop_rates
-from robodyn.loops.change_points import regular_rank
+from robodyn.loops.closing import regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 
 Floats = Callable[..., Sequence[float]]

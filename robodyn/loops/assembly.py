@@ -29,7 +29,7 @@ from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
-from robodyn.loops.closing import NEAR_SINGULAR
+from robodyn.loops.closing import NEAR_SINGULAR, singular_size
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
@@ -111,7 +111,7 @@ def attempt(
 def _sharpened(mechanism: Mechanism, q: Array) -> Array:
     """States (k, n) closed to the last digit where Psi itself is nearly singular."""
     s = np.linalg.svd(closure_jacobian(mechanism, q), compute_uv=False)
-    near = s[:, -1] < NEAR_SINGULAR * loop_size(mechanism)
+    near = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
     q[near] = close_positions(mechanism, q[near], mechanism.actuated)
     return q
 

@@ -19,8 +19,8 @@ it within sqrt(gamma): steps are kept shorter than the distance, or they would l
 branch before any error shows (`Misses`).
 
 How near a state is, is told by s/L: s the least singular value of Psi that matters, L the size of
-the loop.  Solvers that have no singular values tell their pivots against squared lengths instead,
-which are about (s/L)^2: a "quality".
+the loop (`singular_size`).  Solvers that have no singular values tell their pivots against squared
+lengths instead, which are about (s/L)^2: a "quality".
 """
 
 from __future__ import annotations
@@ -35,7 +35,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
-from robodyn.loops.closing import NEAR_SINGULAR, close_positions, exact_gap, loop_size
+from robodyn.loops.closing import (
+    NEAR_SINGULAR,
+    close_positions,
+    closed_jacobians,
+    exact_gap,
+    loop_size,
+    regular_rank,
+    singular_size,
+)
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -86,16 +94,6 @@ class Singular(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def regular_rank(mechanism: Mechanism) -> int:
-    """The rank of Psi at closed configurations, but for singular ones."""
-    drawn = _closed_jacobians(mechanism)
-    if not len(drawn):
-        return min(len(mechanism.rows), mechanism.n)
-    s = np.linalg.svd(drawn, compute_uv=False)
-    return max(1, int((s > 1e-7 * loop_size(mechanism)).sum(axis=-1).max()))
-
-
-@lru_cache(maxsize=64)
 def suspect_quality(mechanism: Mechanism) -> float:
     """The quality of a closing by pivots below which a state is near a singular one.
 
@@ -106,27 +104,16 @@ def suspect_quality(mechanism: Mechanism) -> float:
     # pivots of Psi Psi^T are squares of the diagonal of R in Psi^T = Q R
     found = [
         (np.asarray(np.linalg.qr(Psi.T, mode="r")).diagonal() ** 2 / sizes).min()
-        for Psi in _closed_jacobians(mechanism)
+        for Psi in closed_jacobians(mechanism)
         if len(sizes) <= mechanism.n
     ]
     return min(SUSPECT, USUAL * float(np.median(found))) if found else SUSPECT
 
 
-@lru_cache(maxsize=64)
-def _closed_jacobians(mechanism: Mechanism) -> Array:
-    """Psi (k, r, n) at up to 16 closed configurations."""
-    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
-    q = close_positions(mechanism, drawn)
-    gap = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
-    closed = q[gap <= 1e-9 * loop_size(mechanism)]
-    Psi: Array = closed_form.closure_jacobian(mechanism, closed)
-    return Psi
-
-
 def nearness(mechanism: Mechanism, Psi: Array) -> Array:
     """s/L (...) of Psi (..., r, n)."""
     s = np.linalg.svd(Psi, compute_uv=False)
-    return np.asarray(s[..., regular_rank(mechanism) - 1] / loop_size(mechanism))
+    return np.asarray(s[..., regular_rank(mechanism) - 1] / singular_size(mechanism))
 
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
@@ -138,7 +125,7 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     rank, size = regular_rank(mechanism), loop_size(mechanism)
     if s[rank - 1] <= FOUND * size:
         rank = _branch_rank(mechanism, tuple(q.tolist()))
-    return rank, float(s[rank - 1] / size)
+    return rank, float(s[rank - 1] / singular_size(mechanism))
 
 
 _branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()

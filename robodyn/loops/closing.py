@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 Evaluator = Callable[[Any], tuple[Any, Any]]
 
 NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
+USUAL = 0.15  # s/L of regular states: where it is less at most of them, L counts for less
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 PASSES = 12
@@ -41,6 +42,40 @@ def loop_size(mechanism: Mechanism) -> float:
     """L, the largest sum of lengths in a closure, m: what a gap is measured against."""
     sizes = [row.size + (abs(row.offset) if row.P else 0.0) for row in mechanism.rows]
     return max(sizes, default=0.0)
+
+
+@lru_cache(maxsize=64)
+def closed_jacobians(mechanism: Mechanism) -> Array:
+    """Psi (k, r, n) at up to 16 closed configurations."""
+    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
+    q = _closed(mechanism, drawn, list(range(mechanism.n)), 0.0)
+    gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
+    closed = q[gap <= 1e-9 * loop_size(mechanism)]
+    Psi: Array = closure_jacobian(mechanism, closed)
+    return Psi
+
+
+@lru_cache(maxsize=64)
+def regular_rank(mechanism: Mechanism) -> int:
+    """The rank of Psi at closed configurations, but for singular ones."""
+    drawn = closed_jacobians(mechanism)
+    if not len(drawn):
+        return min(len(mechanism.rows), mechanism.n)
+    s = np.linalg.svd(drawn, compute_uv=False)
+    return max(1, int((s > 1e-7 * loop_size(mechanism)).sum(axis=-1).max()))
+
+
+@lru_cache(maxsize=64)
+def singular_size(mechanism: Mechanism) -> float:
+    """What singular values of Psi are measured against, m: the size of its loops.
+
+    And less where the least is small at every state, as 1/N with N loops in a row.
+    """
+    size = loop_size(mechanism)
+    if len(mechanism.rows) <= 2 or not len(drawn := closed_jacobians(mechanism)):
+        return size
+    s = np.linalg.svd(drawn, compute_uv=False)[:, regular_rank(mechanism) - 1]
+    return min(size, float(np.median(s)) / USUAL)
 
 
 def newton(q: Any, evaluate: Evaluator) -> Any:
@@ -68,6 +103,12 @@ def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (
     if not mechanism.rows or not given.size:
         return given
     free = [k for k in range(mechanism.n) if k not in set(fixed)]
+    near = NEAR_SINGULAR * loop_size(mechanism)
+    return _closed(mechanism, given, free, near)
+
+
+def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -> Array:
+    """`close_positions`; the gap is exact where the least singular value may be below `exact`."""
     size = loop_size(mechanism)
 
     def evaluate(q: Array) -> tuple[Any, Array]:
@@ -78,7 +119,10 @@ def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
         held = s > CUT * s[..., :1]
-        near = np.where(held, s, np.inf).min(axis=-1) < NEAR_SINGULAR * size
+        least = np.where(held, s, np.inf).min(axis=-1)
+        near = least < exact
+        if near.any():
+            near &= least < NEAR_SINGULAR * singular_size(mechanism)
         for state in map(tuple, np.argwhere(near)):
             gap[state] = exact_gap(mechanism, q[state])
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)

@@ -25,10 +25,16 @@ from robodyn.loops.change_points import (
     Closing,
     Misses,
     lead_across,
-    regular_rank,
     suspect_quality,
 )
-from robodyn.loops.closing import CLOSED, CUT, close_positions, loop_size
+from robodyn.loops.closing import (
+    CLOSED,
+    CUT,
+    close_positions,
+    loop_size,
+    regular_rank,
+    singular_size,
+)
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -41,7 +47,7 @@ PASSES = 4
 
 def dense_closing(mechanism: Mechanism) -> Closing:
     """By singular values; directions that the closures hardly hold are left alone."""
-    n, size = mechanism.n, loop_size(mechanism)
+    n, size = mechanism.n, singular_size(mechanism)
     rank = regular_rank(mechanism)
 
     def nearest(y: Array) -> tuple[Array, float]:

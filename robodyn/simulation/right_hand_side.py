@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
-from robodyn.loops.change_points import lead_across, nearest_singular, regular_rank
+from robodyn.loops.change_points import lead_across, nearest_singular
+from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import (
     STRAIGHT,
     Projection,

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
-from robodyn.loops.change_points import regular_rank, suspect_quality
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.closing import regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps import lanes

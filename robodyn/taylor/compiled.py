@@ -15,7 +15,7 @@ from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
-from robodyn.loops.change_points import regular_rank
+from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
