@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
+from robodyn.engines.singular_values import svd
 from robodyn.loops.closing import (
     NEAR_SINGULAR,
     close_positions,
@@ -221,7 +222,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
     size = loop_size(mechanism)
     q = start
     for _ in range(STEPS_TO_FIND):
-        U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+        U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
         slope = left.T @ closed_form.closure_jacobian(mechanism, q) @ right
@@ -233,7 +234,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
             return None
         if np.abs(step).max() <= FOUND:
             break
-    U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+    U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
     least = s[regular:rank]
     if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
         return None

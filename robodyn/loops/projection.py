@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
 from robodyn.engines.formulas import projection_formula
+from robodyn.engines.singular_values import svd
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
@@ -55,7 +56,7 @@ def dense_closing(mechanism: Mechanism) -> Closing:
         closed[:n] = close_positions(mechanism, y[:n])
         qd = closed[n : 2 * n]
         Psi = closed_form.closure_jacobian(mechanism, closed[:n])
-        U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
+        U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
         qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
         return closed, float((s[rank - 1] / size) ** 2)

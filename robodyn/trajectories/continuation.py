@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.engines.singular_values import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import CLOSED
 from robodyn.loops.change_points import nearest_singular
@@ -240,7 +241,7 @@ class _Follower:
             return _Node(u, q, q1, q2, 0.0)
         Psi = closure_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
-        U, s, Vt = np.linalg.svd(columns, full_matrices=False)
+        U, s, Vt = svd(columns)
         if s[-1] <= self._least and not self._misses(q):
             return None
         inverse = (Vt.T / s) @ U.T
