@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
+from robodyn.engines.machine_loop import LoopScene
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
@@ -24,7 +25,8 @@ from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
 
-LARGEST = 3000  # entries of A and P, times the order, up to which the code is made in some s
+UNROLLED = 1000  # entries of A and P, times the order, up to which orders are written one by one
+LARGEST = 1500  # entries of A and P up to which the code is made in some s
 KEPT = 64  # codes in a process
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends and states, how many times, rows so far
@@ -115,7 +117,8 @@ def _ready(
     tolerances: tuple[float, float],
 ) -> _Ready:
     work, project, family = options
-    scene = Scene(mechanism, actuation, order, work=work, closes=project, held=held)
+    kind = scene_kind(mechanism, order)
+    scene = kind(mechanism, actuation, order, work=work, closes=project, held=held)
     code = _loaded(scene, family)
     block = np.zeros(code.items)
     scene.fill(block, *tolerances)
@@ -232,8 +235,13 @@ class CompiledEngine:
         return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
 
 
+def scene_kind(mechanism: Mechanism, order: int) -> type[Scene]:
+    """How the code of a motion is written: order by order, or as a loop over them."""
+    return Scene if loop_terms(mechanism) * order <= UNROLLED else LoopScene
+
+
 def serves(mechanism: Mechanism, order: int) -> bool:
     """Whether code of this length is worth it, and M and Psi are regular but at single states."""
-    if loop_terms(mechanism) * order > LARGEST or not elimination_is_safe(mechanism):
+    if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
         return False
     return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)
