@@ -34,6 +34,8 @@ class _Run(NamedTuple):
 class LoopScene(Scene):
     """A `Scene` whose code does not grow with the order."""
 
+    short = True
+
     @cached_property
     def loop(self) -> LoopExpansion:
         """The formulas of a step; raises ZeroDivisionError where no state has a series."""
@@ -127,18 +129,20 @@ class LoopScene(Scene):
                 return k.load(self._part(k, block, "sums", self._runs[1][name]))
             column, earlier, offset = name.partition("@")
             if earlier:
-                row = self._row(k, block, k.add(p, k.whole(int(offset))), columns[int(column)])
-                return k.load(row)
+                return k.load(k.at(rows[int(offset)], columns[int(column)], k.numbers))
             return self.get(k, block, name)
 
         segment = Segment(k, read, self.held_words(k, block, graph))
         known, grown = list(loop.known()), list(loop.grown())
+        rows: dict[int, Word] = {}  # by the offset from p
+        offsets = {m for _, m, _ in grown} | loop.offsets
         words = segment.write([value for *_, value in known])
         for (column, m, _), word in zip(known, words, strict=True):
             k.store(word, self._row(k, block, m, column))
         segment.write(loop.steady())
         with k.loop(k.whole(loop.last + 1), k.whole(loop.first)) as p:
             now["p"] = k.spread(k.convert("sitofp", p, SCALAR))
+            rows = {m: self._row(k, block, k.add(p, k.whole(m))) for m in offsets}
             for run in self._runs[0]:
                 one = run.sum
                 x = self._row(k, block, one.first, run.x)
@@ -149,7 +153,7 @@ class LoopScene(Scene):
                 sum_rows(k, x, y, out, terms, run.wide, one.first, one.slope, level)
             words = segment.write([value for *_, value in grown])
             for (column, offset, _), word in zip(grown, words, strict=True):
-                k.store(word, self._row(k, block, k.add(p, k.whole(offset)), column))
+                k.store(word, k.at(rows[offset], column, k.numbers))
         self._longest(k, block)
         if self.series:
             self._rates(k, block)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property, partial
 from itertools import count, takewhile
 
 import numpy as np
@@ -57,6 +57,8 @@ class Scene:
     joints' rates are among the items, as rate0_0, rate0_1, ..., and that of `link` as link0_0, ...
     `kept` are items of an observer's own, with what they are at first.
     """
+
+    short = False  # whether text is kept short, at some cost of speed
 
     def __init__(
         self,
@@ -253,7 +255,8 @@ class Scene:
         """What reads the nodes of a graph that `prepare` computes."""
 
         def reader(item: str) -> Callable[[], Word]:
-            return lambda: self.get(k, block, item)
+            read = partial(self.get, k, block, item)
+            return cache(read) if self.short else read
 
         return {index: reader(item) for index, item in self._held.get(id(graph), {}).items()}
 

@@ -66,6 +66,7 @@ class Stored:
         if m.offset in self.now:
             return self.now[m.offset]
         self.read = True
+        self.loop.offsets.add(m.offset)
         return self.loop.graph.variable(f"{self.index}@{m.offset}")
 
 
@@ -87,6 +88,7 @@ class Loop:
     def __init__(self, graph: Graph) -> None:
         self.graph, self.p = graph, graph.variable("p")
         self.series: list[Stored] = []
+        self.offsets: set[int] = set()  # from p, of what is read of earlier orders
         self.sums: dict[tuple[object, ...], tuple[str, Sum]] = {}
         self.arithmetic = replace(
             RECORDED, room=self._room, convolve=self._convolve, weigh=self._weigh
@@ -172,6 +174,7 @@ class LoopExpansion(NamedTuple):
     start: Start
     sums: list[tuple[str, Sum]]
     columns: list[Stored]
+    offsets: set[int]  # from p, of what is read one by one
     watched: int
     power: bool
     first: int
@@ -230,6 +233,7 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
         start,
         list(loop.sums.values()),
         list(dict.fromkeys(columns)),
+        loop.offsets,
         len(motion.bends),
         bool(motion.power),
         first,

@@ -57,13 +57,14 @@ class Rows(Observer):
 
     def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
         scene = self.scene
-        names, wide = scene.state, k.whole(len(scene.state))
+        count = len(scene.state)
+        wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
-        there = {name: scene.get(k, block, f"to_{name}") for name in names}
+        there = k.room(k.numbers, count)
         state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.store(end, k.at(self._told(k, own, "ends"), taken))
-        for i, name in enumerate(names):
-            k.store(there[name], k.at(state, i))
+        for other in (there, state):
+            k.each(count, lambda i, other=other: k.store(k.load(k.at(to, i)), k.at(other, i)))  # type: ignore[misc]
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
@@ -76,12 +77,14 @@ class Rows(Observer):
                 k.line(f"call void @close({block})")
             row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
             at_end = k.compare("oeq", time, end)
-            for i, name in enumerate(names):
-                value = k.select(at_end, there[name], scene.get(k, block, f"to_{name}"))
+
+            def keep(i: Word | int) -> None:
+                value = k.select(at_end, k.load(k.at(there, i)), k.load(k.at(to, i)))
                 k.store(value, k.at(row, i))
+
+            k.each(count, keep)
             k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
-        for name in names:
-            scene.put(k, block, f"to_{name}", there[name])
+        k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
 _codes: dict[tuple[str, str], Loaded] = {}  # by the key of the scene, and the processor's family
