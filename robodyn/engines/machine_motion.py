@@ -76,7 +76,7 @@ def compile(
 
 
 def _text(scene: Scene, observer: Observer, processor: Processor) -> str:
-    module = Module(processor.lanes)
+    module = Module(processor.lanes, scene.short)
     scene.write(module)
     observer.declare(scene, module)
     k = Kernel(module, "advance", (ADDRESS, WHOLE, ADDRESS))
@@ -153,8 +153,14 @@ class _Step:
         end = k.add(t, k.multiply(now, self.get("direction")))
         end = k.select(k.compare("oeq", now, most), self.get("bound"), end)
         observe(go, end)
-        for name in scene.state:
-            self.put(name, k.select(go, self.get(f"to_{name}"), self.get(name)))
+        here, there = (scene.at(k, self.block, name) for name in ("q0", "to_q0"))
+
+        def renew(i: Word | int) -> None:
+            place = k.at(here, i, k.numbers)
+            after = k.load(k.at(there, i, k.numbers))
+            k.store(k.select(go, after, k.load(place)), place)
+
+        k.each(len(scene.state), renew)
         self.put("t", k.select(go, end, t))
         steps = k.add(self.get("steps"), k.select(go, k.number(1.0), k.number(0.0)))
         self.put("steps", steps)
