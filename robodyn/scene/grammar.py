@@ -1,7 +1,8 @@
 """The grammar of scene files, written once: every key with its kind, unit, default and help.
 
-From it come the reader's checks (`description.py`), the JSON Schema (`scene_schema.py`) and the
-names of numbers that sweeps vary (`scene_values.py`); the README's tables are held against it.
+From it come the reader's checks (`description.py`), the JSON Schema (`scene_schema.py`), the names
+of numbers that sweeps vary (`scene_values.py`) and the symbols of equations (`parameters.py`); the
+README's tables are held against it.
 
 A kind is that of a value: one of those below, or one that the reader has a method for and the
 schema a definition.
@@ -24,6 +25,7 @@ class Key(NamedTuple):
     default: str = "needed"  # as it is told
     listed: bool = False  # whether the value is a list of this kind
     hint: str = ""  # what a message adds where a limit is not kept
+    symbol: str = ""  # its letters in equations, and what a legend says of it
 
     @property
     def needed(self) -> bool:
@@ -53,7 +55,8 @@ MAPPINGS = {
     "point": ("link_point", "", ""),
     "moving_point": ("link_point", "", ""),
 }
-DAMPING = "of a damper beside it"
+DAMPER = "of a damper beside it"
+STIFFNESS, DAMPING = "k: stiffness of {}", "ds: damping of {}"
 
 FORMS = {
     "scene": Form(
@@ -94,32 +97,57 @@ FORMS = {
         "A rigid link; its frame has x from its own joint to its tip.",
         {
             "name": Key("name", "any text; no two links share one"),
-            "m": Key("amount", "mass", "kg"),
-            "l": Key("amount", "length from the link's own joint to its tip", "m"),
+            "m": Key("amount", "mass", "kg", symbol="m: mass of {}"),
+            "l": Key(
+                "amount",
+                "length from the link's own joint to its tip",
+                "m",
+                symbol="l: length of {}",
+            ),
             "r": Key(
                 "centre",
                 "centre of gravity: a point [x, y] in its frame, or its distance along it",
                 "m",
                 hint="; write [x, y] for a centre of gravity behind or beside the link",
+                symbol="r: centre of gravity of {}",
             ),
-            "I": Key("amount", "moment of inertia about the centre of gravity", "kg m²"),
+            "I": Key(
+                "amount",
+                "moment of inertia about the centre of gravity",
+                "kg m²",
+                symbol="I: moment of inertia of {} about its centre of gravity",
+            ),
             "from": Key(
                 "point", "the point that it hangs from", default="the tip of the link before"
             ),
-            "payload": Key("amount", "point mass at the tip", "kg", "0"),
-            "damping": Key("amount", "viscous damping at its own joint", "N m s/rad", "0"),
+            "payload": Key(
+                "amount", "point mass at the tip", "kg", "0", symbol="mp: payload at the tip of {}"
+            ),
+            "damping": Key(
+                "amount",
+                "viscous damping at its own joint",
+                "N m s/rad",
+                "0",
+                symbol="d: damping at the joint of {}",
+            ),
             "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
         },
     ),
     "friction": Form(
         "-torque tanh(qd/speed)",
         {
-            "torque": Key("amount", "far above that speed", "N m"),
+            "torque": Key(
+                "amount",
+                "far above that speed",
+                "N m",
+                symbol="tf: friction at the joint of {}",
+            ),
             "speed": Key(
                 "positive",
                 "what smooths it through rest",
                 "rad/s",
                 hint=": the friction is -torque tanh(qd/speed)",
+                symbol="wf: rate that smooths the friction at the joint of {}",
             ),
         },
     ),
@@ -148,9 +176,9 @@ FORMS = {
         "A spring and damper between two points.",
         {
             "between": Key("pair", "its ends, [POINT, POINT], not both of one link or the ground"),
-            "stiffness": Key("amount", "0 for a damper alone", "N/m"),
-            "length": Key("amount", "free length", "m"),
-            "damping": Key("amount", DAMPING, "N s/m", "0"),
+            "stiffness": Key("amount", "0 for a damper alone", "N/m", symbol=STIFFNESS),
+            "damping": Key("amount", DAMPER, "N s/m", "0", symbol=DAMPING),
+            "length": Key("amount", "free length", "m", symbol="S0: free length of {}"),
         },
     ),
     "joint_spring": Form(
@@ -159,9 +187,9 @@ FORMS = {
             "joint": Key(
                 "link_name", "the link whose own joint it is; its angle counts from turn to turn"
             ),
-            "stiffness": Key("amount", "0 for a damper alone", "N m/rad"),
-            "angle": Key("angle", "free angle of the joint", "rad"),
-            "damping": Key("amount", DAMPING, "N m s/rad", "0"),
+            "stiffness": Key("amount", "0 for a damper alone", "N m/rad", symbol=STIFFNESS),
+            "damping": Key("amount", DAMPER, "N m s/rad", "0", symbol=DAMPING),
+            "angle": Key("angle", "free angle of the joint", "rad", symbol="phi: free angle of {}"),
         },
     ),
     "force": Form(
@@ -169,7 +197,7 @@ FORMS = {
         {
             "link": Key("link_name", "the link that it acts on"),
             "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-            "force": Key("vector", "[Fx, Fy]", "N"),
+            "force": Key("vector", "[Fx, Fy]", "N", symbol="F: force of {}"),
             "frame": Key(
                 "frame",
                 "ground: it keeps its direction; link: it turns with the link",
@@ -181,7 +209,12 @@ FORMS = {
         "A constant torque on a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
-            "torque": Key("number", "from the ground on the link, counter-clockwise", "N m"),
+            "torque": Key(
+                "number",
+                "from the ground on the link, counter-clockwise",
+                "N m",
+                symbol="T: torque of {}",
+            ),
         },
     ),
 }
