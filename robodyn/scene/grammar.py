@@ -72,8 +72,8 @@ FORMS = {
             ),
             "actuated": Key(
                 "joints",
-                "list of names of the links whose joints carry torque",
-                default="each joint outside of loops, and the first of each loop",
+                "links whose joints carry torque",
+                default="all outside of loops, the first of each loop",
             ),
             "assembly": Key(
                 "assembly", "open or crossed; or a list of these, one for each closure", "", "open"
@@ -106,7 +106,7 @@ FORMS = {
             ),
             "r": Key(
                 "centre",
-                "centre of gravity: a point [x, y] in its frame, or its distance along it",
+                "centre of gravity: a point [x, y] of the link, or its distance along it",
                 "m",
                 hint="; write [x, y] for a centre of gravity behind or beside the link",
                 symbol="r: centre of gravity of {}",
