@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import math
 import os
 import re
@@ -15,6 +14,7 @@ import pytest
 
 import robodyn
 from robodyn.cli import COMMANDS
+from robodyn.scene.grammar import FORMS
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -135,26 +135,7 @@ def test_public_name_is_documented(name: str) -> None:
     assert re.search(rf"`{name}\b", section("Python"))
 
 
-def keys_of_the_scene_reader() -> set[str]:
-    """Every key that a call `self.keys(node, place, [needed], [optional])` knows."""
-    found = set()
-    for source in (ROOT / "robodyn" / "scene").glob("*.py"):
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
-                continue
-            if node.func.attr == "keys":
-                lists = [argument for argument in node.args if isinstance(argument, ast.List)]
-                found |= {ast.literal_eval(item) for entry in lists for item in entry.elts}
-    return found
-
-
-def test_the_scene_readers_keys_are_found() -> None:
-    assert {"links", "assembly", "m", "payload", "at", "point", "along"} <= (
-        keys_of_the_scene_reader()
-    )
-
-
-@pytest.mark.parametrize("key", sorted(keys_of_the_scene_reader()))
+@pytest.mark.parametrize("key", sorted({key for form in FORMS.values() for key in form.keys}))
 def test_scene_key_is_documented(key: str) -> None:
     assert f"`{key}`" in section("Scene format")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from importlib.util import find_spec
 from typing import Any
@@ -16,6 +15,7 @@ from test_description import ARM, EVERYTHING, LOOP
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
 from robodyn.scene.description import from_text
+from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR
 from robodyn.scene.scene_schema import scene_schema
 
 SCHEMA = scene_schema()
@@ -181,40 +181,27 @@ def test_what_is_no_scene_does_not(text: str) -> None:
 # The same keys
 
 
-def read_keys() -> set[tuple[frozenset[str], frozenset[str]]]:
-    """(needed, optional) of every mapping that the reader of scenes knows."""
-    found = set()
-    for source in (ROOT / "robodyn" / "scene").glob("*.py"):
-        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-            if (
-                isinstance(node, ast.Call)
-                and isinstance(node.func, ast.Attribute)
-                and node.func.attr == "keys"
-            ):
-                lists = [argument for argument in node.args if isinstance(argument, ast.List)]
-                if len(lists) == 2:
-                    found.add(tuple(frozenset(map(ast.literal_eval, x.elts)) for x in lists))
-    return found
+def test_the_schema_knows_the_keys_of_the_grammar() -> None:
+    for kind, form in FORMS.items():
+        mapping = SCHEMA if kind == "scene" else SCHEMA["$defs"][kind]
+        assert set(mapping["properties"]) == set(form.keys)
+        assert mapping["required"] == form.named(needed=True)
 
 
-def schema_keys(part: object) -> set[tuple[frozenset[str], frozenset[str]]]:
-    """(required, other) of every mapping with known keys in the schema."""
-    found = set()
-    if isinstance(part, dict):
-        if part.get("type") == "object" and "properties" in part:
-            required = frozenset(part["required"])
-            found.add((required, frozenset(part["properties"]) - required))
-        for value in part.values():
-            found |= schema_keys(value)
-    elif isinstance(part, list):
-        for value in part:
-            found |= schema_keys(value)
-    return found
-
-
-def test_the_schema_knows_the_keys_that_the_reader_knows() -> None:
-    assert len(read_keys()) >= 10
-    assert schema_keys(SCHEMA) == read_keys()
+@pytest.mark.parametrize(
+    "form", ["scene", "link", "point_spring", "joint_spring", "force", "torque"]
+)
+def test_the_tables_of_the_readme_are_the_grammar(form: str) -> None:
+    named = {"scene": "scene key", "link": "link key"}
+    header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
+    lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
+    for name, key in FORMS[form].keys.items():
+        limit = NUMBERS.get(OR_VECTOR.get(key.kind, key.kind), "")
+        told = f"{key.help}, {limit}" if limit else key.help
+        lines.append(f"| `{name}` | {key.unit} | {told} | {key.default} |".replace("|  |", "| |"))
+    table = "\n".join(lines).replace("a point spring", "a spring between points")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert table in readme, f"the grammar says\n{table}"
 
 
 def properties(part: Any) -> list[tuple[str, Any]]:
@@ -229,9 +216,8 @@ def properties(part: Any) -> list[tuple[str, Any]]:
 
 
 def test_every_key_is_described() -> None:
-    undescribed = {"on"}  # its two keys are
     for key, schema in properties(SCHEMA):
-        assert ("description" in schema) or key in undescribed, key
+        assert "description" in schema, key
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.grammar import FORMS
 
 STATES = 200
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
@@ -112,11 +113,11 @@ def _span(values: np.ndarray) -> list[float | None]:
 def _tables(
     mechanism: Mechanism, content: dict[str, object], results: list[Identity]
 ) -> list[Grid]:
-    columns = ["link", "m [kg]", "l [m]", "r [m]", "I [kg m²]", "hangs from"]
     described = mechanism.description.links
     extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in described)]
-    units = {"payload": "payload [kg]", "damping": "damping [N m s/rad]"}
-    columns += [units[key] for key in extras]
+    headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["link"].keys.items()}
+    columns = ["link", *(headed[key] for key in "mlrI"), "hangs from"]
+    columns += [headed[key] for key in extras]
     rows = []
     for k, (link, shown) in enumerate(zip(described, links(mechanism), strict=True)):
         r = f"{link.r.real:g}" if link.r.imag == 0 else f"({link.r.real:g}, {link.r.imag:g})"

@@ -69,10 +69,16 @@ class Expression:
     """One node: an operation on earlier nodes and constants.  Operators fold and simplify."""
 
     __slots__ = ("args", "graph", "index", "number", "op")
+    imag = 0.0
 
     def __init__(self, graph: Graph, op: str, args: tuple[Value | str, ...], index: int) -> None:
         self.graph, self.op, self.args, self.index = graph, op, args, index
         self.number = self._number()  # of parameters alone: its value now
+
+    @property
+    def real(self) -> Expression:
+        """Itself, as of any real number."""
+        return self
 
     @property
     def constant(self) -> bool:

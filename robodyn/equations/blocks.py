@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import chain, combinations
+from typing import Any
 
 from robodyn.equations.factoring import Key, Written, as_one, by_angle, by_function, by_role
 from robodyn.equations.scene_symbols import Body, SymbolicScene
@@ -33,6 +34,7 @@ from robodyn.equations.symbolic import (
     of,
     total,
 )
+from robodyn.mechanics.mechanism import joint_damping
 
 Rows = tuple[tuple[Written, ...], ...]
 
@@ -53,7 +55,7 @@ def column(scene: SymbolicScene, sums: Iterable[Sum], levels: Sequence[Key]) -> 
 
 def mass_matrix(scene: SymbolicScene) -> Rows:
     n, path = scene.n, scene.path
-    inertia = [scene.parameters.inertia(b) for b in range(n)]
+    inertia = [scene.symbols.links[b].I for b in range(n)]
     parts = [[(body, *_products(scene, body)) for body in scene.bodies[b]] for b in range(n)]
 
     def entry(a: int, c: int) -> Sum:
@@ -77,9 +79,9 @@ def _products(
     scene: SymbolicScene, body: Body
 ) -> tuple[dict[int, Sum], dict[tuple[int, int], Sum]]:
     """|rho_k|^2 of every link k, and Re(conj(rho_j) rho_k exp(i theta_jk)) of every pair."""
-    squares = {k: rho.x * rho.x + rho.y * rho.y for k, rho in body.rho.items()}
+    squares = {k: rho.real * rho.real + rho.imag * rho.imag for k, rho in body.rho.items()}
     pairs = {
-        (j, k): (body.rho[j].conjugate * body.rho[k]).turned(scene.angle(j, k)).x
+        (j, k): (body.rho[j].conjugate() * body.rho[k]).turned(scene.angle(j, k)).real
         for j, k in combinations(body.rho, 2)
     }
     return squares, pairs
@@ -90,9 +92,9 @@ def coriolis_matrix(scene: SymbolicScene) -> Rows:
     A: dict[tuple[int, int], Planar] = {}
     for body in chain.from_iterable(scene.bodies):
         for j, k in combinations(body.rho, 2):
-            moment = (body.rho[j].conjugate * body.rho[k]).scaled(body.mass)
+            moment = (body.rho[j].conjugate() * body.rho[k]) * body.mass
             A[j, k] = A.get((j, k), NOWHERE) + moment
-    imaginary = {pair: x.turned(scene.angle(*pair)).y for pair, x in sorted(A.items())}
+    imaginary = {pair: x.turned(scene.angle(*pair)).imag for pair, x in sorted(A.items())}
 
     def entry(a: int, c: int) -> Sum:
         found = []
@@ -112,7 +114,8 @@ def coriolis_matrix(scene: SymbolicScene) -> Rows:
 
 def damping_matrix(scene: SymbolicScene) -> Rows:
     """The dampers of joints, and of the springs at them."""
-    joints, damping = range(scene.n), scene.damping()
+    joints = range(scene.n)
+    damping: Any = joint_damping(scene.symbols)
     return tuple(
         tuple(scene.written(x if j == k else ZERO, ()) for j in joints)
         for k, x in enumerate(damping)
@@ -122,7 +125,7 @@ def damping_matrix(scene: SymbolicScene) -> Rows:
 def closure_jacobian(scene: SymbolicScene) -> Rows:
     slopes = []
     for _, P in scene.closure_rows():
-        slope = {k: x.quarter_turn.turned(scene.direction(k)).x for k, x in P.items()}
+        slope = {k: x.quarter_turn.turned(scene.direction(k)).real for k, x in P.items()}
         slopes.append(
             [total(x for k, x in slope.items() if a in scene.path[k]) for a in range(scene.n)]
         )
@@ -135,7 +138,7 @@ def closure_bias(scene: SymbolicScene) -> Rows:
     bends = []
     for _, P in scene.closure_rows():
         rates = {k: of(Rates(scene.direction(k))) for k in P}
-        turned = {k: x.turned(scene.direction(k)).x for k, x in P.items()}
+        turned = {k: x.turned(scene.direction(k)).real for k, x in P.items()}
         bends.append(-total(x * rates[k] * rates[k] for k, x in turned.items()))
     bends += [ZERO] * len(scene.description.couplings)
     return column(scene, bends, BY_LINE)
@@ -144,7 +147,7 @@ def closure_bias(scene: SymbolicScene) -> Rows:
 def closure_gap(scene: SymbolicScene) -> Rows:
     gaps = []
     for offset, P in scene.closure_rows():
-        gaps.append(total([*(x.turned(scene.direction(k)).x for k, x in P.items()), offset]))
+        gaps.append(total([*(x.turned(scene.direction(k)).real for k, x in P.items()), offset]))
     for offset, turns in scene.coupling_rows():
         gaps.append(total([*(x * of(Angle(j)) for j, x in turns.items()), offset]))
     return column(scene, gaps, BY_LINE)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain, combinations
+from typing import Any
 
 from robodyn.equations.blocks import BY_GRAVITY, BY_LINE, Rows, column
 from robodyn.equations.factoring import Product, Root, Written
@@ -35,7 +36,7 @@ from robodyn.equations.symbolic import (
     of,
     total,
 )
-from robodyn.scene.scene import JointSpring, Load, Moment
+from robodyn.scene.scene import JointSpring, Moment
 
 
 def gravity_vector(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:
@@ -43,27 +44,26 @@ def gravity_vector(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:
     torques = [ZERO] * scene.n  # in alpha
     joints = [ZERO] * scene.n
     if scene.description.gravity != 0.0:
-        pull = scene.parameters.gravity().conjugate
+        pull = scene.symbols.gravity.conjugate()
         for body in chain.from_iterable(scene.bodies):
             for k, rho in body.rho.items():
-                weight = (pull * rho.turned(scene.direction(k))).y * body.mass
+                weight = (pull * rho.turned(scene.direction(k))).imag * body.mass
                 torques[k] = torques[k] + weight
-    for i, load in enumerate(scene.description.loads):
-        if isinstance(load, Load) and load.turns:
-            continue
+    for load in scene.symbols.loads:
         if isinstance(load, Moment):
-            torques[load.link] = torques[load.link] - scene.parameters.torque(i)
-            continue
-        pull = scene.parameters.force(i).conjugate
-        for k, c in scene.load(i).items():
-            torques[k] = torques[k] + (pull * c.turned(scene.direction(k))).y
+            torque: Any = load.torque
+            torques[load.link] = torques[load.link] - torque
+        elif not load.turns:
+            pull = load.force.conjugate()
+            for k, c in scene.terms(load.point).items():
+                torques[k] = torques[k] + (pull * c.turned(scene.direction(k))).imag
     where: list[Definition] = []
-    for i, spring in enumerate(scene.description.springs):
+    for i, spring in enumerate(scene.symbols.springs):
         if not spring.stiffness:
             continue
         if isinstance(spring, JointSpring):
-            turned = of(Angle(spring.joint)) - scene.parameters.free_angle(i)
-            pulled = scene.parameters.stiffness(i) * turned
+            angle: Any = spring.angle
+            pulled = spring.stiffness * (of(Angle(spring.joint)) - angle)
             joints[spring.joint] = joints[spring.joint] + pulled
             continue
         found = _Spring(scene, i)
@@ -77,20 +77,18 @@ def other_forces(scene: SymbolicScene) -> tuple[Rows, tuple[Definition, ...]]:
     """Q, what has no potential, and the names that it uses."""
     torques, joints = [ZERO] * scene.n, [ZERO] * scene.n
     where: list[Definition] = []
-    for i, load in enumerate(scene.description.loads):
+    for load in scene.symbols.loads:
         if isinstance(load, Moment) or not load.turns:
             continue
-        assert load.point.link is not None
-        force = scene.parameters.force(i)
-        for k, c in scene.load(i).items():
-            arm = force * c.conjugate
+        for k, c in scene.terms(load.point).items():
+            arm = load.force * c.conjugate()
             angle = scene.angle(k, load.point.link)
-            torques[k] = torques[k] + (arm.turned(angle) if angle else arm).y
-    for k in range(scene.n):
-        friction = scene.parameters.friction(k)
-        if friction is not None:
-            joints[k] = -(friction[0] * of(Smooth("tanh", k, friction[1])))
-    for i, spring in enumerate(scene.description.springs):
+            torques[k] = torques[k] + (arm.turned(angle) if angle else arm).imag
+    for k, link in enumerate(scene.symbols.links):
+        if link.friction is not None:
+            (speed,) = link.friction.speed.atoms()
+            joints[k] = -(link.friction.torque * of(Smooth("tanh", k, speed)))
+    for i, spring in enumerate(scene.symbols.springs):
         if isinstance(spring, JointSpring) or not spring.damping:
             continue
         found = _Spring(scene, i)
@@ -114,22 +112,21 @@ class _Spring:
 
     def __init__(self, scene: SymbolicScene, i: int) -> None:
         self.scene, self.i = scene, i
-        spring = scene.description.springs[i]
-        assert not isinstance(spring, JointSpring)
+        self.spring = scene.symbols.springs[i]
         self.told = f"spring {i + 1}"
-        self.free = bool(spring.length)
-        constant, d = scene.spring(i)
+        self.free = bool(self.spring.length)
+        constant, d = scene.spring(self.spring)
         self.d = {k: x.turned(scene.direction(k)) for k, x in d.items()}
         self.S = total_planar([*self.d.values(), constant])
         self.x, self.y = (self._name(f"S{i + 1}{axis}", Role.stretch) for axis in "xy")
         self.length = Symbol(f"S{i + 1}", Role.stretch, (i, ""))
         # Re(conj(S) i d_k E_k)
-        self.slopes = {k: of(self.y) * x.x - of(self.x) * x.y for k, x in self.d.items()}
+        self.slopes = {k: of(self.y) * x.real - of(self.x) * x.imag for k, x in self.d.items()}
         self.pulling = of(self._name(f"K{i + 1}", Role.force))
         self.damping = of(self._name(f"P{i + 1}", Role.force))
         self.expanded: dict[int, Sum] = {}
         if not self.free:
-            self.pulling = scene.parameters.stiffness(i)
+            self.pulling = self.spring.stiffness
             self.expanded = self._products(d, constant)
 
     def _products(self, d: dict[int, Planar], constant: Planar) -> dict[int, Sum]:
@@ -141,10 +138,10 @@ class _Spring:
         pairs = [(j, k) if j in path[k] else (k, j) for j, k in combinations(d, 2)]
         if any(j not in path[k] for j, k in pairs):
             return {}
-        away = constant.conjugate.quarter_turn
-        slopes = {k: (away * x).turned(self.scene.direction(k)).x for k, x in d.items()}
+        away = constant.conjugate().quarter_turn
+        slopes = {k: (away * x).turned(self.scene.direction(k)).real for k, x in d.items()}
         for j, k in pairs:
-            both = (d[j].conjugate * d[k]).quarter_turn.turned(self.scene.angle(j, k)).x
+            both = (d[j].conjugate() * d[k]).quarter_turn.turned(self.scene.angle(j, k)).real
             slopes[k], slopes[j] = slopes[k] + both, slopes[j] - both
         return slopes
 
@@ -156,9 +153,8 @@ class _Spring:
         yield from self._components()
         if self.free:
             yield self._length()
-            free = self.scene.parameters.free_length(self.i) * of(self.length, -1)
-            stiffness = self.scene.parameters.stiffness(self.i)
-            value = self.scene.written(stiffness * (ONE - free), ())
+            pull = self.spring.stiffness * (ONE - self.spring.length * of(self.length, -1))
+            value = self.scene.written(pull, ())
             yield Definition(f"K{self.i + 1}", value, "N/m", f"pull of {self.told} per length")
 
     def damper(self) -> Iterator[Definition]:
@@ -167,8 +163,8 @@ class _Spring:
         yield self._length()
         rates = {k: of(Rates(self.scene.direction(k))) for k in self.d}
         speeds = {
-            "x": -total(x.y * rates[k] for k, x in self.d.items()),
-            "y": total(x.x * rates[k] for k, x in self.d.items()),
+            "x": -total(x.imag * rates[k] for k, x in self.d.items()),
+            "y": total(x.real * rates[k] for k, x in self.d.items()),
         }
         along = []
         for component, (axis, speed) in zip((self.x, self.y), speeds.items(), strict=True):
@@ -176,13 +172,12 @@ class _Spring:
             value = self.scene.written(speed, BY_LINE)
             yield Definition(name, value, "m/s", f"rate of {component.name}")
             along.append(of(component) * of(Symbol(name, Role.stretch, (self.i, f"V{axis}"))))
-        damping = self.scene.parameters.spring_damping(self.i)
-        value = self.scene.written(damping * total(along) * of(self.length, -2), ())
+        value = self.scene.written(self.spring.damping * total(along) * of(self.length, -2), ())
         meaning = f"pull of the damper of {self.told} per length"
         yield Definition(f"P{self.i + 1}", value, "N/m", meaning)
 
     def _components(self) -> Iterator[Definition]:
-        for axis, name, value in (("X", self.x, self.S.x), ("Y", self.y, self.S.y)):
+        for axis, name, value in (("X", self.x, self.S.real), ("Y", self.y, self.S.imag)):
             meaning = f"{self.told} from its second end to its first, along {axis}"
             yield Definition(name.name, self.scene.written(value, BY_LINE), "m", meaning)
 
@@ -194,4 +189,4 @@ class _Spring:
 
 def total_planar(parts: list[Planar]) -> Planar:
     """The sum of vectors."""
-    return Planar(total(part.x for part in parts), total(part.y for part in parts))
+    return Planar(total(x.real for x in parts), total(x.imag for x in parts))

@@ -9,24 +9,53 @@
     n1x, n1y           normal of the line of closure 1
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
     g (or gx, gy)      gravity
+    tf1, wf1           Coulomb friction of a joint: torque and speed
+    k1, ds1            stiffness and damping of spring 1
+    S01 (or phi1)      its free length (or angle)
+    e1x, .., h1x, ..   its ends, if no tips
+    F1x, F1y (or T1)   load 1, a force (or torque)
+    c1x, c1y           where it acts, if not at a tip
 
-Numbers at the end of a name count links and closures from 1.  What is zero in the scene is no
-symbol: it drops out, and `zero` tells its name.
+Numbers at the end of a name count links, closures, springs and loads from 1; letters and meaning of
+plain numbers come from the grammar.  What is zero in the scene is no symbol: it drops out, and
+`zero` tells its name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 from robodyn.errors import printable
-from robodyn.scene.scene import Description, Point
+from robodyn.scene.grammar import FORMS, NUMBERS
+from robodyn.scene.scene import (
+    Closure,
+    Coupling,
+    Description,
+    JointSpring,
+    Link,
+    Load,
+    Moment,
+    Point,
+    Spring,
+)
 
 if TYPE_CHECKING:
     from fractions import Fraction
+
+ROLES = {  # by unit
+    "kg": Role.mass,
+    "kg m²": Role.inertia,
+    "N m s/rad": Role.damping,
+    "N s/m": Role.damping,
+    "m": Role.length,
+    "rad": Role.length,
+    "m/s²": Role.gravity,
+    "": Role.normal,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,37 +69,37 @@ class Parameter:
 
 
 class Parameters:
-    """The symbols of a scene's links; each stands for one number of the file.
+    """The symbols of a scene; each stands for one number of the file.
 
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
-    legend: link by link, then closures, then gravity.
+    legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; the lengths
+    that turn the angles of couplings into gaps are `arms`.
     """
 
     def __init__(self, description: Description, arms: Sequence[float] = ()) -> None:
         self.description = description
-        self.arms = arms
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
         self._points: dict[Point, Planar] = {}
-        for k in range(len(description.links)):
-            self.mass(k)
-            self.tip(k)
-            self.centre(k)
-            self.inertia(k)
-            self.payload(k)
-            self.damping(k)
-            self.hanging(k)
-        for c, closure in enumerate(description.closures):
-            self.side(c, "a")
-            self.side(c, "b")
-            if closure.along is not None:
-                self.normal(c)
-        for c, coupling in enumerate(description.couplings):
-            self.arm(c)
-            self.offset_angle(c)
-            for j, _ in coupling.terms:
-                self.ratio(c, j)
-        self.gravity()
+        links = [self._link(k, link) for k, link in enumerate(description.links)]
+        closures = [self._closure(c, closure) for c, closure in enumerate(description.closures)]
+        self.arms: list[Sum] = []
+        coupled = zip(description.couplings, arms, strict=True)
+        couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
+        gravity: Any = self._gravity()
+        for k, link in enumerate(description.links):
+            if link.friction is not None and link.friction.torque:
+                numbers = self._numbers("friction", k, link.friction, link.name)
+                links[k] = replace(links[k], friction=replace(link.friction, **numbers))
+        self.scene = replace(
+            description,
+            gravity=gravity,
+            links=tuple(links),
+            closures=tuple(closures),
+            couplings=tuple(couplings),
+            springs=tuple(self._spring(i, spring) for i, spring in enumerate(description.springs)),
+            loads=tuple(self._load(i, load) for i, load in enumerate(description.loads)),
+        )
 
     @cached_property
     def values(self) -> dict[str, Fraction]:
@@ -79,158 +108,164 @@ class Parameters:
 
         return {name: Fraction(repr(entry.value)) for name, entry in self.known.items()}
 
-    def gravity(self) -> Planar:
-        """gx + i gy; -i g where it acts along -Y."""
-        gamma = self.description.gravity
-        if gamma.real == 0.0 and gamma.imag <= 0.0:
-            g = self.symbol("g", Role.gravity, (0, ""), -gamma.imag, "m/s²", "gravity, along -Y")
-            return Planar(ZERO, -g)
-        return Planar(
-            self.symbol("gx", Role.gravity, (0, "x"), gamma.real, "m/s²", "gravity along X"),
-            self.symbol("gy", Role.gravity, (0, "y"), gamma.imag, "m/s²", "gravity along Y"),
-        )
+    # -- parts of a scene ----------------------------------------------------------------------
 
-    # -- of a link -----------------------------------------------------------------------------
-
-    def mass(self, k: int) -> Sum:
-        link = self.description.links[k]
-        meaning = f"mass of {link.name}"
-        return self.symbol(f"m{k + 1}", Role.mass, (k, "m"), link.m, "kg", meaning)
-
-    def payload(self, k: int) -> Sum:
-        link = self.description.links[k]
-        meaning = f"payload at the tip of {link.name}"
-        named = f"mp{k + 1}", Role.mass, (k, "mp")
-        return self.symbol(*named, link.payload, "kg", meaning) if link.payload else ZERO
-
-    def inertia(self, k: int) -> Sum:
-        link = self.description.links[k]
-        meaning = f"moment of inertia of {link.name} about its centre of gravity"
-        return self.symbol(f"I{k + 1}", Role.inertia, (k, "I"), link.I, "kg m²", meaning)
-
-    def damping(self, k: int) -> Sum:
-        link = self.description.links[k]
-        meaning = f"damping at the joint of {link.name}"
-        named = f"d{k + 1}", Role.damping, (k, "d")
-        return self.symbol(*named, link.damping, "N m s/rad", meaning) if link.damping else ZERO
-
-    def centre(self, k: int) -> Planar:
-        """The centre of gravity in the frame of link k: r, or rx + i ry off its axis."""
-        link = self.description.links[k]
-        meaning = f"centre of gravity of {link.name}"
-        if link.r.imag == 0.0:
-            told = f"{meaning}, from its joint"
-            named = f"r{k + 1}", Role.length, (k, "r")
-            return Planar(self.symbol(*named, link.r.real, "m", told), ZERO)
-        names = f"r{k + 1}x", f"r{k + 1}y"
-        return self.pair(names, (k, "r"), link.r, f"{meaning}, in its frame")
-
-    def tip(self, k: int) -> Planar:
-        link = self.description.links[k]
-        meaning = f"length of {link.name}"
-        named = f"l{k + 1}", Role.length, (k, "l")
-        return Planar(self.symbol(*named, link.l, "m", meaning), ZERO)
-
-    def hanging(self, k: int) -> Planar:
-        """The point that link k hangs from, in the frame of the link or the ground there."""
-        point, name = self.description.links[k].hangs_from, self.description.links[k].name
+    def _link(self, k: int, link: Link) -> Link:
+        numbers = self._numbers("link", k, link, link.name)
+        point = link.hangs_from
         if point.link is None:
-            meaning = f"ground pivot of {name}"
-            return self.point(point, (f"x{k + 1}", f"y{k + 1}"), (k, "x"), meaning)
-        carrier = self.description.links[point.link].name
-        meaning = f"pivot of {name} on {carrier}, in its frame"
-        return self.point(point, (f"p{k + 1}x", f"p{k + 1}y"), (point.link, "p"), meaning)
+            names, place, where = (f"x{k + 1}", f"y{k + 1}"), (k, "x"), "ground pivot of {}"
+        else:
+            names, place = (f"p{k + 1}x", f"p{k + 1}y"), (point.link, "p")
+            where = f"pivot of {{}} on {self.description.links[point.link].name}, in its frame"
+        hangs_from = self._point(point, names, place, where.replace("{}", link.name))
+        return replace(link, **numbers, hangs_from=hangs_from, friction=None)
 
-    # -- of a closure --------------------------------------------------------------------------
+    def _closure(self, c: int, closure: Closure) -> Closure:
+        along: Any = closure.along
+        sides = []
+        for letter, point in (("a", closure.first), ("b", closure.second)):
+            meaning = f"point of closure {c + 1} {self._on(point)}"
+            if along is not None and letter == "b":
+                meaning = f"point of the line of closure {c + 1}"
+            names = f"{letter}{c + 1}x", f"{letter}{c + 1}y"
+            sides.append(self._point(point, names, (c, letter), meaning))
+        if along is not None:
+            normal = 1j * along
+            x, y = self._cosine(c, "x", normal.real), self._cosine(c, "y", normal.imag)
+            along = Planar(y, -x)
+        return Closure(sides[0], sides[1], along)
 
-    def side(self, c: int, letter: str) -> Planar:
-        """The point of closure c that is named first ("a") or second ("b"), in its own frame."""
-        closure = self.description.closures[c]
-        point = closure.first if letter == "a" else closure.second
-        meaning = f"point of closure {c + 1} {self.on(point)}"
-        if closure.along is not None and letter == "b":
-            meaning = f"point of the line of closure {c + 1}"
-        name = f"{letter}{c + 1}"
-        return self.point(point, (f"{name}x", f"{name}y"), (c, letter), meaning)
+    def _cosine(self, c: int, axis: str, value: float) -> Sum:
+        """Of the normal along which the gap of slider c is measured; 0 and 1 stand as numbers."""
+        if abs(value) in (0.0, 1.0):
+            return ONE.times(int(value)) if value else ZERO
+        meaning = f"normal of the line of closure {c + 1}, its cosine with {axis.upper()}"
+        return self._symbol(f"n{c + 1}{axis}", (c, axis), value, "", meaning)
 
-    def normal(self, c: int) -> Planar:
-        """The unit vector along which the gap of slider c is measured; 0 and 1 stand as numbers."""
-        along = self.description.closures[c].along
-        assert along is not None
-        normal = 1j * along
-        meaning = f"normal of the line of closure {c + 1}, its cosine with"
-
-        def cosine(axis: str, value: float) -> Sum:
-            if abs(value) in (0.0, 1.0):
-                return ONE.times(int(value)) if value else ZERO
-            named = f"n{c + 1}{axis}", Role.normal, (c, axis)
-            return self.symbol(*named, value, "", f"{meaning} {axis.upper()}")
-
-        return Planar(cosine("x", normal.real), cosine("y", normal.imag))
-
-    def on(self, point: Point) -> str:
-        if point.link is None:
-            return "on the ground"
-        return f"on {self.description.links[point.link].name}, in its frame"
-
-    # -- of a coupling -------------------------------------------------------------------------
-
-    def arm(self, c: int) -> Sum:
-        """The length (m) that the angle by which a coupling is open is multiplied by."""
-        named = f"R{c + 1}", Role.normal, (c, "R")
+    def _coupling(self, c: int, coupling: Coupling, arm: float) -> Coupling:
+        """A coupling, whose arm is the length that the angle by which it is open is times."""
         meaning = f"length that turns the angle of coupling {c + 1} into a gap"
-        return self.symbol(*named, self.arms[c], "m", meaning)
+        self.arms.append(self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, role=Role.normal))
+        angle: Any = ZERO
+        if coupling.angle:
+            told = f"angle of coupling {c + 1}"
+            angle = self._symbol(f"psi{c + 1}", (c, "psi"), coupling.angle, "rad", told)
+        terms: list[Any] = []
+        for joint, ratio in coupling.terms:
+            if abs(ratio) == 1.0:  # 1 and -1 stand as numbers
+                terms.append((joint, ONE.times(int(ratio))))
+                continue
+            name = f"i{c + 1}" if len(coupling.terms) == 1 else f"i{c + 1}_{joint + 1}"
+            link = self.description.links[joint].name
+            meaning = f"ratio of coupling {c + 1} to the joint of {link}"
+            place = c, f"i{joint}"
+            terms.append((joint, self._symbol(name, place, ratio, "", meaning, Role.length)))
+        return Coupling(coupling.joint, tuple(terms), angle)
 
-    def ratio(self, c: int, joint: int) -> Sum:
-        """The ratio of a joint in coupling c; 1 and -1 stand as numbers."""
-        terms = dict(self.description.couplings[c].terms)
-        if abs(terms[joint]) == 1.0:
-            return ONE.times(int(terms[joint]))
-        name = f"i{c + 1}" if len(terms) == 1 else f"i{c + 1}_{joint + 1}"
-        link = self.description.links[joint].name
-        meaning = f"ratio of coupling {c + 1} to the joint of {link}"
-        return self.symbol(name, Role.length, (c, f"i{joint}"), terms[joint], "", meaning)
+    def _gravity(self) -> Planar:
+        """gx + i gy; -i g where it acts along -Y."""
+        gamma, unit = self.description.gravity, "m/s²"
+        if gamma.real == 0.0 and gamma.imag <= 0.0:
+            g = self._symbol("g", (0, ""), -gamma.imag, unit, "gravity, along -Y")
+            return Planar(ZERO, -g)
+        x = self._symbol("gx", (0, "x"), gamma.real, unit, "gravity along X")
+        return Planar(x, self._symbol("gy", (0, "y"), gamma.imag, unit, "gravity along Y"))
 
-    def offset_angle(self, c: int) -> Sum:
-        angle = self.description.couplings[c].angle
-        named = f"psi{c + 1}", Role.length, (c, "psi")
-        return self.symbol(*named, angle, "rad", f"angle of coupling {c + 1}") if angle else ZERO
+    def _spring(self, i: int, spring: Spring | JointSpring) -> Spring | JointSpring:
+        told = f"spring {i + 1}"
+        if isinstance(spring, JointSpring):
+            told += f", at the joint of {self.description.links[spring.joint].name}"
+            return replace(spring, **self._numbers("joint_spring", i, spring, told))
+        numbers = self._numbers("point_spring", i, spring, told)
+        ends = []
+        for letter, point in (("e", spring.first), ("h", spring.second)):
+            names = f"{letter}{i + 1}x", f"{letter}{i + 1}y"
+            place = len(self.description.links) + i, letter  # after lengths
+            ends.append(self._point(point, names, place, f"end of {told} {self._on(point)}"))
+        return replace(spring, first=ends[0], second=ends[1], **numbers)
 
-    # -- symbols -------------------------------------------------------------------------------
+    def _load(self, i: int, load: Load | Moment) -> Load | Moment:
+        told = f"load {i + 1}"
+        if isinstance(load, Moment):
+            on = f"{told} on {self.description.links[load.link].name}"
+            return replace(load, **self._numbers("torque", i, load, on))
+        frame = "its link's frame" if load.turns else "the ground's frame"
+        numbers = self._numbers("force", i, load, f"{told}, in {frame}")
+        names, meaning = (f"c{i + 1}x", f"c{i + 1}y"), f"point of {told} {self._on(load.point)}"
+        return replace(load, point=self._point(load.point, names, (i, "c"), meaning), **numbers)
 
-    def symbol(
-        self, name: str, role: Role, place: tuple[int, str], value: float, unit: str, meaning: str
+    # -- numbers and points --------------------------------------------------------------------
+
+    def _numbers(self, form: str, k: int, item: object, told: str) -> dict[str, Any]:
+        """The symbols of the numbers of an entry of the file, the k-th of its kind."""
+        keys = FORMS[form].keys
+        return {
+            name: self._number(form, name, k, getattr(item, name), told)
+            for name, key in keys.items()
+            if key.symbol
+        }
+
+    def _number(self, form: str, name: str, k: int, value: Any, told: str) -> Sum | Planar:
+        key = FORMS[form].keys[name]
+        letters, _, meaning = key.symbol.partition(": ")
+        named, place, meaning = f"{letters}{k + 1}", (k, letters), meaning.replace("{}", told)
+        if key.kind in NUMBERS:
+            optional = key.default == "0" and not value
+            return ZERO if optional else self._symbol(named, place, value, key.unit, meaning)
+        if key.kind == "centre" and value.imag == 0.0:
+            meaning += ", from its joint"
+            return Planar(self._symbol(named, place, value.real, key.unit, meaning), ZERO)
+        if key.kind == "centre":
+            meaning += ", in its frame"
+        return self._pair((f"{named}x", f"{named}y"), place, value, meaning, key.unit)
+
+    def _symbol(
+        self,
+        name: str,
+        place: tuple[int, str],
+        value: float,
+        unit: str,
+        meaning: str,
+        role: Role | None = None,
     ) -> Sum:
         if value == 0.0:
             self.zero[name] = None
             return ZERO
         self.known[name] = Parameter(name, value, unit, printable(meaning))
-        return of(Symbol(name, role, place))
+        return of(Symbol(name, ROLES.get(unit, Role.force) if role is None else role, place))
 
-    def point(
+    def _on(self, point: Point) -> str:
+        if point.link is None:
+            return "on the ground"
+        return f"on {self.description.links[point.link].name}, in its frame"
+
+    def _point(
         self, point: Point, names: tuple[str, str], place: tuple[int, str], meaning: str
-    ) -> Planar:
+    ) -> Point:
         """A point of a link or of the ground; the same point has the same symbols everywhere."""
+        at: Any = NOWHERE
+        links = self.description.links
         if point.at == 0.0:
-            return NOWHERE
-        if point.link is not None and point.at == self.description.links[point.link].l:
-            return self.tip(point.link)
-        if point not in self._points:
-            self._points[point] = self.pair(names, place, point.at, meaning)
-        return self._points[point]
+            pass
+        elif point.link is not None and point.at == links[point.link].l:
+            link = links[point.link]
+            length: Any = self._number("link", "l", point.link, link.l, link.name)
+            at = Planar(length, ZERO)
+        else:
+            if point not in self._points:
+                self._points[point] = self._pair(names, place, point.at, meaning, "m")
+            at = self._points[point]
+        return Point(point.link, at)
 
-    def pair(
-        self,
-        names: tuple[str, str],
-        place: tuple[int, str],
-        value: complex,
-        meaning: str,
-        role: Role = Role.length,
-        unit: str = "m",
+    def _pair(
+        self, names: tuple[str, str], place: tuple[int, str], value: complex, told: str, unit: str
     ) -> Planar:
-        parts = []
-        for name, axis, amount in zip(names, "xy", (value.real, value.imag), strict=True):
-            named = name, role, (place[0], place[1] + axis)
-            known = self.symbol(*named, amount, unit, f"{meaning}, {axis}") if amount else ZERO
-            parts.append(known)
+        k, letters = place
+        parts = [
+            self._symbol(name, (k, letters + axis), amount, unit, f"{told}, {axis}")
+            if amount
+            else ZERO
+            for name, axis, amount in zip(names, "xy", (value.real, value.imag), strict=True)
+        ]
         return Planar(*parts)

@@ -22,7 +22,7 @@ from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
 from robodyn.equations import Equations, with_parameters
-from robodyn.equations.named import Numbers, named_mechanism
+from robodyn.equations.named import Numbers
 from robodyn.equations.outline import Block, heads
 from robodyn.equations.scene_symbols import SymbolicScene
 from robodyn.mechanics.mechanism import Mechanism, too_large
@@ -41,9 +41,12 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     graph = Graph()
     scene = SymbolicScene(mechanism, numeric)
     numbers = Numbers(scene, graph)
-    couplings = [numbers.coupling(*row) for row in scene.coupling_rows()]
+    couplings = [
+        (numbers(offset), dict(numbers(tuple(turns.items()))))
+        for offset, turns in scene.coupling_rows()
+    ]
     try:
-        named = named_mechanism(scene, numbers)
+        named = numbers.mechanism()
         ways = [_Parts(named, graph, by_direction) for by_direction in (False, True)]
         found = []
         for head in heads(mechanism):

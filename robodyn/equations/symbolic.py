@@ -200,33 +200,44 @@ def _merged(a: Monomial, b: Monomial) -> Monomial:
 class Planar:
     """A point or vector of the plane as a complex number, x + i y."""
 
-    x: Sum
-    y: Sum
+    real: Sum
+    imag: Sum
+
+    def __bool__(self) -> bool:
+        return bool(self.real or self.imag)
 
     def __add__(self, other: Planar) -> Planar:
-        return Planar(self.x + other.x, self.y + other.y)
+        return Planar(self.real + other.real, self.imag + other.imag)
 
     def __sub__(self, other: Planar) -> Planar:
-        return Planar(self.x - other.x, self.y - other.y)
+        return Planar(self.real - other.real, self.imag - other.imag)
 
-    def __mul__(self, other: Planar) -> Planar:
+    def __rsub__(self, zero: complex) -> Planar:
+        return -self
+
+    def __neg__(self) -> Planar:
+        return Planar(-self.real, -self.imag)
+
+    def __mul__(self, other: Planar | Sum | complex) -> Planar:
+        if isinstance(other, Sum):
+            return Planar(self.real * other, self.imag * other)
+        if isinstance(other, complex):  # 1, i and their opposites
+            other = Planar(*(ONE.times(int(x)) if x else ZERO for x in (other.real, other.imag)))
         return Planar(
-            self.x * other.x - self.y * other.y,
-            self.x * other.y + self.y * other.x,
+            self.real * other.real - self.imag * other.imag,
+            self.real * other.imag + self.imag * other.real,
         )
 
-    @property
+    __rmul__ = __mul__
+
     def conjugate(self) -> Planar:
-        return Planar(self.x, -self.y)
+        """x - i y."""
+        return Planar(self.real, -self.imag)
 
     @property
     def quarter_turn(self) -> Planar:
         """The vector times i."""
-        return Planar(-self.y, self.x)
-
-    def scaled(self, factor: Sum) -> Planar:
-        """The vector times a real factor."""
-        return Planar(self.x * factor, self.y * factor)
+        return Planar(-self.imag, self.real)
 
     def turned(self, joints: tuple[int, ...]) -> Planar:
         """The vector turned by the sum of these joints' angles."""

@@ -21,7 +21,8 @@ What holds them all is `planar_model.py`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from robodyn.errors import InputError
@@ -32,7 +33,7 @@ from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point, Spring
+from robodyn.scene.scene import Description, JointSpring, Moment, Point, Spring
 
 
 def load(path: str | Path) -> Mechanism:
@@ -50,56 +51,61 @@ def build(description: Description) -> Mechanism:
     closure of points that cannot move apart.
     """
     try:
-        return _build(description)
+        mechanism = constants(description)
+        size = max((row.size for row in mechanism.rows), default=0.0)
+        rows = mechanism.rows + tuple(_coupling_rows(description, size))
+        mechanism = replace(mechanism, rows=rows)
     except OverflowError:
         raise too_large(description) from None
+    numbers = [*(entry[2] for entry in mechanism.A), *mechanism.B, *mechanism.weights]
+    numbers += [mechanism.energy_offset, *(row.offset for row in rows)]
+    if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
+        raise too_large(description)
+    return mechanism
 
 
-def _build(description: Description) -> Mechanism:
+def constants(description: Description) -> Mechanism:
+    """The numeric model less couplings; of symbols too, where a description has them for numbers.
+
+    Raises InputError for a closure of points that cannot move apart.
+    """
     links = description.links
     parent = tuple(link.hangs_from.link for link in links)
     order = _order(parent)
     carried = [link.m + link.payload for link in links]
-    B = [link.m * link.r + link.payload * link.l for link in links]
-    inertia = [link.I + link.m * abs(link.r) ** 2 + link.payload * link.l**2 for link in links]
+    B = [link.r * link.m + link.l * link.payload for link in links]
+    inertia = [link.I + link.m * _square(link.r) + link.payload * link.l * link.l for link in links]
     for k in reversed(order):  # what link k carries acts on its parent at k's own joint
         p, j = links[k].hangs_from.at, parent[k]
         if j is not None:
-            carried[j] += carried[k]
-            B[j] += carried[k] * p
-            inertia[j] += carried[k] * abs(p) ** 2
+            carried[j] = carried[j] + carried[k]
+            B[j] = B[j] + p * carried[k]
+            inertia[j] = inertia[j] + carried[k] * _square(p)
 
-    A = [(k, k, complex(inertia[k])) for k in range(len(links))]
-    pivots: list[PlanarPoint] = [PlanarPoint(0j, ())] * len(links)
+    places = pivots(description)
+    A: list[tuple[int, int, complex]] = [(k, k, inertia[k]) for k in range(len(links))]
     for k in order:
-        pivots[k] = _point(pivots, links[k].hangs_from)
-        A += [(j, k, p.conjugate() * B[k]) for j, p in pivots[k].terms if p * B[k] != 0]
+        A += [(j, k, p.conjugate() * B[k]) for j, p in places[k].terms if p * B[k]]
 
+    pull = description.gravity.conjugate()
     offset = -sum(
-        (description.gravity.conjugate() * pivot.constant).real * (link.m + link.payload)
-        for pivot, link in zip(pivots, links, strict=True)
+        (pull * place.constant).real * (link.m + link.payload)
+        for place, link in zip(places, links, strict=True)
     )
-    weights = [description.gravity.conjugate() * b for b in B]
-    moments, damping = [0.0] * len(links), [link.damping for link in links]
+    weights, moments = [pull * b for b in B], [0.0] * len(links)
     forces: list[Force] = []
     for entry in description.loads:
         if isinstance(entry, Moment):
-            moments[entry.link] += entry.torque
+            moments[entry.link] = moments[entry.link] + entry.torque
             continue
-        forces.append(_force(entry, pivots))
+        assert entry.point.link is not None
+        at = point_of(places, entry.point)
+        forces.append(Force(entry.point.link, at, entry.force, entry.turns))
         if not entry.turns:
-            offset -= (entry.force.conjugate() * forces[-1].point.constant).real
-            for k, c in forces[-1].point.terms:
-                weights[k] += entry.force.conjugate() * c
-    joint_springs = [x for x in description.springs if isinstance(x, JointSpring)]
-    for spring in joint_springs:
-        damping[spring.joint] += spring.damping
-    rows = _rows(description, pivots)
-    rows += _coupling_rows(description, max((row.size for row in rows), default=0.0))
-    numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
-    numbers += weights
-    if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
-        raise too_large(description)
+            force = entry.force.conjugate()
+            offset = offset - (force * at.constant).real
+            for k, c in at.terms:
+                weights[k] = weights[k] + force * c
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -111,16 +117,18 @@ def _build(description: Description) -> Mechanism:
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
-        damping=tuple(damping),
-        rows=tuple(rows),
-        actuated=_actuated(description, pivots),
-        pivots=tuple(pivots),
-        tips=tuple(_point(pivots, Point(k, complex(link.l))) for k, link in enumerate(links)),
-        centres=tuple(_point(pivots, Point(k, link.r)) for k, link in enumerate(links)),
+        damping=joint_damping(description),
+        rows=tuple(closure_rows(description, places)),
+        actuated=_actuated(description, places),
+        pivots=tuple(places),
+        tips=tuple(point_of(places, Point(k, link.l)) for k, link in enumerate(links)),
+        centres=tuple(point_of(places, Point(k, link.r)) for k, link in enumerate(links)),
         weights=tuple(weights),
         moments=tuple(moments),
-        springs=tuple(_spring(x, pivots) for x in description.springs if isinstance(x, Spring)),
-        joint_springs=tuple(x for x in joint_springs if x.stiffness),
+        springs=tuple(_spring(x, places) for x in description.springs if isinstance(x, Spring)),
+        joint_springs=tuple(
+            x for x in description.springs if isinstance(x, JointSpring) and x.stiffness
+        ),
         forces=tuple(forces),
         friction=tuple(
             (k, link.friction)
@@ -128,6 +136,10 @@ def _build(description: Description) -> Mechanism:
             if link.friction is not None and link.friction.torque
         ),
     )
+
+
+def _square(z: complex) -> float:
+    return z.real * z.real + z.imag * z.imag
 
 
 def too_large(description: Description) -> InputError:
@@ -147,46 +159,61 @@ def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
     return tuple(order)
 
 
-def _point(pivots: Sequence[PlanarPoint], point: Point) -> PlanarPoint:
+def pivots(description: Description) -> list[PlanarPoint]:
+    """Each link's own joint in terms of E."""
+    found: dict[int, PlanarPoint] = {}
+    for k in _order([link.hangs_from.link for link in description.links]):
+        found[k] = point_of(found, description.links[k].hangs_from)
+    return [found[k] for k in range(len(found))]
+
+
+def joint_damping(description: Description) -> tuple[float, ...]:
+    """Of the joints' own dampers and those of the springs at them."""
+    damping = [link.damping for link in description.links]
+    for spring in description.springs:
+        if isinstance(spring, JointSpring):
+            damping[spring.joint] = damping[spring.joint] + spring.damping
+    return tuple(damping)
+
+
+def point_of(
+    pivots: Sequence[PlanarPoint] | Mapping[int, PlanarPoint], point: Point
+) -> PlanarPoint:
     """The point in terms of E; the pivot of its link must be known."""
     if point.link is None:
         return PlanarPoint(point.at, ())
     pivot = pivots[point.link]
-    own = ((point.link, point.at),) if point.at != 0 else ()
+    own = ((point.link, point.at),) if point.at else ()
     return PlanarPoint(pivot.constant, pivot.terms + own)
 
 
-def _difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
+def difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
     """First less second, without the terms that cancel."""
     terms: dict[int, complex] = dict(first.terms)
     for k, coefficient in second.terms:
         terms[k] = terms.get(k, 0j) - coefficient
-    kept = tuple((k, coefficient) for k, coefficient in terms.items() if coefficient != 0)
+    kept = tuple((k, coefficient) for k, coefficient in terms.items() if coefficient)
     return PlanarPoint(first.constant - second.constant, kept)
 
 
-def _force(load: Load, pivots: Sequence[PlanarPoint]) -> Force:
-    assert load.point.link is not None
-    return Force(load.point.link, _point(pivots, load.point), load.force, load.turns)
-
-
 def _spring(spring: Spring, pivots: Sequence[PlanarPoint]) -> PointSpring:
-    first, second = _point(pivots, spring.first), _point(pivots, spring.second)
+    first, second = point_of(pivots, spring.first), point_of(pivots, spring.second)
     return PointSpring(
         first=spring.first.link,
         second=spring.second.link,
         ends=(first, second),
-        between=_difference(first, second),
+        between=difference(first, second),
         stiffness=spring.stiffness,
         length=spring.length,
         damping=spring.damping,
     )
 
 
-def _rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[ClosureRow]:
+def closure_rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[ClosureRow]:
+    """The equations of the closures; InputError for points that cannot move apart."""
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
-        gap = _difference(_point(pivots, closure.first), _point(pivots, closure.second))
+        gap = difference(point_of(pivots, closure.first), point_of(pivots, closure.second))
         if not gap.terms:  # a row of zeros, against which nothing can be measured
             limit = "joins points that cannot move apart: it says nothing, or never holds"
             raise InputError(f"closures[{c}]", where=description.source, limit=limit)
@@ -219,7 +246,7 @@ def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list
     """For each closure the joints of its loop: those on the path to one side only."""
     loops: list[set[int]] = []
     for closure in description.closures:
-        sides = [_point(pivots, point).terms for point in (closure.first, closure.second)]
+        sides = [point_of(pivots, point).terms for point in (closure.first, closure.second)]
         first, second = ({k for k, _ in terms} for terms in sides)
         loops.append(first ^ second)
     return loops

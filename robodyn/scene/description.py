@@ -1,6 +1,6 @@
 """YAML -> description: strict keys, numbers, physics; the faults of a file named at once.
 
-What a description holds is in `scene.py`; what the format allows is in `robots/` and the README.
+What a description holds is in `scene.py`, what the format allows in `grammar.py`.
 """
 
 from __future__ import annotations
@@ -8,14 +8,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, ClassVar
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
-from robodyn.scene.quantities import parse_angle, parse_number
-from robodyn.scene.scene import BRANCHES, Closure, Description, Link, Point
-from robodyn.scene.yaml_forces import ForceReader
+from robodyn.scene.grammar import Key
+from robodyn.scene.quantities import parse_coupling, parse_number
+from robodyn.scene.scene import (
+    BRANCHES,
+    FRAMES,
+    Closure,
+    Coupling,
+    Description,
+    Friction,
+    JointSpring,
+    Link,
+    Load,
+    Moment,
+    Point,
+    Spring,
+)
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
-from robodyn.scene.yaml_values import TooManyFaults
+from robodyn.scene.yaml_values import TooManyFaults, ValueReader
 
 
 def read(path: str | Path) -> Description:
@@ -43,105 +57,69 @@ def from_tree(root: Node | None, source: str) -> Description:
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
-class _Reader(ForceReader):
-    """Walks the tree of a scene."""
+class _Reader(ValueReader):
+    """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
+
+    missing: ClassVar[dict[str, Any]] = {
+        **ValueReader.missing,
+        "link_name": 0,
+        "moving_point": Point(0, 0j),
+        "pair": (Point(None, 0j),) * 2,
+    }
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.index: dict[str, int] = {}  # link name -> index
+        self.lengths: dict[int, float] = {}
+        self.count = 0  # of links
+        self.closures = 0  # how many were read
 
     # -- the scene ---------------------------------------------------------------------------
 
     def scene(self, root: Mapping, source: str) -> Description:
-        keys = self.keys(
-            root,
-            "",
-            ["links"],
-            [
-                "name",
-                "gravity",
-                "closures",
-                "couplings",
-                "actuated",
-                "assembly",
-                "start",
-                "springs",
-                "loads",
-            ],
-        )
-        entries = self.items(keys.get("links"), "links")
-        if "links" in keys and isinstance(keys["links"], Sequence) and not entries:
-            self.fault("links", keys["links"], "must name at least one link", "[]")
+        listed = next((node for key, node in root.pairs if key.text == "links"), None)
+        entries = listed.items if isinstance(listed, Sequence) else []
+        if isinstance(listed, Sequence) and not entries:
+            self.fault("links", listed, "must name at least one link", "[]")
+        self.count = len(entries)
         self.survey(entries)
-        links = tuple(self.link(i, entry) for i, entry in enumerate(entries))
+        values = self.form("scene", root, "")
+        links = tuple(self.linked(k, value) for k, value in enumerate(values["links"] or ()))
         self.cycles(links, entries)
-        closures = tuple(
-            self.closure(f"closures[{c}]", entry)
-            for c, entry in enumerate(self.items(keys.get("closures"), "closures"))
-        )
-        name = keys.get("name")
+        gravity, words = values["gravity"], values["assembly"] or BRANCHES[0]
         return Description(
             source=source,
-            name=Path(source).stem if name is None else self.text(name, "name"),
-            gravity=self.gravity(keys.get("gravity")),
+            name=Path(source).stem if values["name"] is None else values["name"],
+            gravity=gravity if isinstance(gravity, complex) else -1j * gravity,
             links=links,
-            closures=closures,
-            branches=self.branches(keys.get("assembly"), len(closures)),
-            actuated=self.actuated(keys.get("actuated")),
-            start=self.start(keys.get("start"), len(links)),
-            springs=tuple(
-                self.spring(f"springs[{k}]", entry)
-                for k, entry in enumerate(self.items(keys.get("springs"), "springs"))
-            ),
-            loads=tuple(
-                self.load(f"loads[{k}]", entry)
-                for k, entry in enumerate(self.items(keys.get("loads"), "loads"))
-            ),
-            couplings=self.couplings(keys.get("couplings"), len(links)),
+            closures=values["closures"] or (),
+            branches=(words,) * self.closures if isinstance(words, str) else words,
+            actuated=values["actuated"],
+            start=values["start"],
+            springs=values["springs"] or (),
+            loads=values["loads"] or (),
+            couplings=values["couplings"] or (),
         )
 
-    def gravity(self, node: Node | None) -> complex:
-        if node is None:
-            return 0j
-        if isinstance(node, Sequence):
-            return self.vector(node, "gravity")
-        return -1j * self.number(node, "gravity")
+    def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
+        if not isinstance(node, Sequence):
+            return self.word(node, place, BRANCHES)
+        if len(node.items) != self.closures:
+            limit = f"must be one word, or one for each of the {self.closures} closures"
+            self.fault(place, node, limit, f"{len(node.items)} words")
+        return tuple(
+            self.word(item, f"{place}[{c}]", BRANCHES) for c, item in enumerate(node.items)
+        )
 
-    def branches(self, node: Node | None, count: int) -> tuple[str, ...]:
-        if isinstance(node, Sequence):
-            given = [self.branch(item, f"assembly[{c}]") for c, item in enumerate(node.items)]
-            if len(given) != count:
-                limit = f"must be one word, or one for each of the {count} closures"
-                self.fault("assembly", node, limit, f"{len(given)} words")
-            return tuple(given)
-        return (BRANCHES[0] if node is None else self.branch(node, "assembly"),) * count
-
-    def branch(self, node: Node, place: str) -> str:
-        word = self.text(node, place)
-        if word not in BRANCHES:
-            self.fault(place, node, "must be open or crossed", word)
-        return word
-
-    def actuated(self, node: Node | None) -> tuple[int, ...] | None:
-        if node is None:
-            return None
-        found: set[int] = set()
-        for i, item in enumerate(self.items(node, "actuated")):
-            link = self.link_name(item, f"actuated[{i}]")
-            if link in found:
-                self.fault(f"actuated[{i}]", item, "is named twice", self.shown(item))
-            elif link is not None:
-                found.add(link)
-        return tuple(sorted(found))
-
-    def start(self, node: Node | None, count: int) -> tuple[float | None, ...] | None:
-        if node is None:
-            return None
+    def start(self, node: Node, place: str) -> tuple[float | None, ...] | None:
         if not isinstance(node, Mapping):
-            self.fault(
-                "start", node, "must map link names to angles, {crank: 30deg}", self.shown(node)
-            )
+            limit = "must map link names to angles, {crank: 30deg}"
+            self.fault(place, node, limit, self.shown(node))
             return None
-        angles: list[float | None] = [None] * count
-        for name, value in self.keys(node, "start", [], list(self.index), "link").items():
+        angles: list[float | None] = [None] * self.count
+        for name, value in self.keys(node, place, [], list(self.index), "link").items():
             if name in self.index:
-                angles[self.index[name]] = self.number(value, f"start.{name}", parse_angle)
+                angles[self.index[name]] = self.number(value, f"{place}.{name}", Key("angle", ""))
         return tuple(angles)
 
     # -- links -------------------------------------------------------------------------------
@@ -160,38 +138,17 @@ class _Reader(ForceReader):
                 limit = f"is the name of links[{earlier}] too; names must differ"
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
-    def link(self, i: int, node: Node) -> Link:
+    def link(self, node: Node, place: str) -> dict[str, Any]:
         name = dict(_scalars(node)).get("name")
-        place = f"links[{i}]" if name is None else f"links[{i}] ({name.text})"
-        if not isinstance(node, Mapping):
-            self.fault(place, node, "must be a mapping {name, m, l, r, I}", self.shown(node))
-            return Link("", 0.0, 0.0, 0j, 0.0, Point(None, 0j))
-        keys = self.keys(
-            node,
-            place,
-            ["name", "m", "l", "r", "I"],
-            ["from", "payload", "damping", "friction"],
-        )
+        return self.form("link", node, place if name is None else f"{place} ({name.text})")
 
-        def amount(key: str) -> float:
-            return self.amount(keys[key], f"{place}.{key}") if key in keys else 0.0
+    def linked(self, i: int, values: dict[str, Any]) -> Link:
+        """Link i of what its keys hold."""
+        above = values.pop("from") or (self.tip(i - 1) if i else Point(None, 0j))
+        return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
 
-        r = keys.get("r")
-        if "from" in keys:
-            hangs_from = self.point(keys["from"], f"{place}.from")
-        else:
-            hangs_from = self.tip(i - 1) if i else Point(None, 0j)
-        return Link(
-            name=self.text(keys["name"], f"{place}.name") if "name" in keys else "",
-            m=amount("m"),
-            l=amount("l"),
-            r=self.vector(r, f"{place}.r") if isinstance(r, Sequence) else complex(amount("r")),
-            I=amount("I"),
-            hangs_from=hangs_from,
-            payload=amount("payload"),
-            damping=amount("damping"),
-            friction=self.friction(keys.get("friction"), f"{place}.friction"),
-        )
+    def friction(self, node: Node, place: str) -> Friction:
+        return Friction(**self.form("friction", node, place))
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
@@ -209,40 +166,123 @@ class _Reader(ForceReader):
                 self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)
 
-    # -- closures ----------------------------------------------------------------------------
+    # -- points ------------------------------------------------------------------------------
 
-    def closure(self, place: str, node: Node) -> Closure:
-        if isinstance(node, Mapping):
-            return self.slider(place, node)
-        sides = self.items(node, place)
-        if isinstance(node, Sequence) and len(sides) != 2:
-            self.fault(place, node, "must name two sides, [NAME, NAME]", f"{len(sides)} sides")
-        if len(sides) != 2:
-            return Closure(Point(None, 0j), Point(None, 0j))
-        first, second = (self.point(side, f"{place}[{k}]") for k, side in enumerate(sides))
+    def tip(self, link: int) -> Point:
+        return Point(link, complex(self.lengths.get(link, 0.0)))
+
+    def point(self, node: Node, place: str) -> Point:
+        """A ground point [x, y], a link's tip NAME, or {link: NAME, at: [x, y]}."""
+        if isinstance(node, Sequence):
+            return Point(None, self.vector(node, place))
+        if isinstance(node, Scalar):
+            link = self.link_name(node, place)
+            return Point(None, 0j) if link is None else self.tip(link)
+        return Point(**self.form("point", node, place))
+
+    def moving_point(self, node: Node, place: str) -> Point:
+        if isinstance(node, Sequence):
+            self.fault(place, node, "must be a point of a link")
+        return self.point(node, place)
+
+    def link_name(self, node: Node, place: str) -> int | None:
+        name = self.name(node, place)
+        if name and name not in self.index:
+            self.fault(place, node, f"names no link{self.nearest(name, list(self.index))}", name)
+        return self.index.get(name)
+
+    def joints(self, node: Node, place: str) -> tuple[int, ...]:
+        found: set[int] = set()
+        for i, item in enumerate(self.items(node, place)):
+            link = self.link_name(item, f"{place}[{i}]")
+            if link in found:
+                self.fault(f"{place}[{i}]", item, "is named twice", self.shown(item))
+            elif link is not None:
+                found.add(link)
+        return tuple(sorted(found))
+
+    def pair(self, node: Node, place: str, sides: str = "points") -> tuple[Point, Point]:
+        """Two points that can move apart."""
+        nodes = self.items(node, place)
+        if len(nodes) != 2:
+            if isinstance(node, Sequence):
+                limit = f"must name two {sides}, [POINT, POINT]"
+                self.fault(place, node, limit, f"{len(nodes)} {sides}")
+            return Point(None, 0j), Point(None, 0j)
+        first, second = (self.point(item, f"{place}[{k}]") for k, item in enumerate(nodes))
         if first.link == second.link:
             whole = "the ground" if first.link is None else "one link"
-            self.fault(place, node, f"joins two points of {whole}; sides must move apart")
-        return Closure(first, second)
+            self.fault(place, node, f"joins two points of {whole}; {sides} must move apart")
+        return first, second
 
-    def slider(self, place: str, node: Mapping) -> Closure:
-        keys = self.keys(node, place, ["point", "on"], [])
-        first = self.point(keys["point"], f"{place}.point") if "point" in keys else Point(0, 0j)
-        if first.link is None and isinstance(keys["point"], Sequence):
-            self.fault(f"{place}.point", keys["point"], "must be a point of a link")
-        through, along = 0j, 1 + 0j
-        if "on" in keys:
-            line = self.keys(keys["on"], f"{place}.on", ["through", "along"], [])
-            if "through" in line:
-                through = self.vector(line["through"], f"{place}.on.through")
-            if "along" in line:
-                along = self.vector(line["along"], f"{place}.on.along")
-                if along == 0:
-                    limit = "must point somewhere"
-                    self.fault(f"{place}.on.along", line["along"], limit, "[0, 0]")
-                    along = 1 + 0j
-        along /= max(abs(along.real), abs(along.imag))  # first, so that no square overflows
-        return Closure(first, Point(None, through), along / abs(along))
+    # -- closures, springs, loads ------------------------------------------------------------
+
+    def closure(self, node: Node, place: str) -> Closure:
+        self.closures += 1
+        if not isinstance(node, Mapping):
+            return Closure(*self.pair(node, place, "sides"))
+        values = self.form("closure", node, place)
+        through, along = (values["on"] or {"through": 0j, "along": 1 + 0j}).values()
+        along /= max(abs(along.real), abs(along.imag)) or 1.0  # no square overflows
+        return Closure(values["point"], Point(None, through), along / (abs(along) or 1.0))
+
+    def line(self, node: Node, place: str) -> dict[str, complex]:
+        return self.form("line", node, place)
+
+    def direction(self, node: Node, place: str) -> complex:
+        faults, vector = len(self.faults), self.vector(node, place)
+        if vector == 0 and len(self.faults) == faults:
+            self.fault(place, node, "must point somewhere", "[0, 0]")
+        return vector
+
+    def spring(self, node: Node, place: str) -> Spring | JointSpring:
+        values = self.form("spring", node, place)
+        if "joint" in values:
+            return JointSpring(**values)
+        return Spring(*values.pop("between"), **values)
+
+    def load(self, node: Node, place: str) -> Load | Moment:
+        values = self.form("load", node, place)
+        if "torque" in values:
+            return Moment(**values)
+        point = Point(values["link"], values["at"])
+        return Load(point, values["force"], values["frame"] == FRAMES[1])
+
+    # -- couplings ---------------------------------------------------------------------------
+
+    def couplings(self, node: Node, place: str) -> tuple[Coupling, ...]:
+        """A list of equations, or a single one, `q3 = -2 q1 + 0.1`."""
+        single = isinstance(node, Scalar)
+        found: dict[int, Coupling] = {}  # by the joint that they give
+        for c, entry in enumerate([node] if single else self.items(node, place)):
+            where = place if single else f"{place}[{c}]"
+            coupling = self.coupling(entry, where, self.count)
+            if coupling is None:
+                continue
+            if coupling.joint in found:
+                limit = f"gives q{coupling.joint + 1} a second time"
+                self.fault(where, entry, limit, self.shown(entry))
+            found[coupling.joint] = coupling
+        return tuple(found.values())
+
+    def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
+        text = self.name(node, place)
+        try:
+            joint, terms, angle = parse_coupling(text)
+        except ValueError as error:
+            if text:
+                self.fault(place, node, str(error), self.shown(node))
+            return None
+        unknown = [k for k in (joint, *terms) if not 1 <= k <= count]
+        if unknown:
+            limit = f"names q{unknown[0]}; the joints are q1 to q{count}"
+            self.fault(place, node, limit, self.shown(node))
+            return None
+        if joint in terms:
+            self.fault(place, node, f"has q{joint} on both sides", self.shown(node))
+            return None
+        ratios = tuple((k - 1, ratio) for k, ratio in terms.items() if ratio != 0.0)
+        return Coupling(joint - 1, ratios, angle)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

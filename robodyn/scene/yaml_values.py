@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any, ClassVar
 
 from robodyn.errors import MOST_FAULTS, Fault
-from robodyn.scene.quantities import parse_number
+from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WORDS, Key, form_of
+from robodyn.scene.quantities import parse_angle, parse_number
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
 COMPARISONS = 2000  # of names that a file's suggestions may cost
@@ -17,7 +18,17 @@ class TooManyFaults(Exception):
 
 
 class ValueReader:
-    """Reads keys, names, numbers and vectors; after a fault it goes on with a harmless value."""
+    """Reads forms, words, numbers and vectors; after a fault it goes on with a harmless value.
+
+    A kind of the grammar that is none of these is read by the method of its name.
+    """
+
+    missing: ClassVar[dict[str, Any]] = {  # what stands for a value that is left out, by its kind
+        "list": None,
+        **dict.fromkeys(NUMBERS, 0.0),
+        **{kind: words[0] for kind, words in WORDS.items()},
+        **dict.fromkeys(("vector", "direction", *OR_VECTOR), 0j),
+    }
 
     def __init__(self) -> None:
         self.faults: list[Fault] = []
@@ -47,6 +58,35 @@ class ValueReader:
                 self.fault(prefix + missing, node, "is missing")
         return found
 
+    def form(self, kind: str, node: Node, place: str) -> dict[str, Any]:
+        """What a mapping of this kind holds, key by key."""
+        given = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else ()
+        form = form_of(kind, given)
+        found = self.keys(node, place, form.named(needed=True), form.named(needed=False))
+        prefix = f"{place}." if place else ""
+        return {
+            name: self.value(key, found[name], prefix + name)
+            if name in found
+            else self.missing.get("list" if key.listed else key.kind)
+            for name, key in form.keys.items()
+        }
+
+    def value(self, key: Key, node: Node, place: str) -> Any:
+        """The value of a key."""
+        if key.listed:
+            one = key._replace(listed=False)
+            items = self.items(node, place)
+            return tuple(self.value(one, item, f"{place}[{k}]") for k, item in enumerate(items))
+        if key.kind in NUMBERS:
+            return self.number(node, place, key)
+        if key.kind in OR_VECTOR:
+            plain = key._replace(kind=OR_VECTOR[key.kind])
+            vector = isinstance(node, Sequence)
+            return self.vector(node, place) if vector else self.number(node, place, plain)
+        if key.kind in WORDS:
+            return self.word(node, place, WORDS[key.kind])
+        return getattr(self, key.kind)(node, place)
+
     def items(self, node: Node | None, place: str) -> list[Node]:
         if node is None:
             return []
@@ -55,33 +95,34 @@ class ValueReader:
         self.fault(place, node, "must be a list", self.shown(node))
         return []
 
-    def text(self, node: Node, place: str) -> str:
+    def name(self, node: Node, place: str) -> str:
         if isinstance(node, Scalar) and node.text.strip():
             return node.text
         self.fault(place, node, "must be a name", self.shown(node))
         return ""
 
-    def number(self, node: Node, place: str, parse: Callable[[str], float] = parse_number) -> float:
+    def word(self, node: Node, place: str, words: tuple[str, ...]) -> str:
+        word = self.name(node, place)
+        if word not in words:
+            self.fault(place, node, f"must be {' or '.join(words)}", word)
+        return word
+
+    def number(self, node: Node, place: str, key: Key = Key("number", "")) -> float:
         if not isinstance(node, Scalar):
             self.fault(place, node, "must be a number", self.shown(node))
             return 0.0
         try:
             if node.quoted:
                 raise ValueError("is quoted text, not a number")
-            return parse(node.text)
+            value = (parse_angle if key.kind == "angle" else parse_number)(node.text)
         except ValueError as error:
             truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false")
             reason = "is a truth value, not a number" if truth else str(error)
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
-
-    def amount(self, node: Node, place: str) -> float:
-        value = self.number(node, place)
-        if value < 0.0:
-            limit = "must be >= 0"
-            if place.endswith(".r"):
-                limit += "; write [x, y] for a centre of gravity behind or beside the link"
-            self.fault(place, node, limit, self.shown(node))
+        limit = NUMBERS[key.kind]
+        if limit and (value < 0.0 or (value == 0.0 and limit == "> 0")):
+            self.fault(place, node, f"must be {limit}{key.hint}", self.shown(node))
             return 0.0
         return value
 

@@ -14,12 +14,16 @@ from dataclasses import dataclass
 
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
-from robodyn.scene.quantities import parse_angle
+from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR, Key, form_of
 from robodyn.scene.scene import Description
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 
-LINK_KEYS = ("m", "l", "r", "I", "payload", "damping")
-_ANGLE = re.compile(r"(q|qd|qdd)[0-9]+|start\..*|.*\.angle", re.ASCII)
+_ANGLES = {
+    name for form in FORMS.values() for name, key in form.keys.items() if key.kind == "angle"
+}
+_ANGLE = re.compile(rf"(q|qd|qdd)[0-9]+|start\..*|.*\.({'|'.join(_ANGLES)})", re.ASCII)
+# Of what a list of this kind consists, where not of numbers.
+_INNER = {"closure": "point", "pair": "point"} | dict.fromkeys(("joints", "assembly", "couplings"))
 
 
 @dataclass(slots=True)
@@ -56,21 +60,12 @@ class SceneValues:
         assert root is not None
         self._root = _unshared(root)
         assert isinstance(self._root, yaml_tree.Mapping)
-        self._places = dict(_numbers(self._root, ""))
-        self._places.setdefault("gravity", _Place(self._root, "gravity"))
-        links = {key.text: node for key, node in self._root.pairs}["links"]
-        assert isinstance(links, Sequence)
-        for k, (link, node) in enumerate(zip(self.base.links, links.items, strict=True)):
-            assert isinstance(node, yaml_tree.Mapping)
-            for key in LINK_KEYS:
-                self._places.setdefault(f"links[{k}].{key}", _Place(node, key))
+        self._places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
+        for k, link in enumerate(self.base.links):
             prefix = f"links[{k}]."
             for name in [name for name in self._places if name.startswith(prefix)]:
                 named = f"links.{link.name}.{name.removeprefix(prefix)}"
                 self._places.setdefault(named, self._places[name])
-        for k, node in enumerate(_entries(self._root, "springs")):
-            assert isinstance(node, yaml_tree.Mapping)
-            self._places.setdefault(f"springs[{k}].damping", _Place(node, "damping"))
 
     @property
     def names(self) -> list[str]:
@@ -117,11 +112,6 @@ def is_angle(name: str) -> bool:
     return _ANGLE.fullmatch(name) is not None
 
 
-def _entries(root: yaml_tree.Mapping, key: str) -> list[Node]:
-    found = {name.text: node for name, node in root.pairs}.get(key)
-    return found.items if isinstance(found, Sequence) else []
-
-
 def _unshared(node: Node) -> Node:
     """A copy in which no two places hold the same node, as aliases do."""
     if isinstance(node, Scalar):
@@ -132,26 +122,27 @@ def _unshared(node: Node) -> Node:
     return yaml_tree.Mapping(pairs, node.line, node.size)
 
 
-def _numbers(node: Node, name: str) -> Iterator[tuple[str, _Place]]:
-    """The places of all numbers below a node."""
+def _numbers(
+    place: _Place, node: Node, name: str, kind: str | None
+) -> Iterator[tuple[str, _Place]]:
+    """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
+    if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)):
+        yield name, place
     if isinstance(node, Sequence):
+        inner = _INNER.get(kind or "", "number")
         for k, item in enumerate(node.items):
-            if _is_number(item):
-                yield f"{name}[{k}]", _Place(node, k)
-            yield from _numbers(item, f"{name}[{k}]")
+            yield from _numbers(_Place(node, k), item, f"{name}[{k}]", inner)
     elif isinstance(node, yaml_tree.Mapping):
-        for key, value in node.pairs:
-            inner = f"{name}.{key.text}" if name else key.text
-            if _is_number(value) and key.text != "name":
-                yield inner, _Place(node, key.text)
-            yield from _numbers(value, inner)
-
-
-def _is_number(node: Node) -> bool:
-    if not isinstance(node, Scalar) or node.quoted:
-        return False
-    try:
-        parse_angle(node.text)
-    except ValueError:
-        return False
-    return True
+        given = {key.text: value for key, value in node.pairs}
+        prefix = f"{name}." if name else ""
+        keys = {} if kind == "start" else form_of(str(kind), given).keys
+        for text, value in given.items():
+            key = keys.get(text, Key("angle", ""))
+            if key.listed and isinstance(value, Sequence):
+                for k, item in enumerate(value.items):
+                    yield from _numbers(_Place(value, k), item, f"{prefix}{text}[{k}]", key.kind)
+            else:
+                yield from _numbers(_Place(node, text), value, prefix + text, key.kind)
+        for text, key in keys.items():
+            if key.default == "0" and text not in given:
+                yield prefix + text, _Place(node, text)
