@@ -53,6 +53,7 @@ class Formula(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
+    Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
 
 
 class Recorded:
@@ -320,7 +321,8 @@ def _projection(state: Recorded) -> Formula:
     n, rows = mechanism.n, len(mechanism.rows)
     series = state.series([0.0] * n)
     series.residuals(0)
-    Psi = joint_jacobian(state, series)
+    absolute = [{k: x for k, x in row.items() if k < n} for row in series.matrix()[n:]]
+    Psi = [state.to_joints([row.get(k, 0.0) for k in range(n)]) for row in absolute]
     gaps = [series.real[slot][0] for slot in series.program.named["gap"]]
     speeds = [_dot(row, state.relative["qd"]) for row in Psi]
     normal = [{c: _dot(Psi[r], Psi[c]) for c in range(rows)} for r in range(rows)]
@@ -335,7 +337,7 @@ def _projection(state: Recorded) -> Formula:
         pivot / state.parameter(f"size{r}", row.size**2)
         for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
     )
-    return Formula(state.inputs, (*outputs, *gaps), relative)
+    return Formula(state.inputs, (*outputs, *gaps), relative, tuple(absolute))
 
 
 def _dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
