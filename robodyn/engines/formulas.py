@@ -54,6 +54,7 @@ class Formula(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
+    Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
 
 
 class Recorded:
@@ -321,7 +322,8 @@ def _projection(state: Recorded) -> Formula:
     n, rows = mechanism.n, len(mechanism.rows)
     series = state.series([0.0] * n)
     series.residuals(0)
-    Psi = [_entries(row) for row in joint_jacobian(state, series)]
+    absolute = [{k: x for k, x in row.items() if k < n} for row in series.matrix()[n:]]
+    Psi = [_entries(state.to_joints([row.get(k, 0.0) for k in range(n)])) for row in absolute]
     columns: list[dict[int, Value]] = [{} for _ in range(n)]
     for r, row in enumerate(Psi):
         for k, value in row.items():
@@ -340,7 +342,7 @@ def _projection(state: Recorded) -> Formula:
         pivot / state.parameter(f"size{r}", row.size**2)
         for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
     )
-    return Formula(state.inputs, (*outputs, *gaps), relative)
+    return Formula(state.inputs, (*outputs, *gaps), relative, tuple(absolute))
 
 
 def _entries(values: Sequence[Value] | Mapping[int, Value]) -> dict[int, Value]:

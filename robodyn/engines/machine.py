@@ -212,7 +212,7 @@ def generator() -> str:
     """What tells these sources, and those of the program, from other versions of them."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for room in (here, here.parent / "mechanics"):
+    for room in (here, here.parent / "loops", here.parent / "mechanics"):
         for path in sorted(room.glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -9,6 +9,7 @@ stand.  The kernels
     expand(block)      the series at the state, and the longest step
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
+    leaps(block)       none is left where the step between them may have leapt to another branch
     compare(block)     whether the series gives the torques there (0 or 1)
 
 do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
@@ -29,7 +30,7 @@ from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
 from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
 from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
 from robodyn.engines.formulas import Formula, projection_formula
-from robodyn.engines.machine_closing import write_close
+from robodyn.engines.machine_closing import write_close, write_leaps
 from robodyn.engines.segment import Segment
 from robodyn.loops.assembly import loop_size
 from robodyn.loops.change_points import suspect_quality
@@ -169,6 +170,7 @@ class Scene:
         parts = [(*self._formulas, "")]
         if self.closing is not None:
             outputs = [*self.closing.outputs, *self.closing.pivots]
+            outputs += [x for row in self.closing.Psi for x in row.values()]
             graph = next(x.graph for x in outputs if isinstance(x, Expression))
             parts.append((graph, outputs, "closing."))
         return parts
@@ -269,6 +271,7 @@ class Scene:
         self._evaluate(module)
         if self.closing is not None:
             write_close(self, module, self.closing)
+            write_leaps(self, module, self.closing)
         if self.bends:
             self._compare(module)
 

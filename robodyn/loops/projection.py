@@ -24,7 +24,6 @@ from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
     Closing,
-    Misses,
     lead_across,
     suspect_quality,
 )
@@ -36,6 +35,7 @@ from robodyn.loops.closing import (
     regular_rank,
     singular_size,
 )
+from robodyn.loops.misses import Misses
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
