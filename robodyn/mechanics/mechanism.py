@@ -8,7 +8,9 @@ follows from
 
 and from the closures, which are linear in E.  For j above k in the tree every body below k leaves
 link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that
-link k carries: the constants cost O(links * depth), and only nonzero ones are kept.
+link k carries: the constants cost O(links * depth), and only nonzero ones are kept.  What costs as
+much (A, and points in terms of E) is made when it is first read, so that a command whose options
+are wrong says so at once.
 
 Constant forces and torques act like weights: with p_b = const + sum_k c_k E_k the point of such a
 force F, the potential energy is
@@ -21,18 +23,19 @@ What holds them all is `planar_model.py`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from robodyn.errors import InputError
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
+from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point, Spring
+from robodyn.scene.scene import Description, JointSpring, Link, Load, Moment, Point, Spring
 
 
 def load(path: str | Path) -> Mechanism:
@@ -62,44 +65,41 @@ def _build(description: Description) -> Mechanism:
     carried = [link.m + link.payload for link in links]
     B = [link.m * link.r + link.payload * link.l for link in links]
     inertia = [link.I + link.m * abs(link.r) ** 2 + link.payload * link.l**2 for link in links]
+    forces = [x for x in description.loads if isinstance(x, Load)]
+    steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
+    moment = [0j] * len(links)
+    for force in forces:
+        if force.point.link is not None and not force.turns:
+            steady[force.point.link] += force.force.conjugate()
+            moment[force.point.link] += force.force.conjugate() * force.point.at
     for k in reversed(order):  # what link k carries acts on its parent at k's own joint
         p, j = links[k].hangs_from.at, parent[k]
         if j is not None:
             carried[j] += carried[k]
             B[j] += carried[k] * p
             inertia[j] += carried[k] * abs(p) ** 2
+            steady[j] += steady[k]
+            moment[j] += steady[k] * p
 
-    A = [(k, k, complex(inertia[k])) for k in range(len(links))]
-    pivots: list[PlanarPoint] = [PlanarPoint(0j, ())] * len(links)
-    for k in order:
-        pivots[k] = _point(pivots, links[k].hangs_from)
-        A += [(j, k, p.conjugate() * B[k]) for j, p in pivots[k].terms if p * B[k] != 0]
-
-    offset = -sum(
-        (description.gravity.conjugate() * pivot.constant).real * (link.m + link.payload)
-        for pivot, link in zip(pivots, links, strict=True)
-    )
-    weights = [description.gravity.conjugate() * b for b in B]
+    gamma = description.gravity.conjugate()
+    roots = [(k, link.hangs_from.at) for k, link in enumerate(links) if parent[k] is None]
+    offset = -sum((gamma * at).real * carried[k] + (steady[k] * at).real for k, at in roots)
+    weights = [gamma * b + m for b, m in zip(B, moment, strict=True)]
     moments, damping = [0.0] * len(links), [link.damping for link in links]
-    forces: list[Force] = []
     for entry in description.loads:
         if isinstance(entry, Moment):
             moments[entry.link] += entry.torque
-            continue
-        forces.append(_force(entry, pivots))
-        if not entry.turns:
-            offset -= (entry.force.conjugate() * forces[-1].point.constant).real
-            for k, c in forces[-1].point.terms:
-                weights[k] += entry.force.conjugate() * c
     joint_springs = [x for x in description.springs if isinstance(x, JointSpring)]
     for spring in joint_springs:
         damping[spring.joint] += spring.damping
-    rows = _rows(description, pivots)
+    tree = _Tree(links, order)
+    rows = _rows(description, tree)
     rows += _coupling_rows(description, max((row.size for row in rows), default=0.0))
-    numbers = [*(entry[2] for entry in A), *B, complex(offset), *(complex(r.offset) for r in rows)]
-    numbers += weights
+    numbers = [*B, *weights, *_largest(links, order, B), complex(offset), *map(complex, inertia)]
+    numbers += [complex(row.offset) for row in rows]
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
         raise too_large(description)
+    springs = [x for x in description.springs if isinstance(x, Spring)]
     return Mechanism(
         name=description.name,
         source=description.source,
@@ -107,27 +107,50 @@ def _build(description: Description) -> Mechanism:
         link_names=tuple(link.name for link in links),
         parent=parent,
         order=order,
-        A=tuple(A),
+        A=OnDemand(_couplings_of_links, tree, B, inertia),
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
         damping=tuple(damping),
         rows=tuple(rows),
-        actuated=_actuated(description, pivots),
-        pivots=tuple(pivots),
-        tips=tuple(_point(pivots, Point(k, complex(link.l))) for k, link in enumerate(links)),
-        centres=tuple(_point(pivots, Point(k, link.r)) for k, link in enumerate(links)),
+        actuated=_actuated(description, tree),
+        pivots=OnDemand(_points, tree, [link.hangs_from for link in links]),
+        tips=OnDemand(_points, tree, [Point(k, complex(x.l)) for k, x in enumerate(links)]),
+        centres=OnDemand(_points, tree, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
-        springs=tuple(_spring(x, pivots) for x in description.springs if isinstance(x, Spring)),
+        springs=OnDemand(_springs, tree, springs),
         joint_springs=tuple(x for x in joint_springs if x.stiffness),
-        forces=tuple(forces),
+        forces=OnDemand(_forces, tree, forces),
         friction=tuple(
             (k, link.friction)
             for k, link in enumerate(links)
             if link.friction is not None and link.friction.torque
         ),
     )
+
+
+def _couplings_of_links(
+    tree: _Tree, B: Sequence[complex], inertia: Sequence[float]
+) -> Iterator[tuple[int, int, complex]]:
+    """The entries of A that are not zero: those of the diagonal first."""
+    yield from ((k, k, complex(value)) for k, value in enumerate(inertia))
+    for k in tree.order:
+        for j, p in tree.point(tree.links[k].hangs_from).terms:
+            if p * B[k] != 0:
+                yield j, k, p.conjugate() * B[k]
+
+
+def _largest(
+    links: Sequence[Link], order: Sequence[int], B: Sequence[complex]
+) -> Iterator[complex]:
+    """A number for each link that is finite only where A is: the products' sizes, from below."""
+    most = [max(abs(b.real), abs(b.imag)) for b in B]
+    for k in reversed(order):
+        j, p = links[k].hangs_from.link, links[k].hangs_from.at
+        if j is not None:
+            most[j] = max(most[j], most[k])
+            yield complex(max(abs(p.real), abs(p.imag)) * most[k] * 2.0)
 
 
 def too_large(description: Description) -> InputError:
@@ -147,46 +170,71 @@ def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
     return tuple(order)
 
 
-def _point(pivots: Sequence[PlanarPoint], point: Point) -> PlanarPoint:
-    """The point in terms of E; the pivot of its link must be known."""
-    if point.link is None:
-        return PlanarPoint(point.at, ())
-    pivot = pivots[point.link]
-    own = ((point.link, point.at),) if point.at != 0 else ()
-    return PlanarPoint(pivot.constant, pivot.terms + own)
+class _Tree:
+    """The links as a tree: points in terms of E."""
+
+    def __init__(self, links: Sequence[Link], order: Sequence[int]) -> None:
+        self.links, self.order = links, order
+        self._depth: dict[int | None, int] = {None: 0}
+        for k in order:
+            self._depth[k] = self._depth[links[k].hangs_from.link] + 1
+
+    def point(self, point: Point) -> PlanarPoint:
+        """The point, summed from the ground."""
+        terms: list[tuple[int, complex]] = []
+        while point.link is not None:
+            if point.at != 0:
+                terms.append((point.link, point.at))
+            point = self.links[point.link].hangs_from
+        return PlanarPoint(point.at, tuple(reversed(terms)))
+
+    def apart(self, first: Point, second: Point) -> tuple[list[Point], list[Point]]:
+        """The points at which the paths to two points leave their links, up to a common link."""
+        paths: tuple[list[Point], list[Point]] = [first], [second]
+        while (one := paths[0][-1].link) != (two := paths[1][-1].link):
+            path, link = (
+                (paths[0], one) if self._depth[one] >= self._depth[two] else (paths[1], two)
+            )
+            assert link is not None
+            path.append(self.links[link].hangs_from)
+        return paths
+
+    def difference(self, first: Point, second: Point) -> PlanarPoint:
+        """First less second, without the terms that cancel."""
+        (*one, a), (*two, b) = self.apart(first, second)
+        found = [(a.link, a.at - b.at), *((x.link, x.at) for x in reversed(one))]
+        found += [(x.link, 0j - x.at) for x in reversed(two)]
+        constant = a.at - b.at if a.link is None else 0j
+        return PlanarPoint(constant, tuple((k, c) for k, c in found if k is not None and c != 0))
 
 
-def _difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
-    """First less second, without the terms that cancel."""
-    terms: dict[int, complex] = dict(first.terms)
-    for k, coefficient in second.terms:
-        terms[k] = terms.get(k, 0j) - coefficient
-    kept = tuple((k, coefficient) for k, coefficient in terms.items() if coefficient != 0)
-    return PlanarPoint(first.constant - second.constant, kept)
+def _points(tree: _Tree, points: Sequence[Point]) -> Iterator[PlanarPoint]:
+    return map(tree.point, points)
 
 
-def _force(load: Load, pivots: Sequence[PlanarPoint]) -> Force:
-    assert load.point.link is not None
-    return Force(load.point.link, _point(pivots, load.point), load.force, load.turns)
+def _forces(tree: _Tree, loads: Sequence[Load]) -> Iterator[Force]:
+    for load in loads:
+        assert load.point.link is not None
+        yield Force(load.point.link, tree.point(load.point), load.force, load.turns)
 
 
-def _spring(spring: Spring, pivots: Sequence[PlanarPoint]) -> PointSpring:
-    first, second = _point(pivots, spring.first), _point(pivots, spring.second)
-    return PointSpring(
-        first=spring.first.link,
-        second=spring.second.link,
-        ends=(first, second),
-        between=_difference(first, second),
-        stiffness=spring.stiffness,
-        length=spring.length,
-        damping=spring.damping,
-    )
+def _springs(tree: _Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
+    for spring in springs:
+        yield PointSpring(
+            first=spring.first.link,
+            second=spring.second.link,
+            ends=(tree.point(spring.first), tree.point(spring.second)),
+            between=tree.difference(spring.first, spring.second),
+            stiffness=spring.stiffness,
+            length=spring.length,
+            damping=spring.damping,
+        )
 
 
-def _rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[ClosureRow]:
+def _rows(description: Description, tree: _Tree) -> list[ClosureRow]:
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
-        gap = _difference(_point(pivots, closure.first), _point(pivots, closure.second))
+        gap = tree.difference(closure.first, closure.second)
         if not gap.terms:  # a row of zeros, against which nothing can be measured
             limit = "joins points that cannot move apart: it says nothing, or never holds"
             raise InputError(f"closures[{c}]", where=description.source, limit=limit)
@@ -215,17 +263,14 @@ def _coupling_rows(description: Description, size: float) -> list[ClosureRow]:
     return found
 
 
-def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list[set[int]]:
-    """For each closure the joints of its loop: those on the path to one side only."""
-    loops: list[set[int]] = []
-    for closure in description.closures:
-        sides = [_point(pivots, point).terms for point in (closure.first, closure.second)]
-        first, second = ({k for k, _ in terms} for terms in sides)
-        loops.append(first ^ second)
-    return loops
+def _loop(tree: _Tree, first: Point, second: Point) -> set[int]:
+    """The joints of a closure's loop: those on the path to one side only."""
+    (*one, a), (*two, b) = tree.apart(first, second)
+    loop = {x.link for x in (*one, *two) if x.link is not None and x.at != 0}
+    return loop | {a.link} if a.link is not None and (a.at == 0) != (b.at == 0) else loop
 
 
-def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[int, ...]:
+def _actuated(description: Description, tree: _Tree) -> tuple[int, ...]:
     """As the scene says; else every joint outside of loops, and the first of each group of loops.
 
     Loops that share joints, or have coupled ones, are a group; a joint that a coupling gives is
@@ -233,17 +278,20 @@ def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[
     """
     if description.actuated is not None:
         return description.actuated
-    loops = loop_joints(description, pivots)
+    loops = [_loop(tree, closure.first, closure.second) for closure in description.closures]
     in_loops = set().union(*loops)
     followers = {coupling.joint for coupling in description.couplings}
-    groups: list[set[int]] = []
     coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
+    groups: dict[int, set[int]] = {}  # of each joint
     for tied in loops + coupled:
-        apart = [group for group in groups if not group & tied]
-        joined = tied.union(*(group for group in groups if group & tied))
-        groups = [*apart, joined]
-    driven = {k for k in range(len(description.links)) if k not in in_loops | followers}
-    for group in groups:
+        met = {id(groups[k]): groups[k] for k in tied if k in groups}.values()
+        joined = max(met, key=len, default=set())
+        for group in (tied, *met):
+            if group is not joined:
+                joined |= group
+                groups.update(dict.fromkeys(group, joined))
+    driven = set(range(len(description.links))) - in_loops - followers
+    for group in {id(group): group for group in groups.values()}.values():
         if group & in_loops and not group & driven:
             driven.update(sorted(group - followers)[:1])
     return tuple(sorted(driven))

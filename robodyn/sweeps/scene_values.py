@@ -11,6 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
@@ -20,6 +22,7 @@ from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 
 LINK_KEYS = ("m", "l", "r", "I", "payload", "damping")
 _ANGLE = re.compile(r"(q|qd|qdd)[0-9]+|start\..*|.*\.angle", re.ASCII)
+_OF_LINK = re.compile(r"links\[(\d+)\]\.")
 
 
 @dataclass(slots=True)
@@ -28,6 +31,11 @@ class _Place:
 
     around: yaml_tree.Mapping | Sequence
     at: str | int
+
+    @property
+    def held(self) -> list[Any]:
+        """What the collection around holds."""
+        return self.around.items if isinstance(self.around, Sequence) else self.around.pairs
 
     def put(self, value: float) -> None:
         scalar = Scalar(repr(float(value)), False, self.around.line)
@@ -51,8 +59,8 @@ class SceneValues:
 
     def __init__(self, text: str, source: str) -> None:
         self.source = source
-        self.base = description.from_text(text, source)
         root = yaml_tree.parse(text, source)
+        self.base = description.from_tree(root, source)
         assert root is not None
         self._root = _unshared(root)
         assert isinstance(self._root, yaml_tree.Mapping)
@@ -60,14 +68,14 @@ class SceneValues:
         self._places.setdefault("gravity", _Place(self._root, "gravity"))
         links = {key.text: node for key, node in self._root.pairs}["links"]
         assert isinstance(links, Sequence)
-        for k, (link, node) in enumerate(zip(self.base.links, links.items, strict=True)):
+        for k, node in enumerate(links.items):
             assert isinstance(node, yaml_tree.Mapping)
             for key in LINK_KEYS:
                 self._places.setdefault(f"links[{k}].{key}", _Place(node, key))
-            prefix = f"links[{k}]."
-            for name in [name for name in self._places if name.startswith(prefix)]:
-                named = f"links.{link.name}.{name.removeprefix(prefix)}"
-                self._places.setdefault(named, self._places[name])
+        for name, place in list(self._places.items()):
+            if match := _OF_LINK.match(name):
+                named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
+                self._places.setdefault(named, place)
         for k, node in enumerate(_entries(self._root, "springs")):
             assert isinstance(node, yaml_tree.Mapping)
             self._places.setdefault(f"springs[{k}].damping", _Place(node, "damping"))
@@ -101,15 +109,27 @@ class SceneValues:
         return next((id(node) for key, node in around.pairs if key.text == at), None)
 
     def replaced(self, values: Mapping[str, float]) -> Description:
-        """The scene with these numbers in place of its own (others stay as replaced before).
+        """The scene with these numbers in place of its own; not for two threads at once.
 
         Raises InputError for an unknown name, DescriptionError for values that no scene may have.
         """
-        for name, value in values.items():
+        for name in values:
             if name not in self._places:
                 raise InputError(name, where=self.source, limit="is no number of the scene")
-            self._places[name].put(value)
-        return description.from_tree(self._root, self.source)
+        undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
+        try:
+            for name, value in values.items():
+                self._places[name].put(value)
+            return description.from_tree(self._root, self.source)
+        finally:
+            for held, own in undo:
+                held[:] = own
+
+
+@lru_cache(maxsize=8)
+def numbers_of(text: str, source: str) -> SceneValues:
+    """The numbers of a scene's text, read once for all who ask."""
+    return SceneValues(text, source)
 
 
 def is_angle(name: str) -> bool:
