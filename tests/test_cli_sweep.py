@@ -18,7 +18,7 @@ from conftest import ROOT, Outcome
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
 from robodyn.sweeps import sweep_plan
-from robodyn.sweeps.sweep import Rows, run_chunk
+from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 
 Run = Callable[..., Outcome]
 ARM = ("sweep", "robots/2r.yaml")

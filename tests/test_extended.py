@@ -30,11 +30,15 @@ def at_rest(n):
 
 def both(mech, state, times, torques):
     """The rows (T, 2n) of the series and of the extrapolation, in extended precision."""
-    motion = mech, state, times, torques
-    return (
-        extended._by_series(*motion, ORDER, TOLERANCE),
-        extended._by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED),
-    )
+    task = extended._Task(mech, state, times, torques)
+    extrapolation = extended._Extrapolation(task, SUBSTEPS, EXTRAPOLATED)
+    return by_series(*task), extended._followed(task, extrapolation)
+
+
+def by_series(*given):
+    """The rows of the series."""
+    task = extended._Task(*given)
+    return extended._followed(task, extended._Series(task, ORDER, TOLERANCE))
 
 
 def known(name):
@@ -60,7 +64,7 @@ def test_both_computations_reach_the_known_digits(name):
     nearby = start.copy()
     nearby[: mech.n] *= 1.0 + 1e-9
     nearby[0] += 1e-9
-    moved = extended._by_series(mech, nearby, times[1:], torques, ORDER, TOLERANCE)
+    moved = by_series(mech, nearby, times[1:], torques)
     sensitivity = float(np.abs(moved - rows[0]).max()) / 1e-9
     assert max(errors) < 4e-15 * max(1.0, sensitivity)
     assert float(np.abs(rows[0] - rows[1]).max()) < 2e-15 * max(1.0, sensitivity)
@@ -104,7 +108,7 @@ def test_kinks_of_a_table_are_stepped_onto():
         found = reference(mech, np.zeros(2), np.array(times), table)
         assert found.y[-1] == pytest.approx(exact[-1], abs=1e-15)
         assert found.uncertainty < 2e-15
-    series = extended._by_series(mech, np.zeros(2), np.array(stamps[1:]), table, ORDER, TOLERANCE)
+    series = by_series(mech, np.zeros(2), np.array(stamps[1:]), table)
     assert series.astype(float) == pytest.approx(np.array(exact), abs=1e-15)
 
 
@@ -123,7 +127,7 @@ def test_loops_stay_closed(shape):
 
 
 def test_a_large_mechanism_takes_a_second_series(monkeypatch):
-    monkeypatch.setattr(extended, "_by_extrapolation", None)
+    monkeypatch.setattr(extended, "_Extrapolation", None)
     scene = seeded_tree(4, extended.LARGE + 1)
     state = np.concatenate([scene.q, scene.qd])
     found = reference(scene.mechanism, state, np.array([0.02]), at_rest(scene.n))

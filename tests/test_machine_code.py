@@ -91,8 +91,9 @@ class TestGraphs:
         graph = Graph()
         x, y, p = graph.variable("x"), graph.variable("y"), graph.parameter("p", 0.7)
         outputs = [
-            expression.exp(x) - expression.log(y * y + 1.5) * p,
-            expression.power(y * y, 1.25) / (expression.tanh(x) + 2.0) + expression.sqrt(y * y),
+            expression.call("exp", x) - expression.call("log", y * y + 1.5) * p,
+            expression.power(y * y, 1.25) / (expression.call("tanh", x) + 2.0)
+            + expression.sqrt(y * y),
             expression.least(x, y) - p * expression.greatest(x, 0.25),
             expression.choose(x, y, abs(x), -y)
             + (p * p - 3.0 * p) * expression.sin(expression.cos(x)),

@@ -13,7 +13,7 @@ from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import forward_dynamics
 from robodyn.engines.step_text import step_text
 from robodyn.mechanics.actuation import Actuation, constant, expressions
-from robodyn.simulation.extended import _Motion
+from robodyn.simulation.extended import _Series, _Task
 from robodyn.taylor.steps import StraightEngine, relative_matrix
 
 ORDER = 12
@@ -70,8 +70,10 @@ class TestCoefficients:
         mech = found.mechanism
         q, qd = (np.asarray(x, np.longdouble) for x in (found.q, found.qd))
         y = np.concatenate([q, qd])
-        motion = _Motion(mech, Actuation(torques(mech)))
-        fine, _, _ = motion.expand(np.longdouble(0), y, ORDER)
+        task = _Task(mech, y, np.array([1.0]), Actuation(torques(mech)))
+        series = _Series(task, ORDER, 1.0)
+        series(np.longdouble(0), y, np.longdouble(1))  # makes the program
+        fine, _, _ = series.expanded(series.made[None], np.longdouble(0), y, ORDER)
         known = np.array(fine.rho) + 1j * np.array(fine.theta)
         z, _ = straight(mech, [*found.q, *found.qd])
         assert apart(z, known) < 2e-12

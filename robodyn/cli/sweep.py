@@ -20,7 +20,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.scene.yaml_tree import read_text
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.scene_values import numbers_of
-from robodyn.sweeps.sweep import Rows
+from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.sweeps.variation import Variation

@@ -230,7 +230,7 @@ def longest_step(
     def largest(k: int) -> Value:
         return _largest([a[k] * a[k] + b[k] * b[k] for a, b in zip(rho, theta, strict=True)])
 
-    fast = _largest([expression.absolute(x) for x in w])
+    fast = _largest([abs(x) for x in w])
     tol = atol + rtol * fast
     square = tol * tol
     h = power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
@@ -243,7 +243,7 @@ def longest_step(
     tails: Value = 0.0  # comparisons may pass over what is not finite
     for each in theta:
         tails = tails + each[p + 1]
-    return expression.choose(expression.absolute(tails), math.inf, h, math.nan)
+    return expression.choose(abs(tails), math.inf, h, math.nan)
 
 
 def _rough(a: Value, exponent: float) -> Value:

@@ -104,8 +104,7 @@ class Expression:
     def __add__(self, other: Value) -> Value:
         return add(self, other)
 
-    def __radd__(self, other: float) -> Value:
-        return add(other, self)
+    __radd__ = __add__
 
     def __sub__(self, other: Value) -> Value:
         return add(self, negate(other))
@@ -116,8 +115,7 @@ class Expression:
     def __mul__(self, other: Value) -> Value:
         return multiply(self, other)
 
-    def __rmul__(self, other: float) -> Value:
-        return multiply(other, self)
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Value) -> Value:
         return divide(self, other)
@@ -129,7 +127,7 @@ class Expression:
         return negate(self)
 
     def __abs__(self) -> Value:
-        return absolute(self)
+        return self.graph.node("abs", (self,))
 
     def __pow__(self, exponent: float) -> Value:
         return multiply(self, self) if exponent == 2 else power(self, exponent)
@@ -256,22 +254,7 @@ def sin(a: Value) -> Value:
 
 def sqrt(a: Value) -> Value:
     """The square root of a."""
-    return a.graph.node("sqrt", (a,)) if isinstance(a, Expression) else math.sqrt(a)
-
-
-def tanh(a: Value) -> Value:
-    """tanh(a)."""
-    return a.graph.node("tanh", (a,)) if isinstance(a, Expression) else math.tanh(a)
-
-
-def exp(a: Value) -> Value:
-    """e to the power a."""
-    return a.graph.node("exp", (a,)) if isinstance(a, Expression) else math.exp(a)
-
-
-def log(a: Value) -> Value:
-    """The natural logarithm of a."""
-    return a.graph.node("log", (a,)) if isinstance(a, Expression) else math.log(a)
+    return call("sqrt", a)
 
 
 def power(a: Value, exponent: float) -> Value:
@@ -280,7 +263,7 @@ def power(a: Value, exponent: float) -> Value:
 
 
 def call(name: str, a: Value) -> Value:
-    """Any other of the functions."""
+    """Any of the functions."""
     return a.graph.node(name, (a,)) if isinstance(a, Expression) else float(getattr(math, name)(a))
 
 
@@ -305,11 +288,6 @@ def keep(a: Value) -> Value:
     if not isinstance(a, Expression) or a.op in (*INPUTS, "keep"):
         return a
     return a.graph.node("keep", (a,))
-
-
-def absolute(a: Value) -> Value:
-    """The absolute value of a."""
-    return a.graph.node("abs", (a,)) if isinstance(a, Expression) else abs(a)
 
 
 def choose(x: Value, y: Value, a: Value, b: Value) -> Value:

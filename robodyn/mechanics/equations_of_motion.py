@@ -47,7 +47,6 @@ from robodyn.mechanics.program import (
 )
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
-MINUS: PlanarCoefficient = (-1.0, 0.0)
 
 
 @dataclass
@@ -89,6 +88,10 @@ class EquationsOfMotion:
         """The angular velocity of link k."""
         return self.program.add(Rate(self.E[k]))
 
+    def alpha(self, k: int) -> Slot:
+        """The angle of link k."""
+        return self.program.add(Integral(self.w(k), f"alpha{k}"))
+
     def v(self, j: int) -> Slot:
         """The rate qd of joint j."""
         above = self.mechanism.parent[j]
@@ -124,8 +127,7 @@ class EquationsOfMotion:
 
         With `work` the energies are among `named` (PE less its constant), and the power of torques
         and of what has no potential; that of `steady` torques is left out, as their work is tau
-        times the way.  With
-        `chained` the sums over A run along the tree, which takes fewer terms in deep ones.
+        times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
         links = _Links(
@@ -174,8 +176,7 @@ class EquationsOfMotion:
                 terms.append((half, program.add(Product(self.w(j), self.w(j)))))
             else:
                 one, other = (program.add(Derivative(self.E[i])) for i in (j, k))
-                turned = ((program.planar_number(value), other),)
-                moved = program.add(PlanarSum((0.0, 0.0), turned))
+                moved = program.planar_sum((program.planar_number(value), other))
                 terms.append((1.0, program.add(Inner(one, moved))))
         return program.sum(*terms)
 
@@ -186,11 +187,10 @@ class EquationsOfMotion:
         for k in range(mechanism.n):
             weight = program.planar_number(-mechanism.weights[k])
             if weight != (0.0, 0.0):
-                down = program.add(PlanarSum((0.0, 0.0), ((weight, self.E[k]),)))
+                down = program.planar_sum((weight, self.E[k]))
                 terms.append((1.0, program.add(RealPart(down))))
             if mechanism.moments[k]:
-                angle = program.add(Integral(self.w(k), f"alpha{k}"))
-                terms.append((number(-mechanism.moments[k]), angle))
+                terms.append((number(-mechanism.moments[k]), self.alpha(k)))
         for spring in mechanism.springs:
             if spring.stiffness:
                 d = self.point(spring.between)
@@ -220,8 +220,7 @@ class EquationsOfMotion:
             if above is None:
                 h[k] = program.add(PlanarSum(program.planar_number(-mechanism.gamma), ()))
             else:
-                terms = (((1.0, 0.0), h[above]), (at[k], self.P[above]))
-                h[k] = program.add(PlanarSum((0.0, 0.0), terms))
+                h[k] = program.planar_sum(((1.0, 0.0), h[above]), (at[k], self.P[above]))
             links.F[k].append(((re, -im), h[k]))
             links.constants[k] += mechanism.gamma * mechanism.B[k].conjugate()
         s: list[Slot] = [-1] * mechanism.n
@@ -229,7 +228,7 @@ class EquationsOfMotion:
             below: list[PlanarTerm] = [((1.0, 0.0), s[c]) for c in self.children[k]]
             for c, (re, im) in ((c, at[c]) for c in self.children[k]):
                 links.F[k].append(((re, -im), s[c]))
-            s[k] = program.add(PlanarSum((0.0, 0.0), ((B[k], self.P[k]), *below)))
+            s[k] = program.planar_sum((B[k], self.P[k]), *below)
 
     def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
         """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
@@ -248,7 +247,7 @@ class EquationsOfMotion:
             self._act(links, force.point, E, force.force)
             if work:
                 unit = program.planar_number(force.force)
-                turned = program.add(PlanarSum((0.0, 0.0), ((unit, E),)))
+                turned = program.planar_sum((unit, E))
                 moving = program.add(Derivative(self.point(force.point)))
                 links.power.append((1.0, program.add(Inner(turned, moving))))
 
@@ -276,8 +275,8 @@ class EquationsOfMotion:
             factor = program.sum(*pull, constant=number(-spring.stiffness))
             force = program.add(Scaled(factor, d))
             for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
-                part = program.add(PlanarSum((0.0, 0.0), ((along, force),)))
-                self._bends(program.add(RealPart(part)), reach)
+                part = program.add(RealPart(program.planar_sum((along, force))))
+                self._bends(part, reach)
             self._act(links, spring.between, force)
         elif spring.stiffness:
             self._act(links, spring.between, d, -spring.stiffness)
@@ -323,7 +322,7 @@ class EquationsOfMotion:
         """The rows of the closures, and what their multipliers do."""
         program = self.program
         multipliers: list[Slot] = []
-        gaps: list[Slot] = []
+        gaps = program.named["gap"] = []
         pins: dict[tuple[int | None, int], PlanarCoefficient] = {}
         self._rows: list[Slot] = []
         for r, row in enumerate(self.mechanism.rows):
@@ -340,14 +339,12 @@ class EquationsOfMotion:
                 terms.append(((re, im), self.E[k]))
                 links.F[k].append(((re, -im), mu))
             if terms:
-                place = program.add(PlanarSum((0.0, 0.0), tuple(terms)))
-                total.append((1.0, program.add(RealPart(place))))
+                total.append((1.0, program.add(RealPart(program.planar_sum(*terms)))))
             for k, turn in row.angles:
                 angle = program.number(turn)
-                total.append((angle, program.add(Integral(self.w(k), f"alpha{k}"))))
+                total.append((angle, self.alpha(k)))
                 links.moments[k].append((angle, mu))
             gap = program.sum(*total, constant=program.number(row.offset))
             gaps.append(gap)
             self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))
-        program.named["gap"] = gaps
         return multipliers

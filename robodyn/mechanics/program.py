@@ -251,6 +251,10 @@ class Program:
             return kept[0][1]
         return self.add(Sum(constant, kept))
 
+    def planar_sum(self, *terms: tuple[PlanarCoefficient, Slot]) -> Slot:
+        """The slot of a `PlanarSum` without a constant."""
+        return self.add(PlanarSum((0.0, 0.0), terms))
+
     # -- reading -----------------------------------------------------------------------------------
 
     @property

@@ -23,6 +23,7 @@ from robodyn.loops.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.taylor.run import reach
@@ -59,10 +60,10 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     Where the torques have no series, both are extrapolations.  Raises RobodynError where the
     motion cannot be followed.
     """
-    others = mechanism, state, times, over_a_run(actuation, state.tolist(), float(times[-1]))
+    actuation = over_a_run(actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:
-            first, second = _by_two(*others)
+            first, second = _by_two(_Task(mechanism, state, times, actuation))
         except (ArithmeticError, ValueError) as error:  # of torques; a singular matrix
             raise _lost(mechanism, f"is not defined: {error}") from None
     apart = float(np.abs(first - second).max())
@@ -70,25 +71,53 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     return Reference(first.astype(float), max(apart, eps))
 
 
-def _by_two(
-    mechanism: Mechanism, state: Array, times: Array, actuation: Actuation
-) -> tuple[Long, Long]:
-    motion = mechanism, state, times, actuation
+class _Task(NamedTuple):
+    """What is to be computed, see `reference`."""
+
+    mechanism: Mechanism
+    state: Array
+    times: Array
+    actuation: Actuation
+
+
+def _by_two(task: _Task) -> tuple[Long, Long]:
     try:
-        first = _by_series(*motion, ORDER, TOLERANCE)
+        first = _followed(task, _Series(task, ORDER, TOLERANCE))
     except InputError:  # a torque without a series
-        first = _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
-        return first, _by_extrapolation(*motion, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED)
-    if mechanism.n <= LARGE:
-        return first, _by_extrapolation(*motion, SUBSTEPS, EXTRAPOLATED)
-    return first, _by_series(*motion, ORDER - 9, 100.0 * TOLERANCE)
+        first = _followed(task, _Extrapolation(task, SUBSTEPS, EXTRAPOLATED))
+        return first, _followed(task, _Extrapolation(task, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED))
+    if task.mechanism.n <= LARGE:
+        return first, _followed(task, _Extrapolation(task, SUBSTEPS, EXTRAPOLATED))
+    return first, _followed(task, _Series(task, ORDER - 9, 100.0 * TOLERANCE))
+
+
+def _followed(task: _Task, step: Callable[[Any, Long, Any], tuple[Any, Long] | None]) -> Long:
+    """The states at the times asked for; `step` from t and y at most to `stop` tells how far, and
+    the new state, or 0 to be asked again, or nothing where it cannot go on.
+    """
+    mechanism, state, times, actuation = task
+    closing = _Closing(mechanism)
+    y, t, rows = closing(state.astype(LONG)), LONG(0.0), []
+    if actuation.told is not None:
+        actuation.told.begin(y.tolist(), float(times[-1]))
+    for end in times.astype(LONG):
+        while t < end:
+            stop = LONG(next_stop(actuation.kinks, actuation.leaves, float(t), float(end)))
+            stop = min(end, stop) if stop > t else end
+            taken = step(t, y, stop)
+            if taken is None:
+                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
+            h, new = taken
+            if h:
+                y = closing(new)
+                t = stop if t + h >= stop else t + h
+                reach(actuation, float(t), y)
+        rows.append(y)
+    return np.array(rows)
 
 
 def _lost(mechanism: Mechanism, why: str) -> RobodynError:
     return RobodynError("the motion", where=mechanism.source, limit=why)
-
-
-# -- the Taylor series ---------------------------------------------------------------------------
 
 
 def _convolve(x: Long, y: Long, m: int, first: int, last: int) -> Any:
@@ -106,24 +135,39 @@ LONGS = Arithmetic(
 )
 
 
-class _Motion:
+class _Series:
     """The series of a motion in extended precision, by how the switches of its torques stand."""
 
-    def __init__(self, mechanism: Mechanism, actuation: Actuation) -> None:
+    def __init__(self, task: _Task, order: int, tolerance: float) -> None:
+        mechanism, _, _, actuation = task
         self.mechanism, self.actuation = mechanism, actuation
+        self.order, self.tolerance = order, tolerance * float(np.finfo(LONG).eps)
         self.torques = actuation.function(mechanism.n)
         self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
         MotionProgram(mechanism, actuation, False)  # every branch must have a series
         self.lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
 
-    def expand(self, t: Any, y: Long, order: int) -> tuple[Coefficients, list[Any], list[float]]:
-        """The series from y at t, the links' rates, and the arms of what is watched."""
+    def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
+        """See `_followed`."""
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(float(t))
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
-        return self._expanded(self.made[held], t, y, order)
+        series, w, arms = self.expanded(self.made[held], t, y, self.order)
+        longest = longest_step(series, w, self.tolerance, self.tolerance)
+        if not longest > SMALLEST_STEP:
+            return None
+        h = min(stop - t, LONG(longest))
+        while h > SMALLEST_STEP:
+            new = _along(self.mechanism, series, y, h)
+            if not arms:
+                return h, new
+            states = ((h, new), (h / 2, _along(self.mechanism, series, y, h / 2)))
+            if all(self.agrees(series, held, x, t + x, at) for x, at in states):
+                return h, new
+            h = h / 2
+        return None
 
-    def _expanded(
+    def expanded(
         self, motion: MotionProgram, t: Any, y: Long, order: int
     ) -> tuple[Coefficients, list[Any], list[float]]:
         given: tuple[Sequence[float], Sequence[float]] = ((), ())
@@ -140,7 +184,7 @@ class _Motion:
         A difference that changes no rate by more than its rounding counts as none.
         """
         try:
-            found, _, arms = self._expanded(self.made[held], t, y, 1)
+            found, _, arms = self.expanded(self.made[held], t, y, 1)
         except (ArithmeticError, ValueError):  # outside the domain
             return False
         rates = y[self.mechanism.n : 2 * self.mechanism.n]
@@ -150,56 +194,6 @@ class _Motion:
             if not abs(terms.sum() - known[0]) <= AGREE * np.abs(terms).max() + small / arm:
                 return False
         return True
-
-
-def _by_series(
-    mechanism: Mechanism,
-    state: Array,
-    times: Array,
-    actuation: Actuation,
-    order: int,
-    tolerance: float,
-) -> Long:
-    motion, closing = _Motion(mechanism, actuation), _Closing(mechanism)
-    y = _begun(actuation, closing(state.astype(LONG)), times)
-    rows, t = [], LONG(0.0)
-    tolerance *= float(np.finfo(LONG).eps)
-    for end in times.astype(LONG):
-        while t < end:
-            series, w, arms = motion.expand(t, y, order)
-            held = None if actuation.pieces is None else actuation.pieces.at(float(t))
-            longest = longest_step(series, w, tolerance, tolerance)
-            if not longest > SMALLEST_STEP:
-                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
-            h = min(end - t, LONG(longest))
-            stop = _stop(actuation, t, end)
-            h = min(h, stop - t)
-            while h > SMALLEST_STEP:
-                new = _along(mechanism, series, y, h)
-                if not arms:
-                    break
-                states = ((h, new), (h / 2, _along(mechanism, series, y, h / 2)))
-                if all(motion.agrees(series, held, x, t + x, at) for x, at in states):
-                    break
-                h = h / 2
-            else:
-                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
-            y = closing(new)
-            t = stop if t + h >= stop else t + h
-            reach(actuation, float(t), y)
-        rows.append(y)
-    return np.array(rows)
-
-
-def _begun(actuation: Actuation, y: Long, times: Array) -> Long:
-    if actuation.told is not None:
-        actuation.told.begin(y.tolist(), float(times[-1]))
-    return y
-
-
-def _stop(actuation: Actuation, t: Any, end: Any) -> Any:
-    stop = next_stop(actuation.kinks, actuation.leaves, float(t), float(end))
-    return min(end, LONG(stop)) if stop > t else end
 
 
 def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
@@ -216,44 +210,28 @@ def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
     return np.concatenate([y[:n] + relative @ way, relative @ rate])
 
 
-# -- extrapolation of the midpoint rule ----------------------------------------------------------
+class _Extrapolation:
+    """Steps of the midpoint rule, each as long as the error of the one before allows."""
 
+    def __init__(self, task: _Task, substeps: Sequence[int], tolerance: float) -> None:
+        self.rates = _rates(task.mechanism, task.actuation)
+        self.substeps, self.tolerance = substeps, tolerance * float(np.finfo(LONG).eps)
+        self.h = LONG(LARGEST_STEP / 8)
 
-def _by_extrapolation(
-    mechanism: Mechanism,
-    state: Array,
-    times: Array,
-    actuation: Actuation,
-    substeps: Sequence[int],
-    tolerance: float,
-) -> Long:
-    rates = _rates(mechanism, actuation)
-    closing = _Closing(mechanism)
-    y = _begun(actuation, closing(state.astype(LONG)), times)
-    t, h = LONG(0.0), LONG(LARGEST_STEP / 8)
-    tolerance *= float(np.finfo(LONG).eps)
-    rows = []
-    for end in times.astype(LONG):
-        while t < end:
-            stop = _stop(actuation, t, end)
-            step = min(h, stop - t)
-            new, error = _extrapolated(rates, t, y, step, substeps)
-            scale = tolerance * (1.0 + float(np.abs(y).max()))
-            factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(substeps) - 1))
-            least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
-            if error <= scale or (least and np.isfinite(error)):
-                y = closing(new)
-                t = stop if t + step >= stop else t + step
-                reach(actuation, float(t), y)
-                # a step that was cut says nothing against longer ones
-                longer = max(float(step) * min(2.0, factor), float(h) if step < h else 0.0)
-                h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))
-            elif least:
-                raise _lost(mechanism, f"cannot be followed beyond t = {float(t):.6g} s")
-            else:
-                h = LONG(max(SMALLEST_STEP, float(step) * max(0.3, factor)))
-        rows.append(y)
-    return np.array(rows)
+    def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
+        """See `_followed`."""
+        step = min(self.h, stop - t)
+        new, error = _extrapolated(self.rates, t, y, step, self.substeps)
+        scale = self.tolerance * (1.0 + float(np.abs(y).max()))
+        factor = 0.9 * (scale / max(error, 1e-25)) ** (1.0 / (2 * len(self.substeps) - 1))
+        least = step <= SMALLEST_STEP  # where a torque jumps or bends, no step is small enough
+        if error <= scale or (least and np.isfinite(error)):
+            # a step that was cut says nothing against longer ones
+            longer = max(float(step) * min(2.0, factor), float(self.h) if step < self.h else 0.0)
+            self.h = LONG(min(LARGEST_STEP, max(longer, SMALLEST_STEP)))
+            return step, new
+        self.h = LONG(max(SMALLEST_STEP, float(step) * max(0.3, factor)))
+        return None if least else (LONG(0.0), y)
 
 
 def _extrapolated(
@@ -276,33 +254,26 @@ def _extrapolated(
 
 def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
     """dy/dt by (33), from the closed forms of M, C, G and Psi in joint coordinates."""
-    n, arrays = mechanism.n, mechanism.arrays
-    J = arrays.J.astype(LONG)
-    A = arrays.A.astype(COMPLEX)
-    P = arrays.P.astype(COMPLEX)
-    angles = arrays.angles.astype(LONG)
-    weight = np.asarray(mechanism.weights, COMPLEX)
-    moments = np.asarray(mechanism.moments, LONG)
-    own = _scene_torques(mechanism)
-    damping = np.asarray(mechanism.damping, LONG)
+    n, x = mechanism.n, _constants(mechanism)
     torques = actuation.function(n)
 
     def rates(t: Any, y: Long) -> Long:
         q, qd = y[:n], y[n:]
-        E, w = np.exp(1j * (J @ q)), J @ qd
-        W = E.conj()[:, None] * A * E
+        E, w = np.exp(1j * (x.J @ q)), x.J @ qd
+        W = E.conj()[:, None] * x.A * E
         try:
-            tau = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
+            tau: Any = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
         except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
             tau = np.full(n, LONG(np.nan))
-        if own is not None:
-            tau = tau + own(y)
-        force = tau - damping * qd + J.T @ (W.imag @ w**2 - (weight * E).imag + moments)
-        M = J.T @ W.real @ J
-        if not len(P):
+        if mechanism.has_state_forces:
+            tau = tau + forces.potential_torques(mechanism, q, E)
+            tau = tau + forces.other_torques(mechanism, qd, E, w)
+        force = tau - x.damping * qd + x.J.T @ (W.imag @ w**2 - (x.weights * E).imag + x.moments)
+        M = x.J.T @ W.real @ x.J
+        if not len(x.P):
             return np.concatenate([qd, solve_columns(M, force[:, None])[:, 0]])
-        Psi = (angles - (P * E).imag) @ J
-        bend = (P * E).real @ w**2  # -Psidot qd
+        Psi = (x.angles - (x.P * E).imag) @ x.J
+        bend = (x.P * E).real @ w**2  # -Psidot qd
         inverse = solve_columns(M, np.concatenate([force[:, None], Psi.T], axis=1))
         free, X = inverse[:, 0], inverse[:, 1:]
         multipliers = solve_columns(Psi @ X, (bend - Psi @ free)[:, None])[:, 0]
@@ -311,21 +282,11 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
     return rates
 
 
-def _scene_torques(mechanism: Mechanism) -> Callable[[Long], Long] | None:
-    """The joint torques (n) of springs and the like, in extended precision."""
-    if not mechanism.has_state_forces:
-        return None
-    J = mechanism.arrays.J.astype(LONG)
-    n = mechanism.n
-
-    def torques(y: Long) -> Long:
-        q, qd = y[:n], y[n:]
-        E = np.exp(1j * (J @ q))
-        rates: Long = J @ qd
-        held: Long = forces.potential_torques(mechanism, q, E)
-        return np.asarray(held + forces.other_torques(mechanism, qd, E, rates))
-
-    return torques
+def _constants(mechanism: Mechanism) -> Any:
+    """The arrays of the mechanism in extended precision."""
+    given = {name: getattr(mechanism.arrays, name) for name in Arrays.__slots__}
+    kinds = {name: COMPLEX if np.iscomplexobj(x) else LONG for name, x in given.items()}
+    return Arrays(**{name: x.astype(kinds[name]) for name, x in given.items()})
 
 
 def solve_columns(matrix: Long, columns: Long) -> Long:
@@ -346,16 +307,11 @@ class _Closing:
     """The nearest closed state, by Newton steps in extended precision."""
 
     def __init__(self, mechanism: Mechanism) -> None:
-        arrays = mechanism.arrays
-        self.mechanism, self.n = mechanism, mechanism.n
-        self.J = arrays.J.astype(LONG)
-        self.P = arrays.P.astype(COMPLEX)
-        self.angles = arrays.angles.astype(LONG)
-        self.offset = np.asarray(arrays.offset, LONG)
+        self.mechanism, self.n, self.x = mechanism, mechanism.n, _constants(mechanism)
         self.size = loop_size(mechanism)
 
     def __call__(self, y: Long) -> Long:
-        if not len(self.P):
+        if not len(self.x.P):
             return y
         n = self.n
         try:
@@ -368,16 +324,16 @@ class _Closing:
 
     def _at(self, q: Long) -> tuple[Long, Long, Long]:
         """Psi, Psi Psi^T and the gap, which is exact where Psi is nearly singular."""
-        alpha = self.J @ q
-        PE = self.P * np.exp(1j * alpha)
-        Psi = (self.angles - PE.imag) @ self.J
+        alpha = self.x.J @ q
+        PE = self.x.P * np.exp(1j * alpha)
+        Psi = (self.x.angles - PE.imag) @ self.x.J
         normal = Psi @ Psi.T
         least = float(np.linalg.svd(Psi.astype(float), compute_uv=False)[-1]) / self.size
         if least < TOO_NEAR:
             raise _TooNear
         if least < NEAR_SINGULAR:
             return Psi, normal, exact_gap(self.mechanism, q).astype(LONG)
-        return Psi, normal, PE.real.sum(axis=1) + self.angles @ alpha + self.offset
+        return Psi, normal, PE.real.sum(axis=1) + self.x.angles @ alpha + self.x.offset
 
     def _step(self, q: Long) -> tuple[bool, Long]:
         Psi, normal, gap = self._at(q)

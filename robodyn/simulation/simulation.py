@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,7 @@ METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor")
 ENGINES = ("auto", "python", "compiled")
 ORDERS = (4, 60)  # of the Taylor series
 STABILIZERS = ("projection", "baumgarte", "none")
+CHOICES = {"method": METHODS, "stabilize": STABILIZERS, "engine": ENGINES}
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 SMALLEST_RTOL = {"taylor": 1e-16}  # of the methods that do
 
@@ -75,25 +76,20 @@ class Settings:
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
-        if self.method not in METHODS:
-            raise InputError("method", value=self.method, limit=f"must be of {', '.join(METHODS)}")
-        if self.stabilize not in STABILIZERS:
-            limit = f"must be of {', '.join(STABILIZERS)}"
-            raise InputError("stabilize", value=self.stabilize, limit=limit)
+        for name, words in CHOICES.items():
+            if (value := getattr(self, name)) not in words:
+                raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")
         least = SMALLEST_RTOL.get(self.method, SCIPY_RTOL)
         if not least <= self.rtol < 1.0:
             raise InputError("rtol", value=self.rtol, limit=f"must be in [{least:g}, 1)")
-        if not 0.0 < self.atol < np.inf:
-            raise InputError("atol", value=self.atol, limit="must be > 0 and finite")
-        if not 0.0 < self.baumgarte < np.inf:
-            raise InputError("baumgarte_rate", value=self.baumgarte, limit="must be > 0 and finite")
+        for name, value in (("atol", self.atol), ("baumgarte_rate", self.baumgarte)):
+            if not 0.0 < value < np.inf:
+                raise InputError(name, value=value, limit="must be > 0 and finite")
         if not self.max_step > 0.0:
             raise InputError("max_step", value=self.max_step, limit="must be > 0")
         if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
             limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
             raise InputError("order", value=self.order, limit=limit)
-        if self.engine not in ENGINES:
-            raise InputError("engine", value=self.engine, limit=f"must be of {', '.join(ENGINES)}")
         taylor = self.method == "taylor"
         if not taylor and (self.order is not None or self.engine != "auto"):
             what = "order" if self.order is not None else "engine"
@@ -242,9 +238,9 @@ def run(
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
     if t_end != 0.0:
-        integrate = _integrate_series if taylor else _integrate
+        integrate = _by_series if taylor else _by_scipy
         try:
-            outcome = integrate(side, y0, t_end, actuation, settings, recorder, projects)
+            outcome = integrate(_Run(side, y0, t_end, actuation, settings, recorder, projects))
         except SingularError:
             outcome = Outcome.SINGULAR
         except StopRun as stop:
@@ -255,74 +251,71 @@ def run(
     return outcome, report
 
 
-def _integrate_series(
-    side: Callable[[], RightHandSide],
-    y0: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    recorder: Recorder,
-    projects: bool,
-) -> Outcome:
+class _Run(NamedTuple):
+    """What is integrated, and how."""
+
+    side: Callable[[], RightHandSide]
+    y0: Array
+    t_end: float
+    actuation: Actuation
+    settings: Settings
+    recorder: Recorder
+    projects: bool
+
+
+def _by_series(run: _Run) -> Outcome:
     from robodyn.taylor.run import taylor_run
 
+    settings = run.settings
     return taylor_run(
-        recorder.mechanism,
-        actuation,
-        y0,
-        t_end,
-        recorder,
+        run.recorder.mechanism,
+        run.actuation,
+        run.y0,
+        run.t_end,
+        run.recorder,
         rtol=float(settings.rtol),
         atol=float(settings.atol),
         order=settings.order,
         engine=settings.engine,
-        project=projects,
+        project=run.projects,
         max_step=float(settings.max_step),
-        side=side,
+        side=run.side,
     )
 
 
-def _integrate(
-    side: Callable[[], RightHandSide],
-    y0: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    recorder: Recorder,
-    projects: bool,
-) -> Outcome:
+def _by_scipy(run: _Run) -> Outcome:
     from scipy.integrate import solve_ivp
 
     from robodyn.simulation.solvers import StiffError, projected
 
-    atol = np.full(len(y0), settings.atol)
+    side, recorder, actuation = run.side(), run.recorder, run.actuation
+    atol = np.full(len(run.y0), run.settings.atol)
     atol[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
     options: dict[str, Any] = {
-        "method": projected(settings.method),
-        "t_eval": [t_end],  # the observer takes the rows; solve_ivp need not keep them
-        "rtol": settings.rtol,
+        "method": projected(run.settings.method),
+        "t_eval": [run.t_end],  # the observer takes the rows; solve_ivp need not keep them
+        "rtol": run.settings.rtol,
         "atol": atol,
-        "projection": side().projection if projects else None,
-        "near": side().near,
+        "projection": side.projection if run.projects else None,
+        "near": side.near,
         "observer": recorder.step,
         "kinks": actuation.kinks,
         "leaves": actuation.leaves,
         "told": actuation.told,
-        "max_step": settings.max_step,
+        "max_step": run.settings.max_step,
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # LSODA's; the outcome says it
         try:
-            solution = solve_ivp(side().rates, (0.0, t_end), y0, **options)
+            solution = solve_ivp(side.rates, (0.0, run.t_end), run.y0, **options)
         except StiffError:
             return Outcome.STIFF
     if solution.success:
         return Outcome.FINISHED
     recorder.flush_steps()
     near = recorder.last_singular
-    return (
-        Outcome.SINGULAR if near is not None and near < NEARLY_SINGULAR else Outcome.STEP_TOO_SMALL
-    )
+    singular = near is not None and near < NEARLY_SINGULAR
+    return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 
 
 def _check_times(times: Array, t_end: float) -> None:

@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from robodyn.errors import InputError, RobodynError
-from robodyn.sweeps.sweep import Rows, run_chunk
+from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 from robodyn.sweeps.sweep_plan import Plan
 
 MANY_SCENES = 1000  # from so many on reading them is what takes the time
