@@ -35,6 +35,7 @@ Sink = Callable[[Array, Array], None]
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
 MOST_STEPS = 1e13  # that take months
+FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
@@ -241,7 +242,7 @@ class Recorder:
         most = max(MOST_STEPS, NEVER * self.max_evaluations)
         most = min(most, 1.0 / np.finfo(float).eps)  # more are not told apart by floats
         never = abs(self.report.t_end - float(t[-1])) > most * self.longest
-        return never and self.longest <= 2.0 * before
+        return never and abs(self.report.t_end) > FAR_END and self.longest <= 2.0 * before
 
     def finish(self) -> None:
         self.flush_steps()
