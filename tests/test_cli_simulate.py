@@ -883,7 +883,7 @@ def test_many_rows(robodyn: Run) -> None:
 
 def test_huge_numbers_end_with_an_outcome(robodyn: Run) -> None:
     given = robodyn(*ARM, "--time", "1e300", "--points", 3, "--max-evals", 5000, "--quiet")
-    given.fails(1, "too many evaluations", "1e+300")
+    given.fails(1, "without end", "1e+300", "--time")
     assert len(given.rows) == 1
     start = ("simulate", "robots/2r.yaml", "--q", "0,0", "--qd", "1e200,0", "--max-evals", 5000)
     robodyn(*start, "--quiet").fails(1)
@@ -894,7 +894,7 @@ def test_huge_numbers_end_with_an_outcome(robodyn: Run) -> None:
 def test_an_end_that_is_never_reached_is_told_after_the_first_steps(
     robodyn: Run, method: str, end: str
 ) -> None:
-    given = robodyn(*ARM, f"--time={end}", "--method", method, "--points", 3)
+    given = robodyn(*ARM, f"--time={end}", "--method", method, "--points", 3, "--quiet")
     assert "without end" in given.fails(1, f"of {float(end):g} s", "--time").err
     assert len(given.rows) == 1
 
@@ -902,7 +902,6 @@ def test_an_end_that_is_never_reached_is_told_after_the_first_steps(
 def test_steps_that_grow_reach_any_end(robodyn: Run, scene: Callable[[str], Path]) -> None:
     """Nothing acts on it: each step is ten times as long as the one before."""
     path = scene("gravity: 0\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
-    for method in ("DOP853", "taylor"):
-        options = ["--q", "0", "--qd", "1e-300", "--time", "1e290", "--method", method, "--quiet"]
-        given = robodyn("simulate", path, *options).succeeds()
-        assert float(given.rows[-1]["q1"]) == pytest.approx(1e-10)
+    options = ["--q", "0", "--qd", "1e-300", "--time", "1e290", "--quiet"]
+    given = robodyn("simulate", path, *options).succeeds()
+    assert float(given.rows[-1]["q1"]) == pytest.approx(1e-10)

@@ -34,6 +34,8 @@ Sink = Callable[[Array, Array], None]
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
+MOST_STEPS = 1e13  # that take months
+FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
@@ -129,6 +131,7 @@ class Recorder:
     waiting: int = 0
     steps: list[tuple[Array, Array]] = field(default_factory=list)
     held: int = 0  # steps not yet in the statistics
+    longest: float = 0.0  # of the steps in the statistics, s
     last_singular: float | None = None
     rank: int = 0
     begun: bool = False  # whether the energy at the start is known
@@ -233,12 +236,13 @@ class Recorder:
     def _endless(self) -> bool:
         """Whether even by much longer steps the end is never reached; steps that grow may do so."""
         t = np.concatenate([t for t, _ in self.steps])
-        steps = np.abs(np.diff(t))
-        longest = float(steps.max())
-        grow = longest > 2.0 * float(steps[: len(steps) // 2].max())
-        most = max(1e10, NEVER * self.max_evaluations)
+        early, late = np.array_split(np.abs(np.diff(t)), 2)
+        before = max(self.longest, float(early.max()))
+        self.longest = max(before, float(late.max()))
+        most = max(MOST_STEPS, NEVER * self.max_evaluations)
         most = min(most, 1.0 / np.finfo(float).eps)  # more are not told apart by floats
-        return not grow and abs(self.report.t_end - float(t[-1])) > most * longest
+        never = abs(self.report.t_end - float(t[-1])) > most * self.longest
+        return never and abs(self.report.t_end) > FAR_END and self.longest <= 2.0 * before
 
     def finish(self) -> None:
         self.flush_steps()

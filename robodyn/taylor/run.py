@@ -273,6 +273,7 @@ def _held_by_stability(
     return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
+@np.errstate(all="ignore")  # as of a run by it alone
 def _lead(
     side: RightHandSide,
     t: float,
