@@ -17,8 +17,7 @@ from robodyn.engines.machine_steps import Scene
 from robodyn.engines.order_loop import LoopExpansion, Sum, loop_expansion
 from robodyn.engines.segment import Segment
 
-WIDE = 8  # numbers that a sum takes at a time
-_WIDE = f"<{WIDE} x double>"
+WIDE = 32  # most numbers that a sum takes at a time: what stands beside a run may be read
 
 
 class _Run(NamedTuple):
@@ -193,7 +192,7 @@ class LoopScene(Scene):
         n, graph = self.mechanism.n, Graph()
         x = self.get(k, block, "x")
         wide = k.room(SCALAR, WIDE)
-        for i in range(0, WIDE, k.lanes):
+        for i in range(0, _width(k.lanes), k.lanes):
             k.store(x, k.at(wide, i))
         out = [self._part(k, block, name, 0) for name in ("value", "slope")]
         rows, doubles = k.whole(self.order + 2), k.whole(2 * n * k.lanes)
@@ -274,17 +273,23 @@ def sum_rows(
     k.line(f"call void @{'weigh' if slope else 'convolve'}({x}, {y}, {out}, {rest})")
 
 
+def _width(lanes: int) -> int:
+    """How many numbers a sum takes at a time: of several columns, as each waits for its terms."""
+    return max(8, 4 * lanes)
+
+
 def write_sums(module: Module, width: int) -> None:
     """The functions that `sum_rows` calls, of rows of so many columns."""
-    step = width * module.lanes
+    step, size = width * module.lanes, _width(module.lanes)
+    vector = f"<{size} x double>"
     for name in ("convolve", "weigh"):
         weighs = name == "weigh"
         weights = ", double %level, double %slope" * weighs
         weight = "  %w = phi double [ %level, %begin ], [ %w1, %term ]\n" * weighs
         weighed = (
-            f"""  %first = insertelement {_WIDE} poison, double %w, i64 0
-  %all = shufflevector {_WIDE} %first, {_WIDE} poison, <{WIDE} x i32> zeroinitializer
-  %a = fmul {_WIDE} %a0, %all
+            f"""  %first = insertelement {vector} poison, double %w, i64 0
+  %all = shufflevector {vector} %first, {vector} poison, <{size} x i32> zeroinitializer
+  %a = fmul {vector} %a0, %all
   %w1 = fadd double %w, %slope
 """
             if weighs
@@ -306,22 +311,22 @@ sum:
   %j = phi i64 [ 0, %begin ], [ %j1, %term ]
   %xj = phi ptr [ %xi, %begin ], [ %x1, %term ]
   %yj = phi ptr [ %yi, %begin ], [ %y1, %term ]
-  %total = phi {_WIDE} [ zeroinitializer, %begin ], [ %t1, %term ]
+  %total = phi {vector} [ zeroinitializer, %begin ], [ %t1, %term ]
 {weight}  %again = icmp slt i64 %j, %terms
   br i1 %again, label %term, label %done
 term:
-  {"%a0" if weighs else "%a"} = load {_WIDE}, ptr %xj, align 8
-  %b = load {_WIDE}, ptr %yj, align 8
-{weighed}  %ab = fmul contract {_WIDE} %a, %b
-  %t1 = fadd contract {_WIDE} %total, %ab
+  {"%a0" if weighs else "%a"} = load {vector}, ptr %xj, align 8
+  %b = load {vector}, ptr %yj, align 8
+{weighed}  %ab = fmul contract {vector} %a, %b
+  %t1 = fadd contract {vector} %total, %ab
   %j1 = add i64 %j, 1
   %x1 = getelementptr double, ptr %xj, i64 {step}
   %y1 = getelementptr double, ptr %yj, i64 {-step}
   br label %sum
 done:
   %o = getelementptr double, ptr %out, i64 %i
-  store {_WIDE} %total, ptr %o, align 8
-  %next = add i64 %i, {WIDE}
+  store {vector} %total, ptr %o, align 8
+  %next = add i64 %i, {size}
   br label %columns
 end:
   ret void
@@ -330,10 +335,12 @@ end:
 
 def write_polynomials(module: Module, width: int) -> None:
     """polynomials(series, values, slopes, rows, wide, x): of so many columns, side by side."""
+    size = _width(module.lanes)
+    vector = f"<{size} x double>"
     module.functions["polynomials"] = f"""\
 define void @polynomials(ptr %c, ptr %v, ptr %s, i64 %rows, i64 %wide, ptr %xs) nounwind {{
 entry:
-  %x = load {_WIDE}, ptr %xs, align 8
+  %x = load {vector}, ptr %xs, align 8
   br label %columns
 columns:
   %i = phi i64 [ 0, %entry ], [ %next, %done ]
@@ -341,8 +348,8 @@ columns:
   br i1 %more, label %sum, label %end
 sum:
   %m = phi i64 [ %rows, %columns ], [ %m1, %term ]
-  %value = phi {_WIDE} [ zeroinitializer, %columns ], [ %v1, %term ]
-  %slope = phi {_WIDE} [ zeroinitializer, %columns ], [ %s1, %term ]
+  %value = phi {vector} [ zeroinitializer, %columns ], [ %v1, %term ]
+  %slope = phi {vector} [ zeroinitializer, %columns ], [ %s1, %term ]
   %again = icmp sgt i64 %m, 0
   br i1 %again, label %term, label %done
 term:
@@ -350,18 +357,18 @@ term:
   %row = mul i64 %m1, {width * module.lanes}
   %place = add i64 %row, %i
   %at = getelementptr double, ptr %c, i64 %place
-  %one = load {_WIDE}, ptr %at, align 8
-  %sx = fmul contract {_WIDE} %slope, %x
-  %s1 = fadd contract {_WIDE} %sx, %value
-  %vx = fmul contract {_WIDE} %value, %x
-  %v1 = fadd contract {_WIDE} %vx, %one
+  %one = load {vector}, ptr %at, align 8
+  %sx = fmul contract {vector} %slope, %x
+  %s1 = fadd contract {vector} %sx, %value
+  %vx = fmul contract {vector} %value, %x
+  %v1 = fadd contract {vector} %vx, %one
   br label %sum
 done:
   %vo = getelementptr double, ptr %v, i64 %i
-  store {_WIDE} %value, ptr %vo, align 8
+  store {vector} %value, ptr %vo, align 8
   %so = getelementptr double, ptr %s, i64 %i
-  store {_WIDE} %slope, ptr %so, align 8
-  %next = add i64 %i, {WIDE}
+  store {vector} %slope, ptr %so, align 8
+  %next = add i64 %i, {size}
   br label %columns
 end:
   ret void
