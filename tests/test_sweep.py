@@ -243,16 +243,16 @@ class TestWorkers:
 
     def test_the_engine_is_chosen(self) -> None:
         arm, sprung = (build(from_text(text(x), x)) for x in ("2r", "spring-slider-crank"))
-        assert best_engine("auto", 10, arm, 1e-9) == "python"
-        assert best_engine("python", 10**6, arm, 1e-9) == "python"
-        assert best_engine("auto", 10**6, arm, 1e-9) == ENGINES[-1]
-        assert best_engine("auto", 10**6, sprung, 1e-9) == ENGINES[-1]
+        assert best_engine("auto", 10, arm) == "python"
+        assert best_engine("python", 10**6, arm) == "python"
+        assert best_engine("auto", 10**6, arm) == ENGINES[-1]
+        assert best_engine("auto", 10**6, sprung) == ENGINES[-1]
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setattr(machine, "available", lambda: False)
-        assert best_engine("auto", 10**6, check(SWING), 1e-9) == "python"
+        assert best_engine("auto", 10**6, check(SWING)) == "python"
         with pytest.raises(InputError, match=r"robodyn\[fast\]"):
-            best_engine("compiled", 10, check(SWING), 1e-9)
+            best_engine("compiled", 10, check(SWING))
 
 
 def test_what_no_point_could_have_is_refused() -> None:

@@ -28,10 +28,14 @@ from robodyn.taylor import Status
 
 pytest.importorskip("llvmlite")
 
-from robodyn.engines import machine
+from robodyn.engines import machine, machine_motion
+from robodyn.engines.expression import Expression
+from robodyn.engines.machine_loop import LoopScene
+from robodyn.engines.machine_motion import RUNNING, Observer
+from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
-from robodyn.taylor import NoCodeError
+from robodyn.taylor import NoCodeError, compiled
 from robodyn.taylor.compiled import CompiledEngine, serves
 from robodyn.taylor.run import stepping_engine
 
@@ -304,15 +308,102 @@ class TestParallelBars:
         assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
 
 
+def advanced(kind: type[Scene], mechanism, tau, y, lanes=1, **options):
+    """A block (items, lanes) after steps over 0.1 s, of code that is written so."""
+    made = kind(mechanism, tau, 12, work=True, **options)
+    code = machine_motion.compile(made, Observer(), lanes)
+    block, place = np.zeros((code.items, lanes)), made.place
+    made.fill(block, 1e-10, 1e-10)
+    block[: len(y)] = block[len(y) : 2 * len(y)] = y[:, None]
+    for name, value in (("bound", 0.1), ("direction", 1.0), ("status", RUNNING)):
+        block[place[name]] = value
+    code.prepare(block.ctypes.data)
+    code.advance(block.ctypes.data, 1000, block.ctypes.data)
+    assert (block[place["status"]] == Status.REACHED).all()
+    return made, block
+
+
+class TestOrderAsALoop:
+    """What is written order by order, and as a loop over orders, gives the same steps."""
+
+    def check(self, mechanism, tau, y, **options):
+        made, known = advanced(Scene, mechanism, tau, y, **options)
+        _, found = advanced(LoopScene, mechanism, tau, y, **options)
+        count = len(made.state)
+        assert (known[made.place["steps"]] == found[made.place["steps"]]).all()
+        size = max(1.0, np.abs(known[:count]).max())
+        assert np.abs(found[:count] - known[:count]).max() < 1e-13 * size
+
+    @pytest.mark.parametrize("path", sorted((ROOT / "robots").glob("*.yaml")), ids=lambda p: p.stem)
+    def test_robots(self, path):
+        mechanism = load(path)
+        count = len(mechanism.actuated)
+        q = assemble(mechanism, [1.0] * count) if mechanism.rows else np.linspace(0.3, 1, count)
+        tau = [0.5 * (j in mechanism.actuated) for j in range(mechanism.n)]
+        y = np.concatenate([q, np.zeros(mechanism.n), [0.25]])
+        self.check(mechanism, constant(mechanism, tau), y, lanes=8 if len(path.stem) % 2 else 1)
+
+    @pytest.mark.parametrize("seed", range(14))
+    def test_all_forces(self, seed):
+        shapes = list(LOOPS.values())
+        plain = (
+            seeded_tree(seed, 1 + seed % 4)
+            if seed < 6
+            else seeded_scene(seed, shapes[seed % len(shapes)])
+        )
+        mechanism = build(from_text(forced(seed, plain).text, "x"))
+        joints = [j + 1 for j in mechanism.actuated]
+        text = ", ".join(f"exp(-t)*sin(3*t)*tanh(q{j}) - 0.1*log(2 + qd{j}**2)" for j in joints)
+        tau = expressions(mechanism, text if seed % 2 else ", ".join("1" for _ in joints), "x")
+        y = np.concatenate([plain.q, plain.qd, [0.0]])
+        self.check(mechanism, tau, y, closes=seed % 3 > 0)
+
+    def test_series_of_rates(self):
+        mechanism, _, states = reference("five-bar")
+        y, still = np.append(states[0], 0.0), constant(mechanism, [0.0] * mechanism.n)
+        kept = {
+            kind: advanced(kind, mechanism, still, y, lanes=2, rate_series=True, link=1)
+            for kind in (Scene, LoopScene)
+        }
+        for name in (f"{x}_{m}" for x in ("rate0", "rate3", "link0") for m in range(13)):
+            found, known = (block[made.whole[name]] for made, block in kept.values())
+            assert np.abs(found - known).max() <= 1e-11 * max(1.0, np.abs(known).max())
+
+    def test_code_grows_with_loops_and_not_with_orders(self):
+        still = Actuation((0.0,) * n_four_bar(20).n)
+        sizes = []
+        for n, order in ((10, 12), (10, 24), (20, 12)):
+            mechanism = n_four_bar(n)
+            scene = LoopScene(mechanism, Actuation(still.constants[: mechanism.n]), order)
+            nodes = (
+                scene.loop.start.recorded.graph.nodes,
+                next(x.graph for x in scene.closing.outputs if isinstance(x, Expression)).nodes,
+            )
+            sizes.append(sum(map(len, nodes)))
+        assert sizes[0] == sizes[1]
+        assert sizes[2] < 2.2 * sizes[0]
+
+    def test_40_loops(self):
+        times = np.linspace(0.05, 0.4, 8)
+        made = engine(n_four_bar(40), rtol=1e-12, atol=1e-12)
+        chunk = made.advance(0.0, parallel_bars(40), 0.4, times, ALL)
+        assert chunk.status is Status.REACHED
+        for t, y in zip(times, chunk.row_y, strict=True):
+            theta, rate = (float(x) for x in oracles.n_four_bar_exact(40, t))
+            assert np.abs(y[:41] - theta).max() < 1e-10
+            assert np.abs(y[81:122] - rate).max() < 1e-9
+
+
 class TestServes:
     def test_torques_without_a_series_it_does_not(self):
         given = expressions(scene("2r"), "abs(q1), 0", "test")
         with pytest.raises(NoCodeError):
             CompiledEngine(scene("2r"), given)
 
-    def test_large_mechanisms_it_does_not(self):
+    def test_very_large_mechanisms_it_does_not(self, monkeypatch):
+        monkeypatch.setattr(compiled, "LARGEST", 50)
         with pytest.raises(NoCodeError, match="too large"):
-            engine(n_four_bar(40))
+            engine(n_four_bar(6))
 
     def test_a_singular_inertia_it_does_not(self):
         with pytest.raises(NoCodeError, match="singular"):
@@ -321,7 +412,7 @@ class TestServes:
     def test_dependent_closures_are_singular(self):
         mechanism = load(HARD / "third-crank.yaml")
         y = np.concatenate([assemble(mechanism, [1.0]), np.zeros(4)])
-        if serves(mechanism, 14):  # as some branches are regular
+        if serves(mechanism):  # as some branches are regular
             chunk = engine(mechanism).advance(0.0, y, 1.0, NONE, ALL)
             assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
 

@@ -83,7 +83,7 @@ def new_plan(
         chosen_engine = "python"
     else:
         try:
-            chosen_engine = best_engine(chosen_engine, variation.size, mechanism, rtol)
+            chosen_engine = best_engine(chosen_engine, variation.size, mechanism)
         except InputError as error:
             error.what = "--engine"
             raise

@@ -7,7 +7,7 @@ products and sums with them cost nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -125,3 +125,18 @@ def conjugate_times(a: Planar, b: Planar) -> Planar:
 def planar_plus(a: Planar, b: Planar) -> Planar:
     """a + b of complex numbers."""
     return plus(a[0], b[0]), plus(a[1], b[1])
+
+
+def entries(values: Sequence[Value] | Mapping[int, Value]) -> dict[int, Value]:
+    """Those that are not zero at every state, by their places."""
+    items = values.items() if isinstance(values, Mapping) else enumerate(values)
+    return {k: value for k, value in items if some(value)}
+
+
+def dot(a: Mapping[int, Value], b: Mapping[int, Value] | Sequence[Value]) -> Value:
+    """The sum of products of what stands in the same places; a sequence has all of them."""
+    total: Value = 0.0
+    for k, x in a.items():
+        if not isinstance(b, Mapping) or k in b:
+            total = total + x * b[k]
+    return total

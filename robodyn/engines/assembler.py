@@ -232,25 +232,6 @@ class Kernel:
             word = self.op(type, f"insertelement {word}, {value}, i64 {i}")
         return word
 
-    def called(
-        self,
-        name: str,
-        args: Sequence[Word],
-        count: int,
-        write: Callable[[Kernel, Sequence[Word]], Sequence[Word]],
-    ) -> list[Word]:
-        """The `count` numbers that `write` makes of others, by a function of this name."""
-        type = f"{{ {', '.join([self.numbers] * count)} }}"
-        if name not in self.module.functions:
-            self.module.functions[name] = ""  # keeps its place
-            k = Kernel(self.module, name, [self.numbers] * len(args), type)
-            found = Word("poison", type)
-            for i, word in enumerate(write(k, k.arguments)):
-                found = k.op(type, f"insertvalue {found}, {word}, {i}")
-            k.done(found)
-        whole = self.op(type, f"call {type} @{name}({', '.join(map(str, args))})")
-        return [self.op(self.numbers, f"extractvalue {whole}, {i}") for i in range(count)]
-
     # -- memory ----------------------------------------------------------------------------------
 
     def at(self, base: Word, index: Word | int, type: str = SCALAR) -> Word:

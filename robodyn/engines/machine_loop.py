@@ -10,15 +10,13 @@ from __future__ import annotations
 from functools import cached_property
 from typing import NamedTuple
 
-from robodyn.engines.assembler import SCALAR, Kernel, Module, Word, scalar
+from robodyn.engines.assembler import SCALAR, Kernel, Module, Word
 from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula, turning
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.machine_steps import Scene
 from robodyn.engines.order_loop import LoopExpansion, Sum, loop_expansion
+from robodyn.engines.row_sums import WIDE, sum_rows, width, write_polynomials, write_sums
 from robodyn.engines.segment import Segment
-
-WIDE = 8  # numbers that a sum takes at a time
-_WIDE = f"<{WIDE} x double>"
 
 
 class _Run(NamedTuple):
@@ -193,7 +191,7 @@ class LoopScene(Scene):
         n, graph = self.mechanism.n, Graph()
         x = self.get(k, block, "x")
         wide = k.room(SCALAR, WIDE)
-        for i in range(0, WIDE, k.lanes):
+        for i in range(0, width(k.lanes), k.lanes):
             k.store(x, k.at(wide, i))
         out = [self._part(k, block, name, 0) for name in ("value", "slope")]
         rows, doubles = k.whole(self.order + 2), k.whole(2 * n * k.lanes)
@@ -253,116 +251,3 @@ class LoopScene(Scene):
                 if below is not None:
                     rate = k.subtract(rate, k.load(k.at(out, 2 * below, k.numbers)))
                 k.store(rate, k.at(self.at(k, block, f"{name}_0"), m, k.numbers))
-
-
-def sum_rows(
-    k: Kernel,
-    x: Word,
-    y: Word,
-    out: Word,
-    terms: Word,
-    wide: int,
-    first: int,
-    slope: float,
-    level: Word,
-) -> None:
-    """Of so many columns: the sum of (slope j + level) x_j y_j from `first` on, y downward."""
-    rest = f"{terms}, i64 {wide * k.lanes}"
-    if slope:
-        level = k.lane(k.add(level, k.number(slope * first)), 0)
-        rest += f", {level}, double {scalar(slope)}"
-    k.line(f"call void @{'weigh' if slope else 'convolve'}({x}, {y}, {out}, {rest})")
-
-
-def write_sums(module: Module, width: int) -> None:
-    """The functions that `sum_rows` calls, of rows of so many columns."""
-    step = width * module.lanes
-    for name in ("convolve", "weigh"):
-        weighs = name == "weigh"
-        weights = ", double %level, double %slope" * weighs
-        weight = "  %w = phi double [ %level, %begin ], [ %w1, %term ]\n" * weighs
-        weighed = (
-            f"""  %first = insertelement {_WIDE} poison, double %w, i64 0
-  %all = shufflevector {_WIDE} %first, {_WIDE} poison, <{WIDE} x i32> zeroinitializer
-  %a = fmul {_WIDE} %a0, %all
-  %w1 = fadd double %w, %slope
-"""
-            if weighs
-            else ""
-        )
-        module.functions[name] = f"""\
-define void @{name}(ptr %x, ptr %y, ptr %out, i64 %terms, i64 %wide{weights}) nounwind {{
-entry:
-  br label %columns
-columns:
-  %i = phi i64 [ 0, %entry ], [ %next, %done ]
-  %more = icmp slt i64 %i, %wide
-  br i1 %more, label %begin, label %end
-begin:
-  %xi = getelementptr double, ptr %x, i64 %i
-  %yi = getelementptr double, ptr %y, i64 %i
-  br label %sum
-sum:
-  %j = phi i64 [ 0, %begin ], [ %j1, %term ]
-  %xj = phi ptr [ %xi, %begin ], [ %x1, %term ]
-  %yj = phi ptr [ %yi, %begin ], [ %y1, %term ]
-  %total = phi {_WIDE} [ zeroinitializer, %begin ], [ %t1, %term ]
-{weight}  %again = icmp slt i64 %j, %terms
-  br i1 %again, label %term, label %done
-term:
-  {"%a0" if weighs else "%a"} = load {_WIDE}, ptr %xj, align 8
-  %b = load {_WIDE}, ptr %yj, align 8
-{weighed}  %ab = fmul contract {_WIDE} %a, %b
-  %t1 = fadd contract {_WIDE} %total, %ab
-  %j1 = add i64 %j, 1
-  %x1 = getelementptr double, ptr %xj, i64 {step}
-  %y1 = getelementptr double, ptr %yj, i64 {-step}
-  br label %sum
-done:
-  %o = getelementptr double, ptr %out, i64 %i
-  store {_WIDE} %total, ptr %o, align 8
-  %next = add i64 %i, {WIDE}
-  br label %columns
-end:
-  ret void
-}}"""
-
-
-def write_polynomials(module: Module, width: int) -> None:
-    """polynomials(series, values, slopes, rows, wide, x): of so many columns, side by side."""
-    module.functions["polynomials"] = f"""\
-define void @polynomials(ptr %c, ptr %v, ptr %s, i64 %rows, i64 %wide, ptr %xs) nounwind {{
-entry:
-  %x = load {_WIDE}, ptr %xs, align 8
-  br label %columns
-columns:
-  %i = phi i64 [ 0, %entry ], [ %next, %done ]
-  %more = icmp slt i64 %i, %wide
-  br i1 %more, label %sum, label %end
-sum:
-  %m = phi i64 [ %rows, %columns ], [ %m1, %term ]
-  %value = phi {_WIDE} [ zeroinitializer, %columns ], [ %v1, %term ]
-  %slope = phi {_WIDE} [ zeroinitializer, %columns ], [ %s1, %term ]
-  %again = icmp sgt i64 %m, 0
-  br i1 %again, label %term, label %done
-term:
-  %m1 = sub i64 %m, 1
-  %row = mul i64 %m1, {width * module.lanes}
-  %place = add i64 %row, %i
-  %at = getelementptr double, ptr %c, i64 %place
-  %one = load {_WIDE}, ptr %at, align 8
-  %sx = fmul contract {_WIDE} %slope, %x
-  %s1 = fadd contract {_WIDE} %sx, %value
-  %vx = fmul contract {_WIDE} %value, %x
-  %v1 = fadd contract {_WIDE} %vx, %one
-  br label %sum
-done:
-  %vo = getelementptr double, ptr %v, i64 %i
-  store {_WIDE} %value, ptr %vo, align 8
-  %so = getelementptr double, ptr %s, i64 %i
-  store {_WIDE} %slope, ptr %so, align 8
-  %next = add i64 %i, {WIDE}
-  br label %columns
-end:
-  ret void
-}}"""

@@ -9,7 +9,7 @@ a lane gets does not depend on its neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -67,9 +67,29 @@ class Circular(NamedTuple):
 def circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
     """(sine, cosine) of each angle; what is not wanted is any word."""
     if kernel.module.short:
-        found = [kernel.called("sine_cosine", [x.angle], 2, _both) for x in wanted]
+        found = [_called(kernel, "sine_cosine", [x.angle], 2, _both) for x in wanted]
         return [(sine, cosine) for sine, cosine in found]
     return _circular(kernel, wanted)
+
+
+def _called(
+    kernel: Kernel,
+    name: str,
+    args: Sequence[Word],
+    count: int,
+    write: Callable[[Kernel, Sequence[Word]], Sequence[Word]],
+) -> list[Word]:
+    """The `count` numbers that `write` makes of others, by a function of this name."""
+    type = f"{{ {', '.join([kernel.numbers] * count)} }}"
+    if name not in kernel.module.functions:
+        kernel.module.functions[name] = ""  # keeps its place
+        k = Kernel(kernel.module, name, [kernel.numbers] * len(args), type)
+        found = Word("poison", type)
+        for i, word in enumerate(write(k, k.arguments)):
+            found = k.op(type, f"insertvalue {found}, {word}, {i}")
+        k.done(found)
+    whole = kernel.op(type, f"call {type} @{name}({', '.join(map(str, args))})")
+    return [kernel.op(kernel.numbers, f"extractvalue {whole}, {i}") for i in range(count)]
 
 
 def _both(kernel: Kernel, angles: Sequence[Word]) -> tuple[Word, Word]:
@@ -199,7 +219,7 @@ def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
 def arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
     """atan2(y, x) within 3 ulp; 0 of (0, 0), nan of nan or two infinities."""
     if kernel.module.short:
-        return kernel.called("arctangent", [y, x], 1, lambda k, z: [_arctangent(k, *z)])[0]
+        return _called(kernel, "arctangent", [y, x], 1, lambda k, z: [_arctangent(k, *z)])[0]
     return _arctangent(kernel, y, x)
 
 

@@ -23,11 +23,12 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.lanes import Aims, Ends
 from robodyn.taylor import Status, default_order
-from robodyn.taylor.compiled import serves
+from robodyn.taylor.compiled import scene_kind, serves
 
 Array = NDArray[np.float64]
 
 KEPT = 64  # codes in a process
+UNROLLED = 1000  # as in `taylor/compiled.py`: where lanes fill vectors, calls gain less
 PIECE = 128  # lanes of one call, and
 BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
 
@@ -86,10 +87,10 @@ def integrate(
 
 @lru_cache(maxsize=8)
 def _scene(mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, order: int) -> Scene | None:
-    if not serves(mechanism, order):
+    if not serves(mechanism):
         return None
     try:
-        return Scene(
+        return scene_kind(mechanism, order, UNROLLED)(
             mechanism,
             Actuation(tuple(map(float, driven))),
             order,

@@ -15,7 +15,6 @@ from robodyn.loops import assembly
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.variation import Variation
-from robodyn.taylor import default_order
 from robodyn.taylor.compiled import serves
 
 # points of a chunk: in numpy many share the cost of a call, compiled they are quick to share out
@@ -95,7 +94,7 @@ def base_mechanism(scene: str, source: str) -> Mechanism:
     return build(numbers_of(scene, source).base)
 
 
-def best_engine(wanted: str, points: int, mechanism: Mechanism, rtol: float) -> str:
+def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
     """The engine that `wanted` names; auto: machine code for many points, where it serves.
 
     Raises InputError where machine code is wanted and there is none.
@@ -108,7 +107,7 @@ def best_engine(wanted: str, points: int, mechanism: Mechanism, rtol: float) -> 
             limit = "needs the extra `fast` (pip install 'robodyn[fast]'): take auto or python"
             raise InputError("engine", value=wanted, limit=limit)
         return wanted
-    return "compiled" if there and serves(mechanism, default_order(rtol)) else "python"
+    return "compiled" if there and serves(mechanism) else "python"
 
 
 def check(plan: Plan) -> Mechanism:

@@ -25,7 +25,9 @@ from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
 
-UNROLLED = 1000  # entries of A and P, times the order, up to which orders are written one by one
+# Entries of A and P, times the order, up to which orders are written one by one: the code is made
+# more slowly than that of a loop, and runs the faster the smaller it is
+UNROLLED = 100
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 KEPT = 64  # codes in a process
 ROWS = 16384  # of one call: no step begins when there are more
@@ -120,7 +122,7 @@ def _ready(
     tolerances: tuple[float, float],
 ) -> _Ready:
     work, project, family = options
-    kind = scene_kind(mechanism, order)
+    kind = scene_kind(mechanism, order, UNROLLED)
     scene = kind(mechanism, actuation, order, work=work, closes=project, held=held)
     code = _loaded(scene, family)
     block = np.zeros(code.items)
@@ -160,7 +162,7 @@ class CompiledEngine:
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
-        if not serves(mechanism, self.order):
+        if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
             raise NoCodeError("needs the extra `fast`")
@@ -238,12 +240,12 @@ class CompiledEngine:
         return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
 
 
-def scene_kind(mechanism: Mechanism, order: int) -> type[Scene]:
-    """How the code of a motion is written: order by order, or as a loop over them."""
-    return Scene if loop_terms(mechanism) * order <= UNROLLED else LoopScene
+def scene_kind(mechanism: Mechanism, order: int, unrolled: int) -> type[Scene]:
+    """How code is written: order by order up to `unrolled` (as UNROLLED), or as a loop."""
+    return Scene if loop_terms(mechanism) * order <= unrolled else LoopScene
 
 
-def serves(mechanism: Mechanism, order: int) -> bool:
+def serves(mechanism: Mechanism) -> bool:
     """Whether code of this length is worth it, and M and Psi are regular but at single states."""
     if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
         return False

@@ -40,6 +40,7 @@ COMPILED_STEPS = 4096
 CALL = 0.1  # s that a call of compiled code may take
 # Steps of a scene in Python after which machine code has paid: making it costs as much as these.
 WORTH = 1500
+ROW_BY_ROW = 5  # of those that the rows make one by one: a hundred times as long
 ROWS_A_STEP = 4  # rows at times that cost what a step does
 LEAD = 8  # steps of DOP853 away from where a torque has no series
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
@@ -64,11 +65,14 @@ def stepping_engine(
     if order is None:
         order = default_order(max(rtol, atol))
     closing = float_closing(mechanism) if mechanism.rows and project else None
-    small = loop_terms(mechanism) * order <= STRAIGHT and dense_dynamics.elimination_is_safe(
-        mechanism
-    )
-    kind = StraightEngine if small else InterpretedEngine
+    kind = StraightEngine if _straight(mechanism, order) else InterpretedEngine
     return kind(mechanism, closing, order, rtol, atol, actuation, work)
+
+
+def _straight(mechanism: Mechanism, order: int) -> bool:
+    """Whether straight-line code serves."""
+    small = loop_terms(mechanism) * order <= STRAIGHT
+    return small and dense_dynamics.elimination_is_safe(mechanism)
 
 
 def compiled_engine(
@@ -142,14 +146,15 @@ def taylor_run(
     stepping: Engine | None = None
     slow: SteppingEngine | None = None
     seen = _seen(mechanism)
-    if engine == "compiled" or (engine == "auto" and seen[0] >= WORTH):
+    worth = WORTH if _straight(mechanism, order or default_order(max(rtol, atol))) else ROW_BY_ROW
+    if engine == "compiled" or (engine == "auto" and seen[0] >= worth):
         stepping = fast()
         if stepping is None and engine == "compiled":
             limit = "needs the extra `fast` (pip install 'robodyn[fast]'), a torque that has a "
-            limit += "series, and a mechanism of some ten loops at most whose closures do not "
+            limit += "series, and a mechanism of some hundred loops at most whose closures do not "
             limit += "depend on one another: take auto or python"
             raise InputError("engine", value=engine, limit=limit)
-    waits = engine == "auto" and stepping is None and seen[0] < WORTH
+    waits = engine == "auto" and stepping is None and seen[0] < worth
     stepping = stepping or careful()
     _check_start(mechanism, actuation, y)
     t, begun, most = 0.0, time.perf_counter(), STEPS
@@ -222,7 +227,7 @@ def taylor_run(
         if isinstance(stepping, SteppingEngine):
             seen[0] += made
             expected = seen[0] + made * abs((t_end - t) / ((t - before) or math.inf))
-            if waits and expected >= WORTH:
+            if waits and expected >= worth:
                 stepping, waits = fast() or stepping, False
             if time.perf_counter() - begun > PATIENCE and find_spec("llvmlite") is None:
                 recorder.report.hint = HINT
