@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,7 +15,6 @@ import robodyn
 from robodyn.dynamics.closed_form import closure_jacobian
 from robodyn.engines import machine
 from robodyn.loops.change_points import nearness
-from robodyn.loops.closing import close_positions, loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
@@ -24,7 +24,7 @@ from robodyn.simulation.simulation import simulate
 from robodyn.sweeps.sweep import run_chunk
 from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Axis, Variation
-from robodyn.trajectories.joint_paths import ConstantSpeed
+from robodyn.trajectories.joint_paths import path_through
 from robodyn.trajectories.reference import motion_along
 
 Options = Mapping[str, object]
@@ -57,6 +57,25 @@ closures: [[coupler, rocker], [rod, output]]
 actuated: [crank]
 assembly: [open, open]
 """
+
+
+STATES = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)  # m
+MOTIONS = (1e-12, 1e-9, 1e-6, 1e-3)
+BESIDE = (0.03, 0.01, 1e-3, 1e-5, 1e-7)  # rad, from the near miss
+BATCH = 400  # states, which go another way than one
+TIGHT: dict[str, Options] = {
+    "taylor, python": {"method": "taylor", "engine": "python", "rtol": 1e-14, "atol": 1e-14},
+    "taylor, compiled": {"method": "taylor", "engine": "compiled", "rtol": 1e-14, "atol": 1e-14},
+    "DOP853": {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13},
+    "RK45": {"method": "RK45", "rtol": 1e-12, "atol": 1e-12},
+    "LSODA": {"method": "LSODA", "rtol": 1e-12, "atol": 1e-12},
+    "Radau": {"method": "Radau", "rtol": 1e-11, "atol": 1e-11},
+    "BDF": {"method": "BDF", "rtol": 1e-11, "atol": 1e-11},
+}
+SWEPT = ("sweep, python", "sweep, compiled") if machine.available() else ("sweep, python",)
+WAYS = (*(way for way in TIGHT if machine.available() or "compiled" not in way), *SWEPT)
+# what RK45, LSODA, Radau and BDF miss of any motion, for each 1e-12 of their tolerance
+OWN = {"RK45": 1e-9, "LSODA": 1e-9, "Radau": 1e-8, "BDF": 1e-8}
 
 
 class Case(NamedTuple):
@@ -142,13 +161,20 @@ MAKERS = (
 )  # fmt: skip
 
 
+FOLLOWED = (parallelogram, generic, slider_crank, watt)
+
+
 # -- states ---------------------------------------------------------------------------------------
 
 
 def exact_state(
-    mechanism: Mechanism, q: np.ndarray, rates: Sequence[float], tau: float
+    mechanism: Mechanism,
+    q: np.ndarray,
+    rates: Sequence[float],
+    tau: float,
+    given: Sequence[float] | None = None,
 ) -> list[np.ndarray]:
-    """q, qd, qdd under torques and qdd of steady cranks, with their torques: 60 digits."""
+    """q, qd, qdd under torques; that of `given` or steady cranks, their torques: in 60 digits."""
     n, arrays = mechanism.n, mechanism.arrays
     driven = list(mechanism.actuated)
     passive = list(mechanism.passive)
@@ -206,7 +232,7 @@ def exact_state(
         for j in rows:
             right[n + j] = -bias[j]
         qdd = mp.lu_solve(K, right)[:n]
-        steady = follow(Psi, [0.0] * len(driven), bias)
+        steady = follow(Psi, given or [0.0] * len(driven), bias)
         load = M * steady - force
         lam = mp.lu_solve(part(Psi, passive).T, mp.matrix([load[k] for k in passive]))
         torque = [load[k] - sum(Psi[j, k] * lam[j] for j in rows) for k in driven]
@@ -247,7 +273,7 @@ def state_error(case: Case, beside: float, tau: float = 1.5) -> float:
 
 
 def trajectory_error(case: Case, beside: float) -> float:
-    """What `trajectory` misses from there on to a tenth of it, at the steady rate of a crank."""
+    """What `trajectory` misses from there on to a tenth of it, from rest to rest."""
     mechanism = case.mechanism
     near, way = np.array(case.near), np.array(case.aside)
     ends = np.array([near + x * way for x in (beside, 0.1 * beside)])
@@ -255,15 +281,17 @@ def trajectory_error(case: Case, beside: float) -> float:
     duration = float(np.abs(ends[1] - ends[0]).max()) / speed
     full = np.full((2, mechanism.n), np.nan)
     full[:, list(mechanism.actuated)] = ends
-    motion = motion_along(mechanism, ConstantSpeed(ends), full, duration)
+    path = path_through(ends, None, "quintic")
+    motion = motion_along(mechanism, path, full, duration)
     worst = 0.0
-    for t in np.linspace(0.0, duration, 4):
+    for t in np.linspace(0.0, duration, 5)[1:-1]:
         q, qd, qdd = motion.states(t)
-        rates = qd[list(mechanism.actuated)]
-        exact, rate, _, steady, _ = exact_state(mechanism, q, rates.tolist(), 0.0)
+        driven = list(mechanism.actuated)
+        rates = qd[driven]
+        _, rate, _, steady, _ = exact_state(mechanism, q, rates.tolist(), 0.0, qdd[driven].tolist())
         s = float(nearness(mechanism, closure_jacobian(mechanism, q)))
         square, terms = float(np.abs(rate).max()) ** 2, EPS / s**2
-        worst = max(worst, np.abs(qdd - steady).max() / (square + np.abs(steady).max()) / terms)
+        worst = max(worst, np.abs(qdd - steady).max() / (square + np.abs(qdd).max()) / terms)
     return float(worst)
 
 
@@ -339,26 +367,31 @@ def motion_error(case: Case, way: str) -> tuple[float, float]:
         else:
             end = swept(case, way.removeprefix("sweep, "), 1e-14)
     error = float(np.abs(end - exact.end).max())
-    return np.nan_to_num(error, nan=np.inf), 2000.0 * EPS / exact.nearest + exact.uncertainty
+    bound = 2000.0 * EPS / exact.nearest + exact.uncertainty
+    return np.nan_to_num(error, nan=np.inf), bound + OWN.get(way, 0.0)
 
 
-def stays(case: Case, options: Options) -> bool:
-    """Whether a motion at another tolerance ends on the branch of the exact one."""
-    end, _ = run(case, **options)
-    return bool(np.abs(end - exact_motion(case).end).max() < BRANCH)
+def states(misses: Sequence[float] = STATES) -> Iterator[tuple[str, float]]:
+    """Of each linkage the worst of several states, of `accel` and `torque`, and of `trajectory`."""
+    for make in MAKERS:
+        for miss in misses:
+            case, found = make(miss), []
+            for beside in BESIDE:
+                with suppress(robodyn.AssemblyError, robodyn.SingularError):  # out of reach
+                    found.append(state_error(case, beside))
+            if found:
+                yield f"{case.name}, misses by {miss:g} m", max(found)
+            if make in FOLLOWED:
+                yield f"{case.name}, misses by {miss:g} m, trajectory", trajectory_error(case, 0.1)
 
 
-STATES = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)  # m
-MOTIONS = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)
-BESIDE = (0.03, 0.01, 1e-3, 1e-5, 1e-7)  # rad, from the near miss
-BATCH = 400  # states, which go another way than one
-BRANCH = 0.05  # rad and rad/s, which another branch is away
-TIGHT: dict[str, Options] = {
-    "taylor, python": {"method": "taylor", "engine": "python", "rtol": 1e-14, "atol": 1e-14},
-    "taylor, compiled": {"method": "taylor", "engine": "compiled", "rtol": 1e-14, "atol": 1e-14},
-    "DOP853": {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13},
-    "RK45": {"method": "RK45", "rtol": 1e-12, "atol": 1e-12},
-    "LSODA": {"method": "LSODA", "rtol": 1e-12, "atol": 1e-12},
-    "Radau": {"method": "Radau", "rtol": 1e-11, "atol": 1e-11},
-    "BDF": {"method": "BDF", "rtol": 1e-11, "atol": 1e-11},
-}
+def motions(
+    misses: Sequence[float] = MOTIONS, ways: Sequence[str] = WAYS
+) -> Iterator[tuple[str, float, float]]:
+    """Each linkage, by each way of integration, past its near miss: error and bound."""
+    for make in MAKERS:
+        for miss in misses:
+            for way in ways:
+                case = make(miss)
+                found, bound = motion_error(case, way)
+                yield f"{case.name}, misses by {miss:g} m, {way}", found, bound
