@@ -124,7 +124,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
     qdd, multipliers, quality = found.qdd, found.multipliers, near**2
     for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
         beside = partial(_accelerations_beside, mechanism, tau[state])
-        led = _lead_across(mechanism, (q[state], qd[state]), float(quality[state]), beside)
+        led = _lead_across(mechanism, (q[state], qd[state]), beside)
         if led is not None:
             qdd[state] = led
             load = required_load(mechanism, q[state], qd[state], qdd[state]) - tau[state]
@@ -154,7 +154,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             multipliers = np.reshape([x.multipliers for x in each], (*q.shape[:-1], -1))
             return Torques(tau, multipliers, max((x.remark for x in each), key=len))
         beside = partial(_torques_beside, mechanism, qdd)
-        led = _lead_across(mechanism, (q, qd), 0.0, beside)
+        led = _lead_across(mechanism, (q, qd), beside)
         if led is None:
             raise
         tau = led
@@ -180,17 +180,19 @@ def _torques_beside(mechanism: Mechanism, qdd: Array, q: Array, qd: Array) -> Ar
 def _lead_across(
     mechanism: Mechanism,
     state: tuple[Array, Array],
-    quality: float,
     evaluate: Callable[[Array, Array], Array],
 ) -> Array | None:
     """`change_points.lead_across` of a function of q and qd."""
     n = mechanism.n
+    near = change_points.nearest_singular(mechanism, state[0])
+    if near is None or not near.crosses:
+        return None
     closing = projection.dense_closing(mechanism)
     return change_points.lead_across(
         mechanism,
         closing,
         np.concatenate(state),
-        quality,
+        near,
         lambda states: evaluate(states[:, :n], states[:, n:]),
     )
 

@@ -25,6 +25,7 @@ lengths instead, which are about (s/L)^2: a "quality".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from math import comb
@@ -61,6 +62,8 @@ ALIKE = 5.0  # singular values up to so many times the least vanish with it
 DEFINITE = 1e-6  # ratio of eigenvalues of H of one sign, from which it is definite
 FOUND = 1e-9  # rad, the last step of a search that has found; s/L there
 LOST = 1e-7  # s/L below which a singular value is none, in a configuration so found
+FEW = 12  # rows of Psi up to which singular values cost no more than their squares
+COARSE = 1e-5  # s/L from which these tell it to 1e-6
 REACH = 1.0  # rad, how far a singular configuration may be from a state that is near it
 SAME = 0.3  # rad, from a known one within which no other is looked for
 STEPS_TO_FIND = 10
@@ -115,8 +118,13 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
 
     Closures may depend on one another along the branch that q is on, and nowhere else.
     """
-    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)
+    Psi = closed_form.closure_jacobian(mechanism, q)
     rank, size = regular_rank(mechanism), loop_size(mechanism)
+    if rank == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
+        least = float(np.linalg.eigvalsh(Psi @ Psi.T)[0])
+        if least > (COARSE * size) ** 2:
+            return rank, math.sqrt(least) / singular_size(mechanism)
+    s = np.linalg.svd(Psi, compute_uv=False)
     if s[rank - 1] <= FOUND * size:
         rank = _branch_rank(mechanism, tuple(q.tolist()))
     return rank, float(s[rank - 1] / singular_size(mechanism))
@@ -164,7 +172,7 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
     rank, near = _measured(mechanism, q)
     if near > NEAR:
         return None
-    if (old := _known_near(mechanism, q, SAME)) is not None:
+    if (old := known_near(mechanism, q, SAME)) is not None:
         return old
     searched = _searched(mechanism)
     if searched.found:
@@ -174,7 +182,7 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
             return searched.found[nearest]
     found = _search(mechanism, q, rank)
     if found is not None:
-        old = _known_near(mechanism, found.q, 1e-6)
+        old = known_near(mechanism, found.q, 1e-6)
         if old is None:
             known(mechanism).append(found)
         found = old or found
@@ -192,7 +200,8 @@ def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
     return np.asarray(np.abs(way).max(axis=-1))
 
 
-def _known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None:
+def known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None:
+    """The nearest of those that were found, within so many rad of q (n,)."""
     near = [(float(apart(mechanism, q, each.q)), k) for k, each in enumerate(known(mechanism))]
     best = min(near, default=(np.inf, 0))
     return known(mechanism)[best[1]] if best[0] <= within else None
@@ -285,22 +294,22 @@ def lead_across(
     mechanism: Mechanism,
     closing: Closing,
     y: Array,
-    quality: float,
+    near: Singular,
     evaluate: Callable[[Array], Array],
 ) -> Array | None:
-    """What `evaluate` gives on the branch at y, from states beside it; None where y is near none.
+    """What `evaluate` gives on the branch at y, from states beside it; None where `near` is far.
 
-    `evaluate` takes states (2K, len(y)) to values (2K, m).  `quality` is that of y = (q, qd, ...);
-    what follows the rates is repeated as it is.
+    `near` is a change point.  `evaluate` takes states (2K, len(y)), y = (q, qd, ...), to values
+    (2K, m); what follows the rates is repeated as it is.
     """
     n = mechanism.n
     fastest = float(np.abs(y[n : 2 * n]).max())
-    if quality > SUSPECT or not 0.0 < fastest < np.inf:
+    if not 0.0 < fastest < np.inf:
         return None
-    near = nearest_singular(mechanism, y[:n])
-    if near is None or not near.crosses:
-        return None
+    away = float(apart(mechanism, y[:n], near.q))
     for step in STEPS:
+        if away > 2.0 * BESIDE * K * step:
+            continue
         around = _beside(mechanism, closing, y, step / fastest)
         if around is None:
             continue

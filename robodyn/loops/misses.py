@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
-from robodyn.loops.change_points import SAME, apart, known, nearest_singular, nearness
+from robodyn.loops.change_points import SAME, apart, known, known_near, nearest_singular, nearness
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -40,21 +40,26 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
     loops: dict[object, list[int]] = {}
     for r, row in enumerate(mechanism.rows):
         loops.setdefault(r if row.closure is None else f"closure {row.closure}", []).append(r)
+    joined: dict[int, list[int]] = {}  # the rows of a link
+    for s, two in enumerate(other):
+        for k in two:
+            joined.setdefault(k, []).append(s)
     rows: list[dict[int, Value]] = []
     for one in Psi:
-        rows.append({})
-        for s, two in enumerate(other):
-            if shared := [one[k] * two[k] for k in one if k in two]:
-                rows[-1][s] = sum(shared[1:], shared[0])
+        products: dict[int, Value] = {}
+        for k, value in one.items():
+            for s in joined[k]:
+                product = value * other[s][k]
+                products[s] = products[s] + product if s in products else product
+        rows.append(products)
     pivots: list[Value] = []
     for i, upper in enumerate(rows):
         pivots.append(upper.get(i, 0.0))
-        for below in rows[i + 1 :]:
-            if i in below:
-                factor = below[i] / pivots[i]
-                for s in upper:
-                    if s > i:
-                        below[s] = below.get(s, 0.0) - factor * upper[s]
+        later = [s for s in upper if s > i]  # rows have entries where columns have
+        for t in later:
+            factor = rows[t][i] / pivots[i]
+            for s in later:
+                rows[t][s] = rows[t].get(s, 0.0) - factor * upper[s]
     found = []
     for members in loops.values():
         value = pivots[members[0]]
@@ -96,6 +101,11 @@ class Misses:
         distance = self.distance(y[:n])
         fastest = max(float(np.abs(y[n : 2 * n]).max()), SLOWEST)
         return min(SHARE * distance, TURN) / fastest, FINE * distance
+
+    def near(self, q: Array) -> bool:
+        """Whether the nearest configuration that is known, if q is near one, is a miss."""
+        found = known_near(self.mechanism, q, SAME) if self._known else None
+        return found is not None and not found.crosses
 
     def crosses(self, q: Array) -> bool:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""

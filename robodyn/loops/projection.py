@@ -25,6 +25,7 @@ from robodyn.loops.change_points import (
     SUSPECT,
     Closing,
     lead_across,
+    nearest_singular,
     suspect_quality,
 )
 from robodyn.loops.closing import (
@@ -129,9 +130,12 @@ class Projection:
 
     def __call__(self, y: Array) -> Array:
         closed, quality = self.closing(y)
-        if quality > SUSPECT or not self.misses.crosses(closed[: self.mechanism.n]):
+        if quality > SUSPECT:
             return closed
-        led = lead_across(self.mechanism, self.closing, y, quality, lambda states: states)
+        near = nearest_singular(self.mechanism, y[: self.mechanism.n])
+        if near is None or not near.crosses:
+            return closed
+        led = lead_across(self.mechanism, self.closing, y, near, lambda states: states)
         return closed if led is None else led
 
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
-from robodyn.loops.change_points import lead_across, nearest_singular
+from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import (
     STRAIGHT,
@@ -119,26 +119,33 @@ def right_hand_side(
         beside = solving(Actuation(None, (f"{names}, = _held",), {"_held": held}))
         torques = actuation.function(mechanism.n)
 
-    def missing(y: Array) -> bool:
-        """Whether a state is near a singular configuration that is no change point."""
-        near = nearest_singular(mechanism, y[: mechanism.n])
-        return near is not None and not near.crosses
-
-    def careful(t: float, y: Array) -> Any:
-        if missing(y):  # a stage that were closed here would bend the step
-            return solved(t, y)
-        closed, quality = closing(y)
+    def across(t: float, y: Array, near: Singular) -> Any:
+        """The rates at a state near a change point, if it is next to it."""
 
         def evaluate(states: Array) -> Array:
             if torques is not None:
-                held[:] = torques(t, closed.tolist())
+                held[:] = torques(t, closing(y)[0].tolist())
             return np.array([beside(t, state) for state in states])
 
         try:
-            led = lead_across(mechanism, closing, y, quality, evaluate)
+            return lead_across(mechanism, closing, y, near, evaluate)
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
-        return solved(t, closed) if led is None else led
+
+    def careful(t: float, y: Array) -> Any:
+        q = y[: mechanism.n]
+        if project.misses.near(q):  # a stage that were closed here would bend the step
+            return solved(t, y)
+        if kind != "straight-line":  # whose closing is the cheapest test
+            closed, quality = closing(y)
+            if quality > SUSPECT:
+                return solved(t, closed)
+        near = nearest_singular(mechanism, q)
+        if near is not None:
+            led = across(t, y, near) if near.crosses else solved(t, y)
+            if led is not None:
+                return led
+        return solved(t, closing(y)[0])
 
     if kind != "straight-line":  # a projection costs little beside them
         return RightHandSide(careful, project, kind)
@@ -166,6 +173,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
     forced = mechanism.has_state_forces
+    forward = dense_dynamics.of_one_state(mechanism)
 
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
@@ -175,7 +183,10 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
-        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
+        if baumgarte:
+            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
+        else:
+            qdd = forward(q, qd, tau)
         if work and forced:
             tau = tau + other_forces(mechanism, q, qd)
         power = [tau @ qd - damping @ qd**2] if work else []
