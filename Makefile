@@ -13,6 +13,8 @@ READY  := $(VENV)/.ready
 # the workers of a test run share the processors: threads of the matrix library would only wait
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS      := 1
+# and the commands that tests start are compiled once, whatever the environment says
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test hard bench pictures peers clean
 

@@ -474,6 +474,17 @@ def test_many_turns_of_a_closed_mechanism(robodyn: Run) -> None:
             "--profile sweep --from 1 --amplitude 0.1 --frequencies 1,999 --time 190",
             ["--amplitude = 0.1", "190000 pieces", "71,428"],
         ),
+        ("four-bar", "--from 0 --to 49000 --time 1", ["--to = 49000", "500,000 closed states"]),
+        (
+            "four-bar",
+            "--profile sweep --from 1 --amplitude 0.4 --frequencies 1,1 --time 35000",
+            ["--amplitude = 0.4", "56000 rad", "500,000 closed states"],
+        ),
+        (
+            "2r",
+            "--profile sweep --from 0,0 --amplitude 1 --frequencies 1,1 --time 99999 --max-qd 9",
+            ["--amplitude = 1", "1,000,000 samples"],
+        ),
         (
             "2r",
             "--speed 1,0.7071 --turns 1e6 --max-tau 100",

@@ -9,6 +9,7 @@ from random_mechanisms import mechanism
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.factors import SMALL, Factors, elimination_order
 from robodyn.engines.series import FLOATS, Series
+from robodyn.engines.singular_values import svd
 from robodyn.mechanics.actuation import Actuation
 
 
@@ -73,3 +74,19 @@ class TestFactors:
             right = rng.normal(size=len(K))
             found = Factors(matrix, links).solve(right.tolist())
             assert K @ found == pytest.approx(right, abs=1e-8)
+
+
+def test_a_decomposition_where_divide_and_conquer_gives_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    a = np.random.default_rng(3).normal(size=(2, 3, 4))
+
+    def gives_up(*args: object, **options: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", gives_up)
+    U, s, Vt = svd(a)
+    np.testing.assert_allclose(U * s[:, None] @ Vt, a, atol=1e-14)
+    U, s, Vt = svd(a[0], full=True)
+    assert Vt.shape == (4, 4)
+    np.testing.assert_allclose(U * s @ Vt[:3], a[0], atol=1e-14)

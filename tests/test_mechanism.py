@@ -4,6 +4,7 @@ import math
 import pickle
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -247,9 +248,39 @@ class TestObject:
         mech = seeded_scene(4, LOOPS["slider-crank"]).mechanism
         arrays = mech.arrays
         copy = pickle.loads(pickle.dumps(mech))
-        assert copy.A == mech.A
+        assert tuple(copy.A) == tuple(mech.A)
         assert copy.description == mech.description
         assert np.array_equal(copy.arrays.P, arrays.P)
+
+    def test_what_grows_with_the_square_of_the_links_is_made_on_demand(self):
+        """3,000 links: their A alone has 4.5 million entries."""
+        lines = (
+            chain(3000)
+            + "\nloads:\n"
+            + "".join(
+                f"  - {{link: link{k}, at: [0.5, 0], force: [1, 2]}}\n" for k in range(0, 3000, 3)
+            )
+        )
+        described = from_text(lines, "x.yaml")
+        tracemalloc.start()
+        mech = build(described)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 3000 * 5000
+        assert mech.n == len(mech.weights) == 3000
+
+    def test_constant_forces_are_weights(self):
+        """PE = const - Re(weights . E): each force times the way to its point."""
+        text = chain(4) + (
+            "\nloads:\n  - {link: link2, at: [0.3, 0.1], force: [3, -2]}\n"
+            "  - {link: link3, at: [0, 0.2], force: [1, 5], frame: link}\n"
+        )
+        mech, bare = mechanism(text), mechanism(chain(4))
+        assert [force.turns for force in mech.forces] == [False, True]
+        coefficients = dict(mech.forces[0].point.terms)
+        for k, (weight, other) in enumerate(zip(mech.weights, bare.weights, strict=True)):
+            expected = other + (3 + 2j) * coefficients.get(k, 0j)
+            assert weight == pytest.approx(expected, rel=1e-14)
 
     def test_joint_index_maps_names_to_joints(self):
         mech = load(ROBOTS[0].parent / "four-bar.yaml")

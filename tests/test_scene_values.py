@@ -1,5 +1,7 @@
 """Numbers of a scene by name: replaced, against the same file written by hand."""
 
+import time
+
 import pytest
 from conftest import ROOT
 
@@ -98,3 +100,21 @@ def test_every_number_of_the_scenes_can_be_set(path) -> None:
         changed = SceneValues(path.read_text(), path.name).replaced({name: 0.4375})
         # a line's direction has no length
         assert changed != values.base or "along" in name
+
+
+def test_a_long_chain_is_named_in_one_pass() -> None:
+    """Work that grows with the square of 4,000 links took 12 s."""
+    links = "".join(f"  - {{name: a{k}, m: 1, l: 1, r: 0, I: 0}}\n" for k in range(4000))
+    begun = time.process_time()
+    values = SceneValues("links:\n" + links, "x")
+    assert time.process_time() - begun < 6.0
+    assert "links.a3999.payload" in values
+
+
+def test_what_was_replaced_is_put_back() -> None:
+    values = scene()
+    values.replaced({"links.upper arm.l": 1.25, "gravity": 3.0})
+    assert values.replaced({}) == values.base
+    with pytest.raises(InputError, match="must be"):
+        values.replaced({"links.fore.m": -1.0})
+    assert values.replaced({}) == values.base

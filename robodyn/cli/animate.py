@@ -71,7 +71,7 @@ def animate(
     extent = parse_size(size)
     mechanism = load(model)
     wanted = [name.strip() for name in trace.split(",")] if trace is not None else []
-    points = [traced_point(mechanism, name) for name in wanted]
+    traced = [traced_point(mechanism, name) for name in wanted]
     check_directory(out)
     if suffix != ".html":
         check_matplotlib(f"an animation ({suffix[1:]})")
@@ -82,7 +82,7 @@ def animate(
         shown_frames = _read(mechanism, states, fps, speed)
     drawn = drawing(mechanism, shown_frames.q)
     E = phases(mechanism, shown_frames.fine)
-    traces = [at(point, E) for point in points]
+    traces = [at(points[k], E) for points, k in traced]
     if suffix == ".html":
         from robodyn.cli.animation_page import write_page
 

@@ -19,7 +19,7 @@ from robodyn.cli.sweep_options import Engine, Kind, axes_of, new_plan, seed_of
 from robodyn.errors import InputError, RobodynError
 from robodyn.scene.yaml_tree import read_text
 from robodyn.sweeps.resumable_file import ResumableFile
-from robodyn.sweeps.scene_values import SceneValues
+from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import RESULTS, Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
@@ -136,7 +136,7 @@ def sweep(
       robodyn sweep robots/2r.yaml --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
     """
     text = read_text(Path(model))
-    scene = SceneValues(text, model)
+    scene = numbers_of(text, model)
     plan = new_plan(
         text, model, kind, duration, rtol, atol, max_steps,
         Variation(axes_of(scene, vary, sample, kind), sample, seed_of(seed, sample)),

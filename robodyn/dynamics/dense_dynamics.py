@@ -28,6 +28,7 @@ from robodyn.dynamics.closed_form import (
     phases,
     scene_torques,
 )
+from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
@@ -88,7 +89,7 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     wanted = _times(freedoms, load)
     tau = np.zeros_like(load)
     # cut against 1, the projector's size: at a dead centre nothing but rounding is driven
-    U, drive, Vt = np.linalg.svd(driven, full_matrices=False)
+    U, drive, Vt = svd(driven)
     counts = drive > RANK_CUT
     inverse = np.where(counts, 1.0 / np.where(counts, drive, 1.0), 0.0)
     drives = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
@@ -190,7 +191,7 @@ class _Decomposition(NamedTuple):
 
 def _decompose(mechanism: Mechanism, Psi: Array) -> _Decomposition:
     r, n = Psi.shape[-2:]
-    U, s, Vt = np.linalg.svd(Psi, full_matrices=True)
+    U, s, Vt = svd(Psi, full=True)
     V = np.swapaxes(Vt, -1, -2)
     counts = s > RANK_CUT * loop_size(mechanism)
     inverse = np.where(counts, 1.0 / np.where(counts, s, 1.0), 0.0)

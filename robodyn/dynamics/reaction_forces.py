@@ -28,6 +28,7 @@ from robodyn.dynamics.closed_form import absolute_rates, as_states, closure_jaco
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import coupling_torques, pin_forces
 from robodyn.dynamics.forces import forces_on_links, load_wrench
+from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
@@ -112,7 +113,7 @@ def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tup
     """
     if not mechanism.rows:
         return (), ()
-    U, s, _ = np.linalg.svd(closure_jacobian(mechanism, q), full_matrices=True)
+    U, s, _ = svd(closure_jacobian(mechanism, q), full=True)
     rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
     pins = pin_forces(mechanism, U[:, rank:].T)
     changes = pins[..., 0] + 1j * pins[..., 1]
@@ -126,7 +127,7 @@ def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
     """The couplings whose torque is not unique at q (n,)."""
     if not mechanism.description.couplings:
         return ()
-    U, s, _ = np.linalg.svd(closure_jacobian(mechanism, q), full_matrices=True)
+    U, s, _ = svd(closure_jacobian(mechanism, q), full=True)
     rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
     changes = coupling_torques(mechanism, U[:, rank:].T)
     found = np.flatnonzero((np.abs(changes) > FELT * loop_size(mechanism)).any(axis=0))

@@ -25,8 +25,9 @@ class Arithmetic:
     sin: Callable[[Value], Value]
     power: Callable[[Value, float], Value]
     functions: dict[str, Callable[[Value], Value]] = field(default_factory=dict)
-    # sum of x_j y_{m-j} for j from first to last
+    # sum of x_j y_{m-j} for j from first to last, and of (slope j + level) x_j y_{m-j}
     convolve: Callable[[Any, Any, int, int, int], Value] | None = None
+    weigh: Callable[[Any, Any, int, int, int, float, Value], Value] | None = None
     room: Callable[[int], Any] = lambda orders: [0.0] * orders
     keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
 
@@ -64,9 +65,34 @@ def plus(a: Value, b: Value) -> Value:
     return a + b
 
 
-def over(a: Value, k: int) -> Value:
+def over(a: Value, k: Value) -> Value:
     """a / k; of recorded numbers a product with 1/k, of longer ones to their last digit."""
-    return 0.0 if type(a) is float and a == 0.0 else a / float(k)
+    if type(a) is float and a == 0.0:
+        return 0.0
+    return a / float(k) if type(k) is int else a * (1.0 / (1.0 * k))
+
+
+def convolution(x: Any, y: Any, m: int, first: int, last: int) -> Value:
+    """Sum of x_j y_{m-j} for j from `first` to `last`."""
+    total: Value = 0.0
+    if x is y and first + last == m:  # a square: equal terms once
+        for j in range(first, (m + 1) // 2):
+            total = plus(total, times(x[j], x[m - j]))
+        total = times(2.0, total)
+        return plus(total, times(x[m // 2], x[m // 2])) if m % 2 == 0 else total
+    for j in range(first, last + 1):
+        total = plus(total, times(x[j], y[m - j]))
+    return total
+
+
+def weighted(
+    x: Any, y: Any, m: int, first: int, last: int, slope: float, level: Value = 0.0
+) -> Value:
+    """Sum of (slope j + level) x_j y_{m-j} for j from `first` to `last`."""
+    total: Value = 0.0
+    for j in range(first, last + 1):
+        total = plus(total, times(times(slope * j + level, x[j]), y[m - j]))
+    return total
 
 
 def planar_times(a: Planar, b: Planar) -> Planar:

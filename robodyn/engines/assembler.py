@@ -16,7 +16,7 @@ Variables that change over a loop are slots: `kernel.slot`, `kernel.get`, `kerne
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -36,8 +36,9 @@ class Word(NamedTuple):
 class Module:
     """The text of one object: kernels, and the functions of the C library that they call."""
 
-    def __init__(self, lanes: int) -> None:
+    def __init__(self, lanes: int, short: bool = False) -> None:
         self.lanes = lanes
+        self.short = short  # whether what is long is written once, and called
         self.functions: dict[str, str] = {}  # by name: definitions and declarations
 
     @property
@@ -231,6 +232,25 @@ class Kernel:
             word = self.op(type, f"insertelement {word}, {value}, i64 {i}")
         return word
 
+    def called(
+        self,
+        name: str,
+        args: Sequence[Word],
+        count: int,
+        write: Callable[[Kernel, Sequence[Word]], Sequence[Word]],
+    ) -> list[Word]:
+        """The `count` numbers that `write` makes of others, by a function of this name."""
+        type = f"{{ {', '.join([self.numbers] * count)} }}"
+        if name not in self.module.functions:
+            self.module.functions[name] = ""  # keeps its place
+            k = Kernel(self.module, name, [self.numbers] * len(args), type)
+            found = Word("poison", type)
+            for i, word in enumerate(write(k, k.arguments)):
+                found = k.op(type, f"insertvalue {found}, {word}, {i}")
+            k.done(found)
+        whole = self.op(type, f"call {type} @{name}({', '.join(map(str, args))})")
+        return [self.op(self.numbers, f"extractvalue {whole}, {i}") for i in range(count)]
+
     # -- memory ----------------------------------------------------------------------------------
 
     def at(self, base: Word, index: Word | int, type: str = SCALAR) -> Word:
@@ -284,6 +304,15 @@ class Kernel:
         self._lines[place] = f"  {i.text} = phi i64 {come}"
         self.jump(head)
         self.start(after)
+
+    def each(self, count: int, write: Callable[[Word | int], None]) -> None:
+        """Write something for 0 .. count - 1, or a loop where text is short."""
+        if self.module.short:
+            with self.loop(self.whole(count)) as i:
+                write(i)
+        else:
+            for j in range(count):
+                write(j)
 
     @contextmanager
     def forever(self) -> Iterator[str]:

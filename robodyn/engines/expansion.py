@@ -38,6 +38,15 @@ class Coefficients(NamedTuple):
     watched: list[list[Value]]
 
 
+class Start(NamedTuple):
+    """The state of a motion as formulas, and the numbers that its rows take."""
+
+    recorded: Recorded
+    numbers: list[Value]
+    steady: list[Value]  # constant torques
+    state: State
+
+
 class MotionProgram:
     """The program of a mechanism under its torques, and how it is expanded.
 
@@ -84,6 +93,26 @@ class MotionProgram:
             elif torques[0]:
                 given[f"tau{j}"] = torques[0][j], torques[1][j]
         return given
+
+    def start(self, generic: bool = False) -> Start:
+        """Where the formulas of a step begin, and what they take.
+
+        With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, ...
+        """
+        recorded = Recorded(
+            self.mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic
+        )
+        numbers = recorded.numbers(self.program)
+        steady = [
+            recorded.parameter(f"u{j}", tau) if tau else 0.0
+            for j, tau in enumerate(self.actuation.constants or ())
+        ]
+        alpha, w = recorded.absolute("q"), recorded.absolute("qd")
+        relative, t = recorded.relative, recorded.graph.variable("t")
+        torques = relative["tau"], relative["dtau"]
+        given = self.given(t, relative["q"], relative["qd"], alpha, torques, steady)
+        E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
+        return Start(recorded, numbers, steady, State(E, w, given))
 
     def state(
         self,
@@ -161,33 +190,26 @@ def expansion(motion: MotionProgram, order: int, generic: bool = False) -> Expan
     With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, u1, ...,
     and roots are rough.  Raises ZeroDivisionError where no state has a series.
     """
-    mechanism, actuation = motion.mechanism, motion.actuation
-    state = Recorded(mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic)
-    numbers = state.numbers(motion.program)
-    steady = [
-        state.parameter(f"u{j}", tau) if tau else 0.0
-        for j, tau in enumerate(actuation.constants or ())
-    ]
-    alpha, w = state.absolute("q"), state.absolute("qd")
-    relative = state.relative
-    torques = relative["tau"], relative["dtau"]
-    t = state.graph.variable("t")
-    given = motion.given(t, relative["q"], relative["qd"], alpha, torques, steady)
-    E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
-    series = motion.expand(RECORDED, numbers, order, State(E, w, given))
-    tolerances = state.graph.variable("rtol"), state.graph.variable("atol")
-    power = _rough if generic else expression.power
+    actuation, start = motion.actuation, motion.start(generic)
+    graph = start.recorded.graph
+    series = motion.expand(RECORDED, start.numbers, order, start.state)
     return Expansion(
-        state.graph,
+        graph,
         actuation.constants is None and actuation.linear,
         series.rho,
         series.theta,
         series.power,
-        steady,
-        longest_step(series, w, *tolerances, power),
+        start.steady,
+        longest_formula(graph, series, start.state.w, generic),
         series.watched,
         motion.arms,
     )
+
+
+def longest_formula(graph: Graph, series: Coefficients, w: Sequence[Value], generic: bool) -> Value:
+    """`longest_step` of tolerances that are variables, by rough roots where `generic`."""
+    power = _rough if generic else expression.power
+    return longest_step(series, w, graph.variable("rtol"), graph.variable("atol"), power)
 
 
 def longest_step(
@@ -249,7 +271,13 @@ def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
 def turned(rho: Sequence[Value], theta: Sequence[Value], x: Value) -> tuple[Planar, Value]:
     """The turn r + i t of a link at x after the start, and its rate Im(conj(z) z')/|z|^2."""
     (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
-    return (r, t), (r * dt - t * dr) / (r * r + t * t)
+    return (r, t), turning((r, t), (dr, dt))
+
+
+def turning(z: Planar, slope: Planar) -> Value:
+    """Im(conj(z) z')/|z|^2."""
+    (r, t), (dr, dt) = z, slope
+    return (r * dt - t * dr) / (r * r + t * t)
 
 
 def rates(rho: Sequence[Value], theta: Sequence[Value], order: int) -> list[Value]:
@@ -267,6 +295,19 @@ def end_of_step(mechanism: Mechanism, found: Expansion, work: bool, graph: Graph
     """q, qd (n each) and, if wanted, the work at the time x after the start."""
     x = graph.variable("x")
     turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
+    power = integral(found.power, x) if work and found.power else 0.0
+    return ends(mechanism, turns, power, found.steady, work, graph)
+
+
+def ends(
+    mechanism: Mechanism,
+    turns: Sequence[tuple[Planar, Value]],
+    power: Value,
+    steady: Sequence[Value],
+    work: bool,
+    graph: Graph,
+) -> list[Value]:
+    """The same from the turns of the links, their rates, and the work of what has a power."""
     ways = [expression.arctangent(t, r) for (r, t), _ in turns]
     q, qd, own = [], [], []
     for j, above in enumerate(mechanism.parent):
@@ -278,10 +319,8 @@ def end_of_step(mechanism: Mechanism, found: Expansion, work: bool, graph: Graph
         qd.append(rate)
     if not work:
         return [*q, *qd]
-    total: Value = graph.variable("work")
-    if found.power:
-        total = total + integral(found.power, x)
-    for tau, way in zip(found.steady, own, strict=False):
+    total: Value = graph.variable("work") + power
+    for tau, way in zip(steady, own, strict=False):
         total = total + tau * way
     return [*q, *qd, total]
 

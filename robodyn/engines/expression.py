@@ -57,7 +57,7 @@ class Graph:
 
     def node(self, op: str, args: tuple[Value | str, ...]) -> Expression:
         """The one node of this operation on these arguments."""
-        key = (op, *(a.index if isinstance(a, Expression) else (type(a), a) for a in args))
+        key = (op, *[a.index if isinstance(a, Expression) else (type(a), a) for a in args])
         found = self._known.get(key)
         if found is None:
             found = self._known[key] = Expression(self, op, args, len(self.nodes))
@@ -88,9 +88,14 @@ class Expression:
     def _number(self) -> float | None:
         if self.op in INPUTS:
             return self.graph.parameters[str(self.args[0])] if self.op == "par" else None
-        if not all(_constant(a) for a in self.args):
-            return None
-        values = [a.number if isinstance(a, Expression) else a for a in self.args]
+        values: list[float] = []
+        for a in self.args:
+            if isinstance(a, Expression):
+                if a.number is None:
+                    return None
+                values.append(a.number)
+            else:
+                values.append(a)  # type: ignore[arg-type]
         try:
             return float(_NUMBER[self.op](*values))
         except (ArithmeticError, ValueError):
@@ -318,7 +323,7 @@ def _has_factor(a: Expression) -> bool:
 
 
 def _constant(a: Value | str) -> bool:
-    return a.constant if isinstance(a, Expression) else True
+    return a.number is not None if isinstance(a, Expression) else True
 
 
 def _value(a: Value | str) -> Value:
@@ -346,5 +351,7 @@ def needed(outputs: Sequence[Value], there: Container[int] = ()) -> list[Express
         node = stack.pop()
         if node.index not in found and node.index not in there:
             found[node.index] = node
-            stack += [a for a in node.args if isinstance(a, Expression)]
+            for a in node.args:
+                if isinstance(a, Expression) and a.index not in found:
+                    stack.append(a)
     return [found[index] for index in sorted(found)]

@@ -7,11 +7,12 @@ with the links' directions (c_k, s_k) alone.  Both are recorded; the cheaper one
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 from robodyn.engines import expression
+from robodyn.engines.arithmetic import some
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
@@ -53,6 +54,7 @@ class Formula(NamedTuple):
     inputs: tuple[str, ...]
     outputs: tuple[Value, ...]
     pivots: tuple[Value, ...]
+    Psi: tuple[dict[int, Value], ...] = ()  # its rows in alpha, where they are wanted
 
 
 class Recorded:
@@ -320,26 +322,39 @@ def _projection(state: Recorded) -> Formula:
     n, rows = mechanism.n, len(mechanism.rows)
     series = state.series([0.0] * n)
     series.residuals(0)
-    Psi = joint_jacobian(state, series)
+    absolute = [{k: x for k, x in row.items() if k < n} for row in series.matrix()[n:]]
+    Psi = [_entries(state.to_joints([row.get(k, 0.0) for k in range(n)])) for row in absolute]
+    columns: list[dict[int, Value]] = [{} for _ in range(n)]
+    for r, row in enumerate(Psi):
+        for k, value in row.items():
+            columns[k][r] = value
     gaps = [series.real[slot][0] for slot in series.program.named["gap"]]
     speeds = [_dot(row, state.relative["qd"]) for row in Psi]
-    normal = [{c: _dot(Psi[r], Psi[c]) for c in range(rows)} for r in range(rows)]
+    near = [sorted({c for k in row for c in columns[k]}) for row in Psi]
+    normal = [_entries({c: _dot(row, Psi[c]) for c in near[r]}) for r, row in enumerate(Psi)]
     factors = Factors(normal, rows)
     outputs: list[Value] = []
     for name, right in (("q", gaps), ("qd", speeds)):
         multipliers = factors.solve(right)
-        for k in range(n):
-            column = [row[k] for row in Psi]
-            outputs.append(state.relative[name][k] - _dot(column, multipliers))
+        before = state.relative[name]
+        outputs += [before[k] - _dot(column, multipliers) for k, column in enumerate(columns)]
     relative = tuple(
         pivot / state.parameter(f"size{r}", row.size**2)
         for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
     )
-    return Formula(state.inputs, (*outputs, *gaps), relative)
+    return Formula(state.inputs, (*outputs, *gaps), relative, tuple(absolute))
 
 
-def _dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
+def _entries(values: Sequence[Value] | Mapping[int, Value]) -> dict[int, Value]:
+    """Those that are not zero at every state, by their places."""
+    items = values.items() if isinstance(values, Mapping) else enumerate(values)
+    return {k: value for k, value in items if some(value)}
+
+
+def _dot(a: Mapping[int, Value], b: Mapping[int, Value] | Sequence[Value]) -> Value:
+    """The sum of products of what stands in the same places; a sequence has all of them."""
     total: Value = 0.0
-    for x, y in zip(a, b, strict=True):
-        total = total + x * y
+    for k, x in a.items():
+        if not isinstance(b, Mapping) or k in b:
+            total = total + x * b[k]
     return total

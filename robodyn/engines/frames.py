@@ -7,7 +7,7 @@ once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from robodyn.engines.arithmetic import (
@@ -16,12 +16,14 @@ from robodyn.engines.arithmetic import (
     Planar,
     Value,
     conjugate_times,
+    convolution,
     difference,
     over,
     planar_plus,
     planar_times,
     plus,
     times,
+    weighted,
 )
 from robodyn.engines.state import State
 from robodyn.mechanics.program import (
@@ -132,21 +134,13 @@ class Frames:
         last = m if last is None else last
         if last < first:
             return 0.0
-        if self.arithmetic.convolve is not None:
-            return self.arithmetic.convolve(x, y, m, first, last)
-        total: Value = 0.0
-        if x is y and first + last == m:  # a square: equal terms once
-            for j in range(first, (m + 1) // 2):
-                total = plus(total, times(x[j], x[m - j]))
-            total = times(2.0, total)
-            return plus(total, times(x[m // 2], x[m // 2])) if m % 2 == 0 else total
-        for j in range(first, last + 1):
-            total = plus(total, times(x[j], y[m - j]))
-        return total
+        return (self.arithmetic.convolve or convolution)(x, y, m, first, last)
 
     def slope(self, x: Any, y: Any, m: int) -> Value:
         """Coefficient m of the integral of x' y: 1/m sum j x_j y_{m-j}."""
-        total: Value = 0.0
-        for j in range(1, m + 1):
-            total = plus(total, times(times(float(j), x[j]), y[m - j]))
-        return over(total, m)
+        return over(self.weigh(x, y, m, 1, m, 1.0, 0.0), m)
+
+    @property
+    def weigh(self) -> Callable[[Any, Any, int, int, int, float, Value], Value]:
+        """Sum of (slope j + level) x_j y_{m-j}, by (x, y, m, first j, last j, slope, level)."""
+        return self.arithmetic.weigh or weighted

@@ -7,12 +7,14 @@ engine of an empty module, which takes a tenth of the time that making it does.
 from __future__ import annotations
 
 import ctypes
+import gc
 import hashlib
 import mmap
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -55,6 +57,18 @@ class Code:
 _lock = threading.RLock()
 
 
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without searches for garbage: graphs are many small objects, all of them in use."""
+    searches = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if searches:
+            gc.enable()
+
+
 def _renew_lock() -> None:
     global _lock
     _lock = threading.RLock()
@@ -80,7 +94,7 @@ def make(
     """
     if not available():
         return None
-    with _lock:
+    with _lock, _uncollected():
         try:
             processor = this_processor(family)
             return _made(write, key, level, processor._replace(lanes=lanes or processor.lanes))
@@ -198,7 +212,7 @@ def generator() -> str:
     """What tells these sources, and those of the program, from other versions of them."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for room in (here, here.parent / "mechanics"):
+    for room in (here, here.parent / "loops", here.parent / "mechanics"):
         for path in sorted(room.glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

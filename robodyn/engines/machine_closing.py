@@ -1,12 +1,17 @@
-"""The closing of states in machine code: Newton steps of least norm, lane by lane."""
+"""The closing of states in machine code: Newton steps of least norm, lane by lane.
+
+And whether a step may have leapt to another branch (`loops/misses.py`).
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from robodyn.engines.assembler import Module
-from robodyn.engines.expression import Expression
+from robodyn.engines.expression import Expression, Graph
 from robodyn.engines.formulas import Formula
+from robodyn.engines.segment import Segment
+from robodyn.loops.misses import orientation
 from robodyn.loops.projection import PASSES
 
 if TYPE_CHECKING:
@@ -53,4 +58,25 @@ def write_close(scene: Scene, module: Module, formula: Formula) -> None:
     for j, slot in enumerate(speeds):
         scene.put(k, block, f"to_qd{j}", k.get(slot))
     scene.put(k, block, "quality", k.get(quality))
+    k.done()
+
+
+def write_leaps(scene: Scene, module: Module, formula: Formula) -> None:
+    """`leaps(block)`: no quality is left where a loop turns over between the step's ends."""
+    k, block = scene.kernel(module, "leaps")
+    names = [f"{name}{j}" for name in ("q", "qd") for j in range(scene.mechanism.n)]
+    graph = next(x.graph for x in formula.outputs if isinstance(x, Expression))
+    entries = [(r, j, x) for r, row in enumerate(formula.Psi) for j, x in row.items()]
+    words, products = {}, Graph()
+    both: list[list[dict[int, Expression]]] = []
+    for side, inputs in (("from", {}), ("to", scene.there(names))):
+        both.append([{} for _ in formula.Psi])
+        found = scene.segment(k, block, graph, inputs).write([x for *_, x in entries])
+        for (r, j, _), word in zip(entries, found, strict=True):
+            words[f"{side}{r}_{j}"] = word
+            both[-1][r][j] = products.variable(f"{side}{r}_{j}")
+    quality = scene.get(k, block, "quality")
+    for value in Segment(k, words).write(orientation(scene.mechanism, *both)):
+        quality = k.select(k.less(k.number(0.0), value), quality, k.number(-1.0))
+    scene.put(k, block, "quality", quality)
     k.done()

@@ -17,6 +17,7 @@ from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine import Code, Processor
 from robodyn.engines.machine_closing import SINGULAR
 from robodyn.engines.machine_steps import Scene
+from robodyn.loops.misses import SLOWEST, TURN
 from robodyn.taylor import Status
 
 RUNNING = -1.0
@@ -76,7 +77,7 @@ def compile(
 
 
 def _text(scene: Scene, observer: Observer, processor: Processor) -> str:
-    module = Module(processor.lanes)
+    module = Module(processor.lanes, scene.short)
     scene.write(module)
     observer.declare(scene, module)
     k = Kernel(module, "advance", (ADDRESS, WHOLE, ADDRESS))
@@ -120,6 +121,11 @@ class _Step:
         self.put("t_there", k.add(self.get("t"), x))
         self.call("evaluate")
 
+    def _close(self) -> None:
+        """That state moved to the nearest that closes; of no quality where the step leapt."""
+        self.call("close")
+        self.call("leaps")
+
     def write(self, active: Word, observe: Callable[[Word, Word], None]) -> None:
         k, scene = self.k, self.scene
         if scene.linear:
@@ -133,6 +139,9 @@ class _Step:
         self._end(k.both(active, k.invert(known)), Status.NOT_FINITE)
         go = k.both(active, known)
         most = k.intrinsic("fabs", k.subtract(self.get("bound"), t))
+        if scene.closes:
+            turn = k.divide(k.number(TURN), self._fastest(k.number(SLOWEST)))
+            longest = k.select(k.less(turn, longest), turn, longest)
         h = k.slot(k.select(go, k.select(k.less(longest, most), longest, most), k.number(0.0)))
         self.reach(k.get(h))
         small = k.multiply(k.intrinsic("fabs", t), k.number(ULPS))
@@ -144,7 +153,7 @@ class _Step:
         self._end(stuck, Status.STUCK)
         go = k.both(go, k.invert(stuck))
         if scene.closes:
-            self.call("close")
+            self._close()
             self._land(go, h)
             lost = k.both(go, k.compare("ule", self.get("quality"), k.number(SINGULAR)))
             self._end(lost, Status.SINGULAR)
@@ -152,14 +161,21 @@ class _Step:
         now = k.get(h)
         end = k.add(t, k.multiply(now, self.get("direction")))
         end = k.select(k.compare("oeq", now, most), self.get("bound"), end)
+        quality = self.get("quality") if scene.closes else k.number(0.0)
         observe(go, end)
-        for name in scene.state:
-            self.put(name, k.select(go, self.get(f"to_{name}"), self.get(name)))
+        here, there = (scene.at(k, self.block, name) for name in ("q0", "to_q0"))
+
+        def renew(i: Word | int) -> None:
+            place = k.at(here, i, k.numbers)
+            after = k.load(k.at(there, i, k.numbers))
+            k.store(k.select(go, after, k.load(place)), place)
+
+        k.each(len(scene.state), renew)
         self.put("t", k.select(go, end, t))
         steps = k.add(self.get("steps"), k.select(go, k.number(1.0), k.number(0.0)))
         self.put("steps", steps)
         if scene.closes:
-            poor = k.compare("ult", self.get("quality"), self.get("suspect"))
+            poor = k.compare("ult", quality, self.get("suspect"))
             self._end(k.both(go, poor), Status.SINGULAR)
         full = k.compare("oge", steps, self.get("most_steps"))
         self._end(k.both(go, full), Status.FULL)
@@ -169,16 +185,21 @@ class _Step:
         k = self.k
         self.put("status", k.select(mask, k.number(float(status)), self.get("status")))
 
+    def _fastest(self, least: Word) -> Word:
+        """The largest of the joints' rates, or `least`."""
+        k, fast = self.k, least
+        for j in range(self.scene.mechanism.n):
+            size = k.intrinsic("fabs", self.get(f"qd{j}"))
+            fast = k.select(k.less(fast, size), size, fast)
+        return fast
+
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
         """Halve the step until the torque at its end is that of the series.
 
         And in its middle, where friction may turn over and back.
         """
-        k, scene, n = self.k, self.scene, self.scene.mechanism.n
-        fast = k.number(0.0)
-        for j in range(n):
-            size = k.intrinsic("fabs", self.get(f"qd{j}"))
-            fast = k.select(k.less(fast, size), size, fast)
+        k, scene = self.k, self.scene
+        fast = self._fastest(k.number(0.0))
         miss = k.add(self.get("atol"), k.multiply(self.get("rtol"), fast))
         miss = k.multiply(miss, self.get("lightest"))
         with k.forever() as good:
@@ -209,11 +230,11 @@ class _Step:
                 shorter = k.multiply(whole, k.number(part))
                 there = k.select(waiting, shorter, whole)
                 self.reach(there)
-                self.call("close")
+                self._close()
                 quality = self.get("quality")
                 better = k.both(waiting, k.less(k.get(best), quality))
                 k.set(h, k.select(better, there, k.get(h)))
                 k.set(best, k.select(better, quality, k.get(best)))
                 k.set(left, k.both(waiting, k.compare("ult", quality, suspect)))
             self.reach(k.get(h))
-            self.call("close")
+            self._close()

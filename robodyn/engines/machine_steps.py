@@ -9,6 +9,7 @@ stand.  The kernels
     expand(block)      the series at the state, and the longest step
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
+    leaps(block)       none is left where the step between them may have leapt to another branch
     compare(block)     whether the series gives the torques there (0 or 1)
 
 do so; `advance` (`machine_motion.py`) drives them.  Numbers are no part of the code: it serves all
@@ -19,7 +20,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property, partial
+from itertools import count, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,7 @@ from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
 from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
 from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
 from robodyn.engines.formulas import Formula, projection_formula
-from robodyn.engines.machine_closing import write_close
+from robodyn.engines.machine_closing import write_close, write_leaps
 from robodyn.engines.segment import Segment
 from robodyn.loops.assembly import loop_size
 from robodyn.loops.change_points import suspect_quality
@@ -56,6 +58,8 @@ class Scene:
     joints' rates are among the items, as rate0_0, rate0_1, ..., and that of `link` as link0_0, ...
     `kept` are items of an observer's own, with what they are at first.
     """
+
+    short = False  # whether text is kept short, at some cost of speed
 
     def __init__(
         self,
@@ -91,7 +95,7 @@ class Scene:
             self.values |= {f"closing.c{i}": x for i, x in enumerate(closing.program.numbers)}
             self.values |= {f"closing.size{r}": x.size**2 for r, x in enumerate(mechanism.rows)}
             shapes.append(closing.program.shape)
-        self.key = repr(shapes)
+        self.key = f"{type(self).__name__} {shapes!r}"
 
     # -- formulas ----------------------------------------------------------------------------------
 
@@ -134,8 +138,8 @@ class Scene:
 
     def coefficients(self, graph: Graph, name: str) -> list[Value]:
         """A series as variables of another graph; what is no variable stays a number."""
-        count = sum(key.startswith(f"{name}_") for key in self.series)
-        found = ((f"{name}_{m}", self.series[f"{name}_{m}"]) for m in range(count))
+        keys = takewhile(self.series.__contains__, (f"{name}_{m}" for m in count()))
+        found = ((key, self.series[key]) for key in keys)
         return [graph.variable(k) if isinstance(x, Expression) else x for k, x in found]
 
     @cached_property
@@ -157,11 +161,16 @@ class Scene:
             }
         return held
 
+    @property
+    def _formulas(self) -> tuple[Graph, list[Value]]:
+        """Of `expand`."""
+        return self.found.graph, [self.found.longest, *self.series.values()]
+
     def _graphs(self) -> list[tuple[Graph, list[Value], str]]:
-        found = self.found
-        parts = [(found.graph, [found.longest, *self.series.values()], "")]
+        parts = [(*self._formulas, "")]
         if self.closing is not None:
             outputs = [*self.closing.outputs, *self.closing.pivots]
+            outputs += [x for row in self.closing.Psi for x in row.values()]
             graph = next(x.graph for x in outputs if isinstance(x, Expression))
             parts.append((graph, outputs, "closing."))
         return parts
@@ -190,6 +199,11 @@ class Scene:
         names += [k for held in self._held.values() for k in held.values() if k not in self.place]
         names += [k for k, x in self.series.items() if self._stored(k, x)]
         return {name: i for i, name in enumerate(names)}
+
+    @property
+    def items(self) -> int:
+        """How many a block has."""
+        return len(self.whole)
 
     def fill(self, block: Array, rtol: float, atol: float, project: float = 1.0) -> None:
         """The scene's numbers and limits into a block (items, ...)."""
@@ -233,25 +247,31 @@ class Scene:
     ) -> Segment:
         """For a graph whose inputs are items; `names` gives those of other names."""
         renamed = names or {}
+        return Segment(
+            k,
+            lambda name: self.get(k, block, renamed.get(name, name)),
+            self.held_words(k, block, graph),
+        )
 
-        def read(name: str) -> Word:
-            return self.get(k, block, renamed.get(name, name))
+    def held_words(self, k: Kernel, block: Word, graph: Graph) -> dict[int, Callable[[], Word]]:
+        """What reads the nodes of a graph that `prepare` computes."""
 
         def reader(item: str) -> Callable[[], Word]:
-            return lambda: self.get(k, block, item)
+            read = partial(self.get, k, block, item)
+            return cache(read) if self.short else read
 
-        held = self._held.get(id(graph), {})
-        return Segment(k, read, {index: reader(item) for index, item in held.items()})
+        return {index: reader(item) for index, item in self._held.get(id(graph), {}).items()}
 
     def write(self, module: Module) -> None:
         """The kernels into a module; `size` tells how many items a block has."""
         k = Kernel(module, "size", ())
-        k.done(k.whole(len(self.whole)))
+        k.done(k.whole(self.items))
         self._prepare(module)
         self._expand(module)
         self._evaluate(module)
         if self.closing is not None:
             write_close(self, module, self.closing)
+            write_leaps(self, module, self.closing)
         if self.bends:
             self._compare(module)
 
@@ -295,26 +315,35 @@ class Scene:
         """Inputs of a graph, taken from the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
 
+    @property
+    def _bending(self) -> tuple[Graph, list[Value]]:
+        """Where what is watched starts."""
+        return self.found.graph, [x[0] for x in self.found.watched]
+
+    def _terms(self, k: Kernel, block: Word, i: int, x: Word) -> tuple[Word, Word]:
+        """The sum of a watched series at x, and its largest term."""
+        total = most = k.number(0.0)
+        power = k.number(1.0)
+        for m, value in enumerate(self.found.watched[i]):
+            stored = isinstance(value, Expression)
+            name = f"watched{i}_{m}"
+            coefficient = self.get(k, block, name) if stored else k.number(float(value))
+            term = k.multiply(coefficient, power)
+            total, size = k.add(total, term), k.intrinsic("fabs", term)
+            most = k.select(k.less(most, size), size, most)
+            power = k.multiply(power, x)
+        return total, most
+
     def _compare(self, module: Module) -> None:
         """Whether what may bend is, at the state there, what its series gives at x."""
         k, block = self.kernel(module, "compare")
-        found, count = self.found, len(self.bends)
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
-        values = self.segment(k, block, found.graph, names).write([x[0] for x in found.watched])
+        graph, wanted = self._bending
+        values = self.segment(k, block, graph, names).write(wanted)
         x, small, relative = (self.get(k, block, name) for name in ("x", "miss", "relative"))
         agrees = k.all_lanes(True)
-        for i in range(count):
-            total = most = k.number(0.0)
-            power = k.number(1.0)
-            for m, value in enumerate(found.watched[i]):
-                if isinstance(value, Expression):
-                    coefficient = self.get(k, block, f"watched{i}_{m}")
-                else:
-                    coefficient = k.number(value)
-                term = k.multiply(coefficient, power)
-                total, size = k.add(total, term), k.intrinsic("fabs", term)
-                most = k.select(k.less(most, size), size, most)
-                power = k.multiply(power, x)
+        for i in range(len(self.bends)):
+            total, most = self._terms(k, block, i, x)
             missed = k.intrinsic("fabs", k.subtract(total, values[i]))
             allowed = k.divide(small, self.get(k, block, f"arm{i}"))
             part = k.multiply(relative, most)

@@ -109,20 +109,14 @@ class Rules(Frames):
             case Power(x=x, exponent=exponent):
                 if m == 0:
                     return self.arithmetic.power(real[x][0], exponent)
-                total = 0.0
-                for j in range(1, m + 1):
-                    weight = (exponent + 1.0) * j - m
-                    total = plus(total, times(times(weight, real[x][j]), real[slot][m - j]))
-                return over(total, m) / real[x][0]
+                known = self.weigh(real[x], real[slot], m, 1, m, exponent + 1.0, -1.0 * m)
+                return over(known, m) / real[x][0]
             case Function(name=name, x=x):
                 return self._function(slot, name, real[x], m)
             case Primitive(name=name, x=x, density=y):
                 if m == 0:
                     return self.arithmetic.functions[name](real[x][0])
-                known = 0.0
-                for j in range(1, m):
-                    product = times(times(float(j), real[slot][j]), real[y][m - j])
-                    known = plus(known, product)
+                known = self.weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
                 return difference(real[x][m], over(known, m)) / real[y][0]
         raise AssertionError(row)
 
@@ -174,6 +168,8 @@ class Rules(Frames):
 
     def _half_square(self, x: Any, m: int) -> Value:
         """1/2 sum of x_j x_{m-j} for 0 < j < m."""
+        if type(m) is not int:  # of the order of a loop: even or odd
+            return times(0.5, self.convolve(x, x, m, 1, m - 1))
         total = self.convolve(x, x, m, 1, (m - 1) // 2)
         if m % 2 == 0:
             half = x[m // 2]
@@ -181,13 +177,9 @@ class Rules(Frames):
         return total
 
     def _rate(self, E: Slot, m: int) -> Value:
-        """Of w = Im(conj(z) z'): the terms that are known."""
+        """Of w = Im(conj(z) z'): the terms that are known; theta_0 = 0."""
         rho, theta = self._moment[E]
-        total: Value = 0.0
-        for j in range(m + 1):
-            total = plus(total, times(j + 1.0, times(rho[m - j], theta[j + 1])))
-            total = difference(total, times(j + 1.0, times(theta[m - j], rho[j + 1])))
-        return total
+        return self.weigh(theta, rho, m + 1, 1, m + 1, 2.0, -1.0 * (m + 1))
 
     def _known_moment(self, slot: Slot, row: Moment, m: int) -> Value:
         """Im(conj(z) F) in the frame of the link, with its own part inertia P in F."""
@@ -198,8 +190,7 @@ class Rules(Frames):
         x, y = self._moment[slot]
         x[m] = plus(force[0], times(own, bend[0]))
         y[m] = plus(force[1], times(own, bend[1]))
-        total = y[m]
-        total = plus(total, self.convolve(rho, y, m, 2, m))
+        total = plus(y[m], self.convolve(rho, y, m, 1, m))  # rho_1 = 0
         return difference(total, self.convolve(theta, x, m, 1, m))
 
     def _function(self, slot: Slot, name: str, x: Any, m: int) -> Value:

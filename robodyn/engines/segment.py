@@ -37,6 +37,14 @@ class Segment:
     def write(self, outputs: Sequence[Value]) -> list[Word]:
         """The words of the outputs, W lanes each."""
         order = needed(outputs, self.words.keys() | self.held.keys())
+        if self.kernel.module.short:  # a call for each angle
+            for node in order:
+                if node.op not in _CIRCULAR:
+                    self.words[node.index] = self._node(node)
+                elif node.index not in self.words:
+                    both = (node.graph.node(op, node.args) for op in _CIRCULAR)
+                    self._circular([x for x in both if x.index not in self.words])
+            return [self.word(output) for output in outputs]
         depths = _depths(order)
         order.sort(key=lambda node: (depths[node.index], node.op not in _CIRCULAR, node.index))
         i = 0

@@ -85,7 +85,7 @@ class Series(Rules):
         room, K = arithmetic.room, orders + 3
         for slot, row in self.rows:
             if program.planar[slot]:
-                self.planar[slot] = [()] * K
+                self.planar[slot] = self.planar_room(slot, K)
                 if isinstance(row, Turn):
                     self._moment[slot] = (room(K), room(K))  # rho, theta
             else:
@@ -101,6 +101,10 @@ class Series(Rules):
         self._residuals: list[Value] = []
         self.factors: Factors | PivotedFactors | None = None
         self.p = 0
+
+    def planar_room(self, slot: Slot, orders: int) -> Any:
+        """Room for the coefficients of a planar slot."""
+        return [()] * orders
 
     # -- one order ---------------------------------------------------------------------------------
 
@@ -149,16 +153,15 @@ class Series(Rules):
 
     def expand(self, factors: Factors | PivotedFactors | None = None) -> list[list[Value]]:
         """All orders; the unknowns of each."""
-        found: list[list[Value]] = []
-        for p in range(self.orders):
-            right = [times(-1.0, x) if type(x) is float else -x for x in self.residuals(p)]
-            if p == 0:
-                self.factors = factors or self.factorise()
-            assert self.factors is not None
-            solution = self.factors.solve(right)
-            self.complete(solution, balanced=True)
-            found.append(solution)
-        return found
+        return [self.advance(p, factors) for p in range(self.orders)]
+
+    def advance(self, p: Any, factors: Factors | PivotedFactors | None = None) -> list[Value]:
+        """One order after those before it; its unknowns."""
+        right = [times(-1.0, x) if type(x) is float else -x for x in self.residuals(p)]
+        self.factors = self.factors or factors or self.factorise()
+        solution = self.factors.solve(right)
+        self.complete(solution, balanced=True)
+        return solution
 
     def turn(self, slot: Slot) -> tuple[Any, Any]:
         """The coefficients rho and theta of a direction."""

@@ -66,6 +66,17 @@ class Circular(NamedTuple):
 
 def circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
     """(sine, cosine) of each angle; what is not wanted is any word."""
+    if kernel.module.short:
+        found = [kernel.called("sine_cosine", [x.angle], 2, _both) for x in wanted]
+        return [(sine, cosine) for sine, cosine in found]
+    return _circular(kernel, wanted)
+
+
+def _both(kernel: Kernel, angles: Sequence[Word]) -> tuple[Word, Word]:
+    return _circular(kernel, [Circular(angles[0], True, True)])[0]
+
+
+def _circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
     found = [_reduced(kernel, *item) for item in wanted]
     limit = kernel.number(LARGEST)
     beyond = kernel.all_lanes(False)
@@ -187,6 +198,12 @@ def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
 
 def arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
     """atan2(y, x) within 3 ulp; 0 of (0, 0), nan of nan or two infinities."""
+    if kernel.module.short:
+        return kernel.called("arctangent", [y, x], 1, lambda k, z: [_arctangent(k, *z)])[0]
+    return _arctangent(kernel, y, x)
+
+
+def _arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
     k, number = kernel, kernel.number
     across, up = k.intrinsic("fabs", x), k.intrinsic("fabs", y)
     steep = k.less(across, up)

@@ -150,6 +150,8 @@ def rates(
             tau = np.array(torques(t, y.tolist()))
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
+        if not np.isfinite(tau).all():
+            return np.full(len(y), np.nan)
         try:
             qdd, ratio = system.accelerations(y, tau, baumgarte)
         except RuntimeError:  # splu: exactly singular

@@ -28,8 +28,10 @@ class Pair:
     def __bool__(self) -> bool:
         return not (self.real == 0.0 and self.imag == 0.0)
 
-    def __add__(self, other: Pair | Value) -> Pair:
+    def __add__(self, other: Pair | complex | Value) -> Pair:
         return Pair(self.real + other.real, self.imag + other.imag)
+
+    __radd__ = __add__
 
     def __sub__(self, other: Pair) -> Pair:
         return self + -other

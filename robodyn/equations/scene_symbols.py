@@ -12,14 +12,7 @@ from typing import Any, NamedTuple
 from robodyn.equations.factoring import Key, Written, written
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import ZERO, Planar, Sum
-from robodyn.mechanics.mechanism import (
-    Mechanism,
-    closure_rows,
-    difference,
-    pivots,
-    point_of,
-    too_large,
-)
+from robodyn.mechanics.mechanism import Mechanism, Tree, closure_rows, too_large
 from robodyn.scene.scene import Point, Spring
 
 
@@ -52,7 +45,7 @@ class SymbolicScene:
             above = mechanism.parent[k]
             self.path[k] = (*(() if above is None else self.path[above]), k)
         self.symbols: Any = self.parameters.scene  # Sum and Planar for numbers
-        self.pivots = pivots(self.symbols)
+        self.tree = Tree(self.symbols.links)
         self.bodies = [self._bodies(k) for k in range(self.n)]
 
     def _bodies(self, k: int) -> list[Body]:
@@ -63,19 +56,18 @@ class SymbolicScene:
 
     def terms(self, point: Point) -> dict[int, Planar]:
         """The coefficients of E of a point of a link."""
-        terms: Any = point_of(self.pivots, point).terms
+        terms: Any = self.tree.point(point).terms
         return dict(terms)
 
     def spring(self, spring: Spring) -> tuple[Planar, dict[int, Planar]]:
         """A spring between points, from its second end to its first: constant, coefficients."""
-        first, second = (point_of(self.pivots, x) for x in (spring.first, spring.second))
-        between: Any = difference(first, second)
+        between: Any = self.tree.difference(spring.first, spring.second)
         return between.constant, dict(between.terms)
 
     def closure_rows(self) -> Iterator[tuple[Sum, dict[int, Planar]]]:
         """offset and P_k of every row Re(sum_k P_k E_k) + offset = 0."""
         row: Any
-        for row in closure_rows(self.symbols, self.pivots):
+        for row in closure_rows(self.symbols, self.tree):
             yield row.offset, dict(row.P)
 
     def coupling_rows(self) -> Iterator[tuple[Sum, dict[int, Sum]]]:

@@ -16,7 +16,7 @@ one does.
 Everywhere else, and there is nothing else near which that may be done, the plain equations hold, on
 states that are closed well (`closing.py`).  A loop that **misses** a change point turns back from
 it within sqrt(gamma): steps are kept shorter than the distance, or they would leap to the other
-branch before any error shows (`Misses`).
+branch before any error shows (`misses.py`).
 
 How near a state is, is told by s/L: s the least singular value of Psi that matters, L the size of
 the loop (`singular_size`).  Solvers that have no singular values tell their pivots against squared
@@ -25,7 +25,7 @@ lengths instead, which are about (s/L)^2: a "quality".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from math import comb
 from typing import NamedTuple
@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
+from robodyn.engines.singular_values import svd
 from robodyn.loops.closing import (
-    NEAR_SINGULAR,
     close_positions,
     closed_jacobians,
     exact_gap,
@@ -74,12 +74,6 @@ STEPS = (0.1, 0.03)  # rad of the fastest joint; the first serves up to d = 0.04
 SMOOTH = 1e-9  # part of the largest value by which two orders may differ
 K = 6
 OFFSETS = np.array([k for k in range(-K, K + 1) if k])
-
-SHARE = 0.5  # of the distance to a missed change point that a step may go
-FINE = 1e-3  # of it, rad, that a step may err
-CLOSEST = 1e-9  # rad, the least distance that is counted with
-SLOWEST = 1e-9  # rad/s: what is slower is held like this
-FAR = 1.0  # rad, within which steps that are not held are no use
 
 
 class Singular(NamedTuple):
@@ -221,7 +215,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
     size = loop_size(mechanism)
     q = start
     for _ in range(STEPS_TO_FIND):
-        U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+        U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
         slope = left.T @ closed_form.closure_jacobian(mechanism, q) @ right
@@ -233,7 +227,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
             return None
         if np.abs(step).max() <= FOUND:
             break
-    U, s, Vt = np.linalg.svd(closed_form.closure_jacobian(mechanism, q))
+    U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
     least = s[regular:rank]
     if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
         return None
@@ -270,70 +264,6 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
         if near is not None and near.worth_saying:
             return f"misses a change point by {near.miss:.2g} m"
     return ""
-
-
-# -- motions that pass a near miss ----------------------------------------------------------------
-
-
-class Misses:
-    """The missed change points of a mechanism, and what they allow an integrator."""
-
-    def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self._known = mechanism, known(mechanism)
-        self._guards = regular_rank(mechanism) == len(mechanism.rows)
-
-    def distance(self, q: Array) -> float:
-        """To the nearest known one, rad; infinite where none is known."""
-        if not self._known:
-            return np.inf
-        missed = [each for each in self._known if not each.crosses]
-        least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
-        return max(least, CLOSEST)
-
-    def holds(self, y: Array | Sequence[float]) -> tuple[float, float]:
-        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad."""
-        if not self._known:
-            return np.inf, np.inf
-        n, y = self.mechanism.n, np.asarray(y)
-        distance = self.distance(y[:n])
-        return SHARE * distance / max(float(np.abs(y[n : 2 * n]).max()), SLOWEST), FINE * distance
-
-    def crosses(self, q: Array) -> bool:
-        """Whether a state of suspect quality is near a change point, not near a miss of one."""
-        found = nearest_singular(self.mechanism, q)
-        if found is None:  # what it is near to is not known
-            Psi = closed_form.closure_jacobian(self.mechanism, q)
-            return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
-        return found.crosses
-
-    def leaps(self, t: Array, y: Array) -> list[int]:
-        """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
-
-        Across a singular configuration the orientation of Psi's rows turns over, so that
-        det(Psi Psi'^T) < 0.  What was met so is known from then on, and holds the next steps.
-        """
-        q = y[:, : self.mechanism.n]
-        if not self._guards or not np.isfinite(q).all():
-            return []
-        Psi = closed_form.closure_jacobian(self.mechanism, q)
-        turned = np.linalg.slogdet(Psi[1:] @ np.swapaxes(Psi[:-1], -1, -2))[0] < 0.0
-        return [
-            int(k)
-            for k in np.flatnonzero(turned)
-            if self._between(q[k], q[k + 1]) and self.holds(y[k])[0] < 0.9 * abs(t[k + 1] - t[k])
-        ]
-
-    def _between(self, begin: Array, end: Array) -> bool:
-        """Whether what lies between two states is a missed change point."""
-        way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
-        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self._known]
-        nearest, crosses = min(far, default=(np.inf, False))
-        if nearest <= SAME:
-            return not crosses
-        way = close_positions(self.mechanism, way)
-        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, way))
-        found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
-        return found is not None and not found.crosses
 
 
 # -- what is taken from the branch ----------------------------------------------------------------

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
+from robodyn.engines.singular_values import svd
 from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 Evaluator = Callable[[Any], tuple[Any, Any]]
 
 NEAR_SINGULAR = 1e-2  # s/L below which a gap is computed exactly
-USUAL = 0.15  # s/L of regular states: where it is less at most of them, L counts for less
+USUAL = 0.15  # s/L of regular states: where it is less at all of them, L counts for less
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 PASSES = 12
@@ -46,12 +47,13 @@ def loop_size(mechanism: Mechanism) -> float:
 
 @lru_cache(maxsize=64)
 def closed_jacobians(mechanism: Mechanism) -> Array:
-    """Psi (k, r, n) at up to 16 closed configurations."""
+    """Psi (k, r, n) at up to 16 closed configurations, or at any where none is found."""
     drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
     q = _closed(mechanism, drawn, list(range(mechanism.n)), 0.0)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
-    closed = q[gap <= 1e-9 * loop_size(mechanism)]
-    Psi: Array = closure_jacobian(mechanism, closed)
+    closed = gap <= 1e-9 * loop_size(mechanism)
+    # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
+    Psi: Array = closure_jacobian(mechanism, q[closed] if closed.any() else drawn)
     return Psi
 
 
@@ -69,13 +71,14 @@ def regular_rank(mechanism: Mechanism) -> int:
 def singular_size(mechanism: Mechanism) -> float:
     """What singular values of Psi are measured against, m: the size of its loops.
 
-    And less where the least is small at every state, as 1/N with N loops in a row.
+    With N loops in a row the least is about 1/N of theirs everywhere, and L counts for less.
     """
-    size = loop_size(mechanism)
-    if len(mechanism.rows) <= 2 or not len(drawn := closed_jacobians(mechanism)):
+    size, loops = loop_size(mechanism), len(mechanism.rows) / 2
+    if loops <= 2:
         return size
-    s = np.linalg.svd(drawn, compute_uv=False)[:, regular_rank(mechanism) - 1]
-    return min(size, float(np.median(s)) / USUAL)
+    s = np.linalg.svd(closed_jacobians(mechanism), compute_uv=False)
+    usual = float(s[:, regular_rank(mechanism) - 1].max()) / USUAL
+    return min(size, max(usual, size * 2.0 / loops))
 
 
 def newton(q: Any, evaluate: Evaluator) -> Any:
@@ -117,7 +120,7 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
         step = np.zeros_like(q)
         Psi = closure_jacobian(mechanism, q)[..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
-        U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
+        U, s, Vt = svd(Psi)
         held = s > CUT * s[..., :1]
         least = np.where(held, s, np.inf).min(axis=-1)
         near = least < exact

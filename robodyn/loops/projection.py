@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
 from robodyn.engines.formulas import projection_formula
+from robodyn.engines.singular_values import svd
 from robodyn.loops.change_points import (
     EXACT,
     SUSPECT,
     Closing,
-    Misses,
     lead_across,
     suspect_quality,
 )
@@ -35,6 +35,7 @@ from robodyn.loops.closing import (
     regular_rank,
     singular_size,
 )
+from robodyn.loops.misses import Misses
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ def dense_closing(mechanism: Mechanism) -> Closing:
         closed[:n] = close_positions(mechanism, y[:n])
         qd = closed[n : 2 * n]
         Psi = closed_form.closure_jacobian(mechanism, closed[:n])
-        U, s, Vt = np.linalg.svd(Psi, full_matrices=False)
+        U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
         qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
         return closed, float((s[rank - 1] / size) ** 2)

@@ -8,7 +8,9 @@ follows from
 
 and from the closures, which are linear in E.  For j above k in the tree every body below k leaves
 link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that
-link k carries: the constants cost O(links * depth), and only nonzero ones are kept.
+link k carries: the constants cost O(links * depth), and only nonzero ones are kept.  What costs as
+much (A, and points in terms of E) is made when it is first read, so that a command whose options
+are wrong says so at once.
 
 Constant forces and torques act like weights: with p_b = const + sum_k c_k E_k the point of such a
 force F, the potential energy is
@@ -21,7 +23,7 @@ What holds them all is `planar_model.py`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,11 +31,12 @@ from robodyn.errors import InputError
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
+from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene.scene import Description, JointSpring, Moment, Point, Spring
+from robodyn.scene.scene import Description, JointSpring, Link, Load, Moment, Point, Spring
 
 
 def load(path: str | Path) -> Mechanism:
@@ -55,10 +58,10 @@ def build(description: Description) -> Mechanism:
         size = max((row.size for row in mechanism.rows), default=0.0)
         rows = mechanism.rows + tuple(_coupling_rows(description, size))
         mechanism = replace(mechanism, rows=rows)
+        numbers = [*mechanism.B, *mechanism.weights, *_largest(Tree(description.links))]
+        numbers += [mechanism.energy_offset, *(row.offset for row in rows)]
     except OverflowError:
         raise too_large(description) from None
-    numbers = [*(entry[2] for entry in mechanism.A), *mechanism.B, *mechanism.weights]
-    numbers += [mechanism.energy_offset, *(row.offset for row in rows)]
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
         raise too_large(description)
     return mechanism
@@ -69,67 +72,54 @@ def constants(description: Description) -> Mechanism:
 
     Raises InputError for a closure of points that cannot move apart.
     """
-    links = description.links
-    parent = tuple(link.hangs_from.link for link in links)
-    order = _order(parent)
-    carried = [link.m + link.payload for link in links]
-    B = [link.r * link.m + link.l * link.payload for link in links]
-    inertia = [link.I + link.m * _square(link.r) + link.payload * link.l * link.l for link in links]
-    for k in reversed(order):  # what link k carries acts on its parent at k's own joint
-        p, j = links[k].hangs_from.at, parent[k]
+    links, tree = description.links, Tree(description.links)
+    carried, B, inertia = _carried(tree)
+    forces = [x for x in description.loads if isinstance(x, Load)]
+    steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
+    moment = [0j] * len(links)
+    for force in forces:
+        if force.point.link is not None and not force.turns:
+            steady[force.point.link] += force.force.conjugate()
+            moment[force.point.link] += force.point.at * force.force.conjugate()
+    for k in reversed(tree.order):
+        p, j = links[k].hangs_from.at, tree.parent[k]
         if j is not None:
-            carried[j] = carried[j] + carried[k]
-            B[j] = B[j] + p * carried[k]
-            inertia[j] = inertia[j] + carried[k] * _square(p)
+            steady[j] += steady[k]
+            moment[j] += p * steady[k]
 
-    places = pivots(description)
-    A: list[tuple[int, int, complex]] = [(k, k, inertia[k]) for k in range(len(links))]
-    for k in order:
-        A += [(j, k, p.conjugate() * B[k]) for j, p in places[k].terms if p * B[k]]
-
-    pull = description.gravity.conjugate()
-    offset = -sum(
-        (pull * place.constant).real * (link.m + link.payload)
-        for place, link in zip(places, links, strict=True)
-    )
-    weights, moments = [pull * b for b in B], [0.0] * len(links)
-    forces: list[Force] = []
+    gamma = description.gravity.conjugate()
+    roots = [(k, link.hangs_from.at) for k, link in enumerate(links) if tree.parent[k] is None]
+    offset = -sum((gamma * at).real * carried[k] + (at * steady[k]).real for k, at in roots)
+    weights = [gamma * b + m for b, m in zip(B, moment, strict=True)]
+    moments = [0.0] * len(links)
     for entry in description.loads:
         if isinstance(entry, Moment):
-            moments[entry.link] = moments[entry.link] + entry.torque
-            continue
-        assert entry.point.link is not None
-        at = point_of(places, entry.point)
-        forces.append(Force(entry.point.link, at, entry.force, entry.turns))
-        if not entry.turns:
-            force = entry.force.conjugate()
-            offset = offset - (force * at.constant).real
-            for k, c in at.terms:
-                weights[k] = weights[k] + force * c
+            moments[entry.link] += entry.torque
+    springs = [x for x in description.springs if isinstance(x, Spring)]
     return Mechanism(
         name=description.name,
         source=description.source,
         description=description,
         link_names=tuple(link.name for link in links),
-        parent=parent,
-        order=order,
-        A=tuple(A),
+        parent=tree.parent,
+        order=tree.order,
+        A=OnDemand(_couplings_of_links, tree, B, inertia),
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
         damping=joint_damping(description),
-        rows=tuple(closure_rows(description, places)),
-        actuated=_actuated(description, places),
-        pivots=tuple(places),
-        tips=tuple(point_of(places, Point(k, link.l)) for k, link in enumerate(links)),
-        centres=tuple(point_of(places, Point(k, link.r)) for k, link in enumerate(links)),
+        rows=tuple(closure_rows(description, tree)),
+        actuated=_actuated(description, tree),
+        pivots=OnDemand(_points, tree, [link.hangs_from for link in links]),
+        tips=OnDemand(_points, tree, [Point(k, x.l) for k, x in enumerate(links)]),
+        centres=OnDemand(_points, tree, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
-        springs=tuple(_spring(x, places) for x in description.springs if isinstance(x, Spring)),
+        springs=OnDemand(_springs, tree, springs),
         joint_springs=tuple(
             x for x in description.springs if isinstance(x, JointSpring) and x.stiffness
         ),
-        forces=tuple(forces),
+        forces=OnDemand(_forces, tree, forces),
         friction=tuple(
             (k, link.friction)
             for k, link in enumerate(links)
@@ -140,6 +130,53 @@ def constants(description: Description) -> Mechanism:
 
 def _square(z: complex) -> float:
     return z.real * z.real + z.imag * z.imag
+
+
+def _couplings_of_links(
+    tree: Tree, B: Sequence[complex], inertia: Sequence[float]
+) -> Iterator[tuple[int, int, complex]]:
+    """The entries of A that are not zero: those of the diagonal first."""
+    yield from ((k, k, value) for k, value in enumerate(inertia))
+    for k in tree.order:
+        for j, p in tree.point(tree.links[k].hangs_from).terms:
+            if p * B[k]:
+                yield j, k, p.conjugate() * B[k]
+
+
+def _carried(tree: Tree) -> tuple[list[float], list[complex], list[float]]:
+    """Of all that each link carries: its mass, its first moment B_k, and A_kk."""
+    links = tree.links
+    mass = [link.m + link.payload for link in links]
+    B = [link.r * link.m + link.l * link.payload for link in links]
+    inertia = [link.I + link.m * _square(link.r) + link.payload * link.l * link.l for link in links]
+    for k in reversed(tree.order):  # what link k carries acts on its parent at k's own joint
+        p, j = links[k].hangs_from.at, tree.parent[k]
+        if j is not None:
+            mass[j] += mass[k]
+            B[j] += p * mass[k]
+            inertia[j] += mass[k] * _square(p)
+    return mass, B, inertia
+
+
+def _largest(tree: Tree) -> Iterator[complex]:
+    """Numbers that are finite only where A is: the products' sizes, from below."""
+    _, B, inertia = _carried(tree)
+    yield from map(complex, inertia)
+    most = [max(abs(b.real), abs(b.imag)) for b in B]
+    for k in reversed(tree.order):
+        p, j = tree.links[k].hangs_from.at, tree.parent[k]
+        if j is not None:
+            most[j] = max(most[j], most[k])
+            yield complex(max(abs(p.real), abs(p.imag)) * most[k] * 2.0)
+
+
+def joint_damping(description: Description) -> tuple[float, ...]:
+    """Of the joints' own dampers and those of the springs at them."""
+    damping = [link.damping for link in description.links]
+    for spring in description.springs:
+        if isinstance(spring, JointSpring):
+            damping[spring.joint] += spring.damping
+    return tuple(damping)
 
 
 def too_large(description: Description) -> InputError:
@@ -159,61 +196,74 @@ def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
     return tuple(order)
 
 
-def pivots(description: Description) -> list[PlanarPoint]:
-    """Each link's own joint in terms of E."""
-    found: dict[int, PlanarPoint] = {}
-    for k in _order([link.hangs_from.link for link in description.links]):
-        found[k] = point_of(found, description.links[k].hangs_from)
-    return [found[k] for k in range(len(found))]
+class Tree:
+    """The links as a tree: points in terms of E."""
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        self.links = links
+        self.parent = tuple(link.hangs_from.link for link in links)
+        self.order = _order(self.parent)
+        self._depth: dict[int | None, int] = {None: 0}
+        for k in self.order:
+            self._depth[k] = self._depth[self.parent[k]] + 1
+
+    def point(self, point: Point) -> PlanarPoint:
+        """The point, summed from the ground."""
+        terms: list[tuple[int, complex]] = []
+        while point.link is not None:
+            if point.at:
+                terms.append((point.link, point.at))
+            point = self.links[point.link].hangs_from
+        return PlanarPoint(point.at, tuple(reversed(terms)))
+
+    def apart(self, first: Point, second: Point) -> tuple[list[Point], list[Point]]:
+        """The points at which the paths to two points leave their links, up to a common link."""
+        paths: tuple[list[Point], list[Point]] = [first], [second]
+        while (one := paths[0][-1].link) != (two := paths[1][-1].link):
+            path, link = (
+                (paths[0], one) if self._depth[one] >= self._depth[two] else (paths[1], two)
+            )
+            assert link is not None
+            path.append(self.links[link].hangs_from)
+        return paths
+
+    def difference(self, first: Point, second: Point) -> PlanarPoint:
+        """First less second, without the terms that cancel."""
+        (*one, a), (*two, b) = self.apart(first, second)
+        found = [(a.link, a.at - b.at), *((x.link, x.at) for x in reversed(one))]
+        found += [(x.link, -x.at) for x in reversed(two)]
+        constant = a.at - (b.at if a.link is None else a.at)  # 0 also in symbols
+        return PlanarPoint(constant, tuple((k, c) for k, c in found if k is not None and c))
 
 
-def joint_damping(description: Description) -> tuple[float, ...]:
-    """Of the joints' own dampers and those of the springs at them."""
-    damping = [link.damping for link in description.links]
-    for spring in description.springs:
-        if isinstance(spring, JointSpring):
-            damping[spring.joint] = damping[spring.joint] + spring.damping
-    return tuple(damping)
+def _points(tree: Tree, points: Sequence[Point]) -> Iterator[PlanarPoint]:
+    return map(tree.point, points)
 
 
-def point_of(
-    pivots: Sequence[PlanarPoint] | Mapping[int, PlanarPoint], point: Point
-) -> PlanarPoint:
-    """The point in terms of E; the pivot of its link must be known."""
-    if point.link is None:
-        return PlanarPoint(point.at, ())
-    pivot = pivots[point.link]
-    own = ((point.link, point.at),) if point.at else ()
-    return PlanarPoint(pivot.constant, pivot.terms + own)
+def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
+    for load in loads:
+        assert load.point.link is not None
+        yield Force(load.point.link, tree.point(load.point), load.force, load.turns)
 
 
-def difference(first: PlanarPoint, second: PlanarPoint) -> PlanarPoint:
-    """First less second, without the terms that cancel."""
-    terms: dict[int, complex] = dict(first.terms)
-    for k, coefficient in second.terms:
-        terms[k] = terms.get(k, 0j) - coefficient
-    kept = tuple((k, coefficient) for k, coefficient in terms.items() if coefficient)
-    return PlanarPoint(first.constant - second.constant, kept)
+def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
+    for spring in springs:
+        yield PointSpring(
+            first=spring.first.link,
+            second=spring.second.link,
+            ends=(tree.point(spring.first), tree.point(spring.second)),
+            between=tree.difference(spring.first, spring.second),
+            stiffness=spring.stiffness,
+            length=spring.length,
+            damping=spring.damping,
+        )
 
 
-def _spring(spring: Spring, pivots: Sequence[PlanarPoint]) -> PointSpring:
-    first, second = point_of(pivots, spring.first), point_of(pivots, spring.second)
-    return PointSpring(
-        first=spring.first.link,
-        second=spring.second.link,
-        ends=(first, second),
-        between=difference(first, second),
-        stiffness=spring.stiffness,
-        length=spring.length,
-        damping=spring.damping,
-    )
-
-
-def closure_rows(description: Description, pivots: Sequence[PlanarPoint]) -> list[ClosureRow]:
+def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
     """The equations of the closures; InputError for points that cannot move apart."""
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
-        gap = difference(point_of(pivots, closure.first), point_of(pivots, closure.second))
+        gap = tree.difference(closure.first, closure.second)
         if not gap.terms:  # a row of zeros, against which nothing can be measured
             limit = "joins points that cannot move apart: it says nothing, or never holds"
             raise InputError(f"closures[{c}]", where=description.source, limit=limit)
@@ -242,17 +292,14 @@ def _coupling_rows(description: Description, size: float) -> list[ClosureRow]:
     return found
 
 
-def loop_joints(description: Description, pivots: Sequence[PlanarPoint]) -> list[set[int]]:
-    """For each closure the joints of its loop: those on the path to one side only."""
-    loops: list[set[int]] = []
-    for closure in description.closures:
-        sides = [point_of(pivots, point).terms for point in (closure.first, closure.second)]
-        first, second = ({k for k, _ in terms} for terms in sides)
-        loops.append(first ^ second)
-    return loops
+def _loop(tree: Tree, first: Point, second: Point) -> set[int]:
+    """The joints of a closure's loop: those on the path to one side only."""
+    (*one, a), (*two, b) = tree.apart(first, second)
+    loop = {x.link for x in (*one, *two) if x.link is not None and x.at}
+    return loop | {a.link} if a.link is not None and bool(a.at) != bool(b.at) else loop
 
 
-def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[int, ...]:
+def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     """As the scene says; else every joint outside of loops, and the first of each group of loops.
 
     Loops that share joints, or have coupled ones, are a group; a joint that a coupling gives is
@@ -260,17 +307,20 @@ def _actuated(description: Description, pivots: Sequence[PlanarPoint]) -> tuple[
     """
     if description.actuated is not None:
         return description.actuated
-    loops = loop_joints(description, pivots)
+    loops = [_loop(tree, closure.first, closure.second) for closure in description.closures]
     in_loops = set().union(*loops)
     followers = {coupling.joint for coupling in description.couplings}
-    groups: list[set[int]] = []
     coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
+    groups: dict[int, set[int]] = {}  # of each joint
     for tied in loops + coupled:
-        apart = [group for group in groups if not group & tied]
-        joined = tied.union(*(group for group in groups if group & tied))
-        groups = [*apart, joined]
-    driven = {k for k in range(len(description.links)) if k not in in_loops | followers}
-    for group in groups:
+        met = {id(groups[k]): groups[k] for k in tied if k in groups}.values()
+        joined = max(met, key=len, default=set())
+        for group in (tied, *met):
+            if group is not joined:
+                joined |= group
+                groups.update(dict.fromkeys(group, joined))
+    driven = set(range(len(description.links))) - in_loops - followers
+    for group in {id(group): group for group in groups.values()}.values():
         if group & in_loops and not group & driven:
             driven.update(sorted(group - followers)[:1])
     return tuple(sorted(driven))

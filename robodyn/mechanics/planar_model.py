@@ -7,10 +7,10 @@ floats starts without it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar, overload
 
 from robodyn.scene.scene import Description, Friction, JointSpring
 
@@ -18,7 +18,36 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+T = TypeVar("T")
 Terms = tuple[tuple[int, complex], ...]  # (k, coefficient of E_k), nonzero ones only
+
+
+class OnDemand(Sequence[T]):
+    """What `make(*arguments)` gives, made when it is first read."""
+
+    def __init__(self, make: Callable[..., Iterable[T]], *arguments: object) -> None:
+        self._recipe = make, arguments
+
+    @cached_property
+    def _made(self) -> tuple[T, ...]:
+        make, arguments = self._recipe
+        return tuple(make(*arguments))
+
+    @overload
+    def __getitem__(self, at: int) -> T: ...
+    @overload
+    def __getitem__(self, at: slice) -> tuple[T, ...]: ...
+    def __getitem__(self, at: int | slice) -> T | tuple[T, ...]:
+        return self._made[at]
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(self._made)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"_recipe": self._recipe}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,21 +117,21 @@ class Mechanism:
     link_names: tuple[str, ...]
     parent: tuple[int | None, ...]
     order: tuple[int, ...]  # the links, each after the one it hangs from
-    A: tuple[tuple[int, int, complex], ...]  # (j, k, A_jk) with j above k or j = k, kg m^2
+    A: Sequence[tuple[int, int, complex]]  # (j, k, A_jk) with j above k or j = k, kg m^2
     B: tuple[complex, ...]  # kg m
     gamma: complex  # gravity as gx + i gy, m/s^2
     energy_offset: float  # potential energy of the constants, J
     damping: tuple[float, ...]  # N m s/rad, of joints and of the springs at them
     rows: tuple[ClosureRow, ...]
     actuated: tuple[int, ...]
-    pivots: tuple[PlanarPoint, ...]  # each link's own joint
-    tips: tuple[PlanarPoint, ...]
-    centres: tuple[PlanarPoint, ...]  # centres of gravity, payload not included
+    pivots: Sequence[PlanarPoint]  # each link's own joint
+    tips: Sequence[PlanarPoint]
+    centres: Sequence[PlanarPoint]  # centres of gravity, payload not included
     weights: tuple[complex, ...]  # of gravity and constant forces, N m
     moments: tuple[float, ...]  # constant torques on links, N m
-    springs: tuple[PointSpring, ...] = ()
+    springs: Sequence[PointSpring] = ()
     joint_springs: tuple[JointSpring, ...] = ()
-    forces: tuple[Force, ...] = ()
+    forces: Sequence[Force] = ()
     friction: tuple[tuple[int, Friction], ...] = ()  # of joints
 
     @property

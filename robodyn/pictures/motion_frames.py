@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,16 +83,17 @@ def unwrapped(q: Array) -> Array:
     return np.unwrap(q, axis=0)
 
 
-def traced_point(mechanism: Mechanism, name: str) -> PlanarPoint:
-    """`tip2`, `centre1`, `joint3`, or a link's name for its tip; InputError for any other."""
+def traced_point(mechanism: Mechanism, name: str) -> tuple[Sequence[PlanarPoint], int]:
+    """Tips, joints or centres, and which of them: of `tip2`, `centre1`, `joint3`, or a link's name.
+
+    Raises InputError for any other name.
+    """
     links = joint_index(mechanism)
     if name in links:
-        return mechanism.tips[links[name]]
+        return mechanism.tips, links[name]
     match = re.fullmatch(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", name)
     if match is None or not 1 <= int(match[2]) <= mechanism.n:
         limit = f"must be a link ({', '.join(links)}) or one of tip1, centre1, joint1, ..."
         raise InputError("--trace", value=shown(name), limit=f"{limit} to {mechanism.n}")
-    k = int(match[2]) - 1
-    if match[1] == "joint":
-        return mechanism.pivots[k]
-    return mechanism.tips[k] if match[1] == "tip" else mechanism.centres[k]
+    points = mechanism.pivots, mechanism.tips, mechanism.centres
+    return points[PARTS.index(match[1])], int(match[2]) - 1

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.loops.misses import orientation
 from robodyn.sweeps.lane_program import (
     Code,
     LaneProgram,
@@ -208,14 +209,14 @@ class LaneMotion:
         return np.asarray(quality)
 
     def leaps(self, q: Array, new_q: Array) -> NDArray[np.bool_]:
-        """Which steps (B,) cross a singular configuration, as `change_points.Misses` tells it."""
-        B = q.shape[1]
+        """Which steps (B,) may cross a singular configuration, as `misses.py` tells it."""
         if not self.r:
-            return np.zeros(B, bool)
-        still = np.zeros_like(q)
-        Psi, other = (
-            self._evaluate(LaneProgram.jacobian, x, still).reshape(self.r, self.n, B)
-            for x in (q, new_q)
+            return np.zeros(q.shape[1], bool)
+        still, mechanism = np.zeros_like(q), self.program.mechanism
+        Psi = (
+            self.program.rows(self._evaluate(LaneProgram.jacobian, x, still)) for x in (q, new_q)
         )
-        product = np.einsum("rnb,snb->brs", Psi, other)
-        return np.asarray(np.linalg.slogdet(product)[0] < 0.0)
+        found: NDArray[np.bool_] = np.any(
+            [~(x > 0.0) for x in orientation(mechanism, *Psi)], axis=0
+        )
+        return found

@@ -127,6 +127,11 @@ class LaneProgram:
     def closing(self, at: Start) -> list[Value]:
         """A Newton step of q (n), the rates' projection (n), gaps (r), relative pivots (r)."""
         gaps, Psi = self._closures(at)
+        for row in Psi:  # to joints
+            for k in reversed(self.mechanism.order):
+                above = self.mechanism.parent[k]
+                if above is not None and k in row:
+                    row[above] = row[above] + row[k] if above in row else row[k]
         normal = [
             {s: total for s, other in enumerate(Psi) if (total := _dot(row, other)) is not None}
             for row in Psi
@@ -143,20 +148,27 @@ class LaneProgram:
         return [*values, *gaps, *(pivot / size for pivot, size in pivots)]
 
     def jacobian(self, at: Start) -> list[Value]:
-        """Psi (r, n)."""
-        return [row.get(k, 0.0) for row in self._closures(at)[1] for k in range(self.n)]
+        """The entries of Psi in alpha that are not zero at every state."""
+        Psi = self._closures(at)[1]
+        return [row.get(k, 0.0) for row, own in zip(Psi, self._own, strict=True) for k in own]
+
+    @property
+    def _own(self) -> list[list[int]]:
+        """The links of each row."""
+        rows = self.mechanism.rows
+        return [sorted({k for k, _ in row.P} | {k for k, _ in row.angles}) for row in rows]
+
+    def rows(self, entries: Array) -> list[dict[int, Value]]:
+        """What `jacobian` tells, row by row."""
+        each = iter(entries)
+        return [{k: next(each) for k in own} for own in self._own]
 
     def _closures(self, at: Start) -> tuple[list[Value], list[dict[int, Value]]]:
-        """The gaps, and the rows of Psi by joint."""
+        """The gaps, and the rows of Psi in alpha."""
         gaps = self.program.named["gap"]
         series = Series(self.closures, at.arithmetic, at.numbers, 1, at.state, slots=gaps)
         series.residuals(0)
         Psi = [{k: x for k, x in row.items() if k < self.n} for row in series.matrix()]
-        for row in Psi:
-            for k in reversed(self.mechanism.order):
-                above = self.mechanism.parent[k]
-                if above is not None and k in row:
-                    row[above] = row[above] + row[k] if above in row else row[k]
         return [series.real[slot][0] for slot in gaps], Psi
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.loops.misses import SLOWEST, TURN
 from robodyn.sweeps.lane_motion import Expanded, LaneMotion
 from robodyn.sweeps.step_extremes import crossings, extremes, values
 from robodyn.taylor import PARTS, Status
@@ -97,6 +98,8 @@ def _integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: A
         W = expanded.rates
         own = series.relative(W)
         longest = series.longest(W, aims.rtol, aims.atol)
+        if series.r:
+            longest = np.minimum(longest, TURN / np.maximum(np.abs(now.qd).max(axis=0), SLOWEST))
         now.status[np.isnan(longest)] = Status.NOT_FINITE
         longest = np.nan_to_num(longest, nan=0.0)
         left = np.abs(t_end - now.t)

@@ -11,6 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
@@ -22,6 +24,7 @@ _ANGLES = {
     name for form in FORMS.values() for name, key in form.keys.items() if key.kind == "angle"
 }
 _ANGLE = re.compile(rf"(q|qd|qdd)[0-9]+|start\..*|.*\.({'|'.join(_ANGLES)})", re.ASCII)
+_OF_LINK = re.compile(r"links\[(\d+)\]\.")
 # Of what a list of this kind consists, where not of numbers.
 _INNER = {"closure": "point", "pair": "point"} | dict.fromkeys(("joints", "assembly", "couplings"))
 
@@ -32,6 +35,11 @@ class _Place:
 
     around: yaml_tree.Mapping | Sequence
     at: str | int
+
+    @property
+    def held(self) -> list[Any]:
+        """What the collection around holds."""
+        return self.around.items if isinstance(self.around, Sequence) else self.around.pairs
 
     def put(self, value: float) -> None:
         scalar = Scalar(repr(float(value)), False, self.around.line)
@@ -55,17 +63,16 @@ class SceneValues:
 
     def __init__(self, text: str, source: str) -> None:
         self.source = source
-        self.base = description.from_text(text, source)
         root = yaml_tree.parse(text, source)
+        self.base = description.from_tree(root, source)
         assert root is not None
         self._root = _unshared(root)
         assert isinstance(self._root, yaml_tree.Mapping)
         self._places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
-        for k, link in enumerate(self.base.links):
-            prefix = f"links[{k}]."
-            for name in [name for name in self._places if name.startswith(prefix)]:
-                named = f"links.{link.name}.{name.removeprefix(prefix)}"
-                self._places.setdefault(named, self._places[name])
+        for name, place in list(self._places.items()):
+            if match := _OF_LINK.match(name):
+                named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
+                self._places.setdefault(named, place)
 
     @property
     def names(self) -> list[str]:
@@ -96,15 +103,27 @@ class SceneValues:
         return next((id(node) for key, node in around.pairs if key.text == at), None)
 
     def replaced(self, values: Mapping[str, float]) -> Description:
-        """The scene with these numbers in place of its own (others stay as replaced before).
+        """The scene with these numbers in place of its own; not for two threads at once.
 
         Raises InputError for an unknown name, DescriptionError for values that no scene may have.
         """
-        for name, value in values.items():
+        for name in values:
             if name not in self._places:
                 raise InputError(name, where=self.source, limit="is no number of the scene")
-            self._places[name].put(value)
-        return description.from_tree(self._root, self.source)
+        undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
+        try:
+            for name, value in values.items():
+                self._places[name].put(value)
+            return description.from_tree(self._root, self.source)
+        finally:
+            for held, own in undo:
+                held[:] = own
+
+
+@lru_cache(maxsize=8)
+def numbers_of(text: str, source: str) -> SceneValues:
+    """The numbers of a scene's text, read once for all who ask."""
+    return SceneValues(text, source)
 
 
 def is_angle(name: str) -> bool:

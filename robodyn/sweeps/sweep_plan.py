@@ -13,7 +13,7 @@ from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.sweeps.scene_values import SceneValues
+from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor import default_order
 from robodyn.taylor.compiled import serves
@@ -58,7 +58,7 @@ class Plan:
     @property
     def scene_axes(self) -> tuple[int, ...]:
         """Which axes change the scene."""
-        values = SceneValues(self.scene, self.source)
+        values = numbers_of(self.scene, self.source)
         return tuple(k for k, axis in enumerate(self.variation.axes) if axis.name in values)
 
     def columns(self) -> list[str]:
@@ -92,7 +92,7 @@ class Plan:
 @lru_cache(maxsize=8)
 def base_mechanism(scene: str, source: str) -> Mechanism:
     """The mechanism of the scene as it is."""
-    return build(SceneValues(scene, source).base)
+    return build(numbers_of(scene, source).base)
 
 
 def best_engine(wanted: str, points: int, mechanism: Mechanism, rtol: float) -> str:
@@ -120,6 +120,6 @@ def check(plan: Plan) -> Mechanism:
     for k in plan.scene_axes:
         axis = plan.variation.axes[k]
         for value in axis.ends:
-            build(SceneValues(plan.scene, plan.source).replaced({axis.name: value}))
+            build(numbers_of(plan.scene, plan.source).replaced({axis.name: value}))
     assembly.assembly_plan(mechanism)
     return mechanism

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
+from robodyn.engines.machine_loop import LoopScene
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
@@ -24,7 +25,8 @@ from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
 
-LARGEST = 3000  # entries of A and P, times the order, up to which the code is made in some s
+UNROLLED = 1000  # entries of A and P, times the order, up to which orders are written one by one
+LARGEST = 1500  # entries of A and P up to which the code is made in some s
 KEPT = 64  # codes in a process
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends and states, how many times, rows so far
@@ -55,13 +57,14 @@ class Rows(Observer):
 
     def _keep(self, k: Kernel, block: Word, own: Word, taken: Word, end: Word) -> None:
         scene = self.scene
-        names, wide = scene.state, k.whole(len(scene.state))
+        count = len(scene.state)
+        wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
-        there = {name: scene.get(k, block, f"to_{name}") for name in names}
+        there = k.room(k.numbers, count)
         state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.store(end, k.at(self._told(k, own, "ends"), taken))
-        for i, name in enumerate(names):
-            k.store(there[name], k.at(state, i))
+        for other in (there, state):
+            k.each(count, lambda i, other=other: k.store(k.load(k.at(to, i)), k.at(other, i)))  # type: ignore[misc]
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
@@ -74,12 +77,14 @@ class Rows(Observer):
                 k.line(f"call void @close({block})")
             row = k.at(self._told(k, own, "rows"), k.multiply(given, wide))
             at_end = k.compare("oeq", time, end)
-            for i, name in enumerate(names):
-                value = k.select(at_end, there[name], scene.get(k, block, f"to_{name}"))
+
+            def keep(i: Word | int) -> None:
+                value = k.select(at_end, k.load(k.at(there, i)), k.load(k.at(to, i)))
                 k.store(value, k.at(row, i))
+
+            k.each(count, keep)
             k.store(k.add(given, k.whole(1)), k.at(own, TABLE.index("given")))
-        for name in names:
-            scene.put(k, block, f"to_{name}", there[name])
+        k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
 _codes: dict[tuple[str, str], Loaded] = {}  # by the key of the scene, and the processor's family
@@ -115,7 +120,8 @@ def _ready(
     tolerances: tuple[float, float],
 ) -> _Ready:
     work, project, family = options
-    scene = Scene(mechanism, actuation, order, work=work, closes=project, held=held)
+    kind = scene_kind(mechanism, order)
+    scene = kind(mechanism, actuation, order, work=work, closes=project, held=held)
     code = _loaded(scene, family)
     block = np.zeros(code.items)
     scene.fill(block, *tolerances)
@@ -232,8 +238,13 @@ class CompiledEngine:
         return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
 
 
+def scene_kind(mechanism: Mechanism, order: int) -> type[Scene]:
+    """How the code of a motion is written: order by order, or as a loop over them."""
+    return Scene if loop_terms(mechanism) * order <= UNROLLED else LoopScene
+
+
 def serves(mechanism: Mechanism, order: int) -> bool:
     """Whether code of this length is worth it, and M and Psi are regular but at single states."""
-    if loop_terms(mechanism) * order > LARGEST or not elimination_is_safe(mechanism):
+    if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
         return False
     return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.loops.change_points import FAR, Misses, suspect_quality
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing, loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop

@@ -20,7 +20,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
-from robodyn.taylor import Status
+from robodyn.taylor import Chunk, Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine
 
@@ -66,14 +66,22 @@ class TaylorSolver(OdeSolver):
 
     def _step_impl(self) -> tuple[bool, str | None]:
         bound = next_stop(self.actuation.kinks, self.actuation.leaves, self.t, float(self.t_bound))
-        chunk = self.engine.advance(self.t, self.y, bound, np.zeros(0), 1)
-        self.nfev += 1
+        chunk = self._advance(bound)
+        misses = self.engine.misses
+        if misses is not None and len(chunk.t):
+            t, y = np.append(self.t, chunk.t), np.concatenate([self.y[None], chunk.y])
+            if misses.leaps(t, y):  # what was met is known now, and holds the step
+                chunk = self._advance(bound)
         if not len(chunk.t):
             words = {Status.STUCK: self.TOO_SMALL_STEP}
             return False, words.get(chunk.status, "an acceleration or a torque is not finite")
         self.t, self.y = float(chunk.t[0]), chunk.y[0]
         reach(self.actuation, self.t, self.y)
         return True, None
+
+    def _advance(self, bound: float) -> Chunk:
+        self.nfev += 1
+        return self.engine.advance(self.t, self.y, bound, np.zeros(0), 1)
 
     def _dense_output_impl(self) -> DenseOutput:
         return _SeriesOutput(self.engine, float(self.t_old or 0.0), self.t)

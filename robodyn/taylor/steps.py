@@ -15,7 +15,8 @@ from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines.expansion import MotionProgram, longest_step
 from robodyn.engines.series import FLOATS
 from robodyn.engines.step_text import StepText, step_text
-from robodyn.loops.change_points import Misses, suspect_quality
+from robodyn.loops.change_points import suspect_quality
+from robodyn.loops.misses import Misses
 from robodyn.loops.projection import FloatClosing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism

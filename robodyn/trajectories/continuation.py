@@ -22,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.engines.singular_values import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import CLOSED
 from robodyn.loops.change_points import nearest_singular
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces
+from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces, travels
 
 Array = NDArray[np.float64]
 Watch = Callable[[float], object]  # how far a path is followed
@@ -39,7 +40,7 @@ LEAST_NODES = 7  # of a piece: steps grow from that by a factor of 1.7 at most
 LEAST_STEP = 1e-11  # in u, below which the path has ended
 MOST_NODES = 500_000
 FURTHEST = 1e9  # rad, beyond which a float's angle is known to 1e-7 at best
-JUDGED = 1000  # nodes after which it is foreseen how many a path at constant speed takes
+JUDGED = 300  # nodes after which it is foreseen how many a path takes
 RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
 NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
@@ -128,6 +129,7 @@ class _Follower:
         self._least = DEAD * loop_size(mechanism)
         self._crossings: list[tuple[float, float]] = []
         self._returns: list[float] = path.returns().tolist()
+        self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
 
     def nodes(self, start: Array) -> Nodes:
         here, closed = corrected(self.mechanism, start[None])
@@ -145,7 +147,7 @@ class _Follower:
             if node is None or (self._square and not node.sign):
                 reason = f"a {self._kind(q)}, from which the passive joints can go on in two ways"
                 raise self._ends(u, q, reason)
-            h = FIRST_STEP * (end - u)
+            h, moved = FIRST_STEP * (end - u), 0.0
             while node.u < end:
                 left = end - node.u
                 step = left if left <= 1.001 * h else min(h, 0.5 * left)
@@ -164,8 +166,9 @@ class _Follower:
                 fastest = float(np.abs(following.q1).max())
                 longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
                 h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
+                moved += float(np.abs(following.q - node.q)[self._actuated].max())
+                self._check_number(len(us), following.u, piece, moved)
                 node = following
-                self._check_number(len(us), node.u)
                 self.watch(node.u)
             u, q = node.u, node.q
             turns = np.round((q - qs[0]) / (2 * np.pi))
@@ -193,14 +196,27 @@ class _Follower:
         if pieces > MOST_NODES // LEAST_NODES:
             limit = f"must be at most {MOST_NODES // LEAST_NODES:,} from point to point"
             raise TravelError(self.mechanism, f"{pieces} pieces", limit)
-        if travel > MOST_NODES * TRAVEL and not self._returns:
+        if self._returns:
+            return
+        if travel <= MOST_NODES * TRAVEL:
+            moves = travels(self.path, self.path.breaks) / TRAVEL
+            self._least_nodes = np.append(0.0, np.cumsum(np.maximum(moves, LEAST_NODES)))
+        if max(travel / TRAVEL, self._least_nodes[-1]) > MOST_NODES:
             raise TravelError(self.mechanism, value, self._too_many())
 
-    def _check_number(self, nodes: int, u: float) -> None:
-        """Raise TravelError where a path takes too many nodes, or is seen to do so."""
-        judged = isinstance(self.path, ConstantSpeed) and nodes >= JUDGED
-        judged = judged and u >= max(self._returns, default=0.0)
-        if nodes > MOST_NODES or (judged and nodes / u > MOST_NODES):
+    def _check_number(self, nodes: int, u: float, piece: int, moved: float) -> None:
+        """Raise TravelError where a path takes too many nodes, or is seen to do so.
+
+        `moved` (rad) of the piece are behind.
+        """
+        done, least = u, self._least_nodes
+        if not self._returns:
+            done = min(least[piece] + moved / TRAVEL, least[piece + 1]) / least[-1]
+        # what is foreseen from few nodes is known less well
+        judged = nodes >= JUDGED and u >= max(self._returns, default=0.0)
+        if nodes > MOST_NODES or (
+            judged and nodes > (1.0 + 0.5 * JUDGED / nodes) * MOST_NODES * done
+        ):
             raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", self._too_many())
 
     def _too_many(self) -> str:
@@ -240,7 +256,7 @@ class _Follower:
             return _Node(u, q, q1, q2, 0.0)
         Psi = closure_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
-        U, s, Vt = np.linalg.svd(columns, full_matrices=False)
+        U, s, Vt = svd(columns)
         if s[-1] <= self._least and not self._misses(q):
             return None
         inverse = (Vt.T / s) @ U.T

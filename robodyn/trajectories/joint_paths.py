@@ -21,6 +21,7 @@ Pieces = NDArray[np.int64]
 Values = tuple[Array, Array, Array]  # p, p', p'', each (T, m)
 
 MOST_TURNS = 32  # after which a path at constant speed may repeat itself
+BLOCK = 1000  # pieces of a path that are looked at together
 WHOLE = 1e-3  # rad, by which turns that count as whole may miss that in the end
 SPLINES = ("cubic", "quintic")  # through points in one sweep; the others stop at each
 
@@ -60,6 +61,22 @@ class _Once:
 def piece_at(breaks: Array, u: Array) -> Pieces:
     """The piece in which each u lies; at a break the one after it."""
     return np.searchsorted(breaks[1:-1], u, side="right").astype(np.int64)
+
+
+def travels(path: JointPath, edges: Array) -> Array:
+    """About how far the joint that moves most does in each part of a path, (parts,), rad.
+
+    `edges` (parts + 1,) are breaks, or parts of the first piece.
+    """
+    part, found = np.linspace(0.0, 1.0, 9), np.zeros(len(edges) - 1)
+    for begin in range(0, len(found), BLOCK):
+        ends = edges[begin : begin + BLOCK + 1]
+        u = ends[:-1, None] + np.diff(ends)[:, None] * part
+        piece = np.arange(begin, begin + len(u)).repeat(len(part))
+        p = path.evaluate(u.reshape(-1), piece)[0].reshape(*u.shape, -1)
+        moved = np.abs(np.diff(p, axis=1)).sum(axis=1)
+        found[begin : begin + BLOCK] = moved.max(axis=1, initial=0.0)
+    return found
 
 
 class Legs(_Once):

@@ -24,7 +24,7 @@ from robodyn.trajectories.continuation import (
     follow,
     hermite,
 )
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
+from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, travels
 
 Array = NDArray[np.float64]
 
@@ -49,12 +49,9 @@ class OpenPath:
         if len(returns := self.path.returns()):
             edges = np.array([0.0, returns[0]])
         pieces = len(edges) - 1
-        part = np.linspace(0.0, 1.0, 9)
-        u = (edges[:-1, None] + np.diff(edges)[:, None] * part).reshape(-1)
-        p = self.path.evaluate(u, np.repeat(np.arange(pieces), 9))[0].reshape(pieces, 9, -1)
-        travel = np.abs(np.diff(p, axis=1)).sum(axis=1).max(axis=1)
-        least = max(8, FEWEST // pieces)
-        counts = np.maximum(np.ceil(travel / (0.5 * TRAVEL)), least)
+        counts = np.full(pieces, max(8.0, FEWEST // pieces))
+        if counts.sum() <= MOST_SAMPLES:
+            counts = np.maximum(np.ceil(travels(self.path, edges) / (0.5 * TRAVEL)), counts)
         if not counts.sum() <= MOST_SAMPLES:
             limit = f"takes more than the {MOST_SAMPLES:,} samples in which limits are looked for"
             raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)

@@ -1,0 +1,29 @@
+"""Singular value decompositions that always end.
+
+LAPACK's divide and conquer, which numpy takes, gives up on some matrices near singular ones (of 100
+closures in a row, say); its QR iteration does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def svd(a: Array, full: bool = False) -> tuple[Array, Array, Array]:
+    """U, s, Vt of matrices (..., r, n), which must be finite; with `full` U and Vt are square."""
+    try:
+        U, s, Vt = np.linalg.svd(a, full_matrices=full)
+    except np.linalg.LinAlgError:
+        from scipy.linalg import svd as decompose
+
+        parts = [
+            decompose(each, full_matrices=full, lapack_driver="gesvd")
+            for each in a.reshape(-1, *a.shape[-2:])
+        ]
+        U, s, Vt = (
+            np.array(x).reshape(*a.shape[:-2], *x[0].shape) for x in zip(*parts, strict=True)
+        )
+    return U, s, Vt

@@ -1,0 +1,136 @@
+"""Motions that pass a near miss of a change point: steps short enough to stay on their branch.
+
+A loop that misses a change point by gamma turns back from it within sqrt(gamma).  A step that is
+as long as the distance leaps to the other branch before any error shows.  So steps near one are
+held, and one that leapt is taken again: across a singular configuration the orientation of a
+loop's rows in Psi turns over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import closed_form
+from robodyn.loops.change_points import SAME, apart, known, nearest_singular, nearness
+from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+Value = Any  # a float, an array, or an expression
+Matrix = Sequence[Mapping[int, Value]]  # rows, with their columns that are not zero
+
+SHARE = 0.5  # of the distance to a missed change point that a step may go
+FINE = 1e-3  # of it, rad, that a step may err
+TURN = 1.5  # rad of the fastest joint in a step: two change points on its way would hide each other
+CLOSEST = 1e-9  # rad, the least distance that is counted with
+SLOWEST = 1e-9  # rad/s: what is slower is held like this
+FAR = 1.0  # rad, within which steps that are not held are no use
+
+
+def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]:
+    """Of each loop a value that is negative if its rows turn over between two states' Psi.
+
+    They are the determinants of Psi Psi'^T up to this loop over those up to the one before, so
+    that loops which leap together do not hide one another.
+    """
+    loops: dict[object, list[int]] = {}
+    for r, row in enumerate(mechanism.rows):
+        loops.setdefault(r if row.closure is None else f"closure {row.closure}", []).append(r)
+    rows: list[dict[int, Value]] = []
+    for one in Psi:
+        rows.append({})
+        for s, two in enumerate(other):
+            if shared := [one[k] * two[k] for k in one if k in two]:
+                rows[-1][s] = sum(shared[1:], shared[0])
+    pivots: list[Value] = []
+    for i, upper in enumerate(rows):
+        pivots.append(upper.get(i, 0.0))
+        for below in rows[i + 1 :]:
+            if i in below:
+                factor = below[i] / pivots[i]
+                for s in upper:
+                    if s > i:
+                        below[s] = below.get(s, 0.0) - factor * upper[s]
+    found = []
+    for members in loops.values():
+        value = pivots[members[0]]
+        for r in members[1:]:
+            value = value * pivots[r]
+        found.append(value)
+    return found
+
+
+def sparse_rows(mechanism: Mechanism, E: NDArray[np.complex128]) -> list[dict[int, Value]]:
+    """Psi in alpha at directions E (..., n), each entry (...)."""
+    found = []
+    for row in mechanism.rows:
+        entries: dict[int, Value] = {k: -(p * E[..., k]).imag for k, p in row.P}
+        for k, a in row.angles:
+            entries[k] = entries.get(k, 0.0) + a
+        found.append(entries)
+    return found
+
+
+class Misses:
+    """The missed change points of a mechanism, and what they allow an integrator."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self._known = mechanism, known(mechanism)
+        self._guards = regular_rank(mechanism) == len(mechanism.rows)
+
+    def distance(self, q: Array) -> float:
+        """To the nearest known one, rad; infinite where none is known."""
+        if not self._known:
+            return np.inf
+        missed = [each for each in self._known if not each.crosses]
+        least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
+        return max(least, CLOSEST)
+
+    def holds(self, y: Array | Sequence[float]) -> tuple[float, float]:
+        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad."""
+        n, y = self.mechanism.n, np.asarray(y)
+        distance = self.distance(y[:n])
+        fastest = max(float(np.abs(y[n : 2 * n]).max()), SLOWEST)
+        return min(SHARE * distance, TURN) / fastest, FINE * distance
+
+    def crosses(self, q: Array) -> bool:
+        """Whether a state of suspect quality is near a change point, not near a miss of one."""
+        found = nearest_singular(self.mechanism, q)
+        if found is None:  # what it is near to is not known
+            Psi = closed_form.closure_jacobian(self.mechanism, q)
+            return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
+        return found.crosses
+
+    def leaps(self, t: Array, y: Array) -> list[int]:
+        """The steps between states y (T + 1, N) at t (T + 1) that leap over a missed change point.
+
+        What was met so is known from then on, and holds the next steps.
+        """
+        q = y[:, : self.mechanism.n]
+        if not self._guards or not np.isfinite(q).all():
+            return []
+        E = closed_form.phases(self.mechanism, q)
+        Psi = sparse_rows(self.mechanism, E[1:]), sparse_rows(self.mechanism, E[:-1])
+        with np.errstate(all="ignore"):
+            turned = np.any([~(x > 0.0) for x in orientation(self.mechanism, *Psi)], axis=0)
+        return [
+            int(k)
+            for k in np.flatnonzero(turned)
+            if self._between(q[k], q[k + 1]) and self.holds(y[k])[0] < 0.9 * abs(t[k + 1] - t[k])
+        ]
+
+    def _between(self, begin: Array, end: Array) -> bool:
+        """Whether what lies between two states is a missed change point."""
+        way = begin + np.linspace(0.0, 1.0, 33)[:, None] * (end - begin)
+        far = [(float(apart(self.mechanism, way, x.q).min()), x.crosses) for x in self._known]
+        nearest, crosses = min(far, default=(np.inf, False))
+        if nearest <= SAME:
+            return not crosses
+        way = close_positions(self.mechanism, way)
+        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, way))
+        found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
+        return found is not None and not found.crosses
