@@ -126,9 +126,9 @@ def drawn_run(seed):
 FIRST_SEED = random.randrange(10**6) if os.environ.get("FRESH") else 0  # as `make hard` does
 
 
-@pytest.mark.parametrize("tens", range(12))
+@pytest.mark.parametrize("tens", range(12 if os.environ.get("FRESH") else 3))
 def test_the_estimate_is_not_exceeded(tens):
-    """By 120 random runs at 1,001 times, against a run in the tightest series."""
+    """By 120 random runs (30 of fixed seeds) at 1,001 times, against the tightest series."""
     times = np.linspace(0.0, 0.5, 1001)[1:]
     for seed in range(FIRST_SEED + 10 * tens, FIRST_SEED + 10 * tens + 10):
         mech, start, torques, settings = drawn_run(seed)

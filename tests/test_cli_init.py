@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -139,14 +142,23 @@ def test_completion_lists_options_and_scenes(shell: Run) -> None:
     assert completed(shell, "robodyn init f") == ["five-bar", "four-bar"]
 
 
-@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
-def test_the_script_of_each_shell(shell: Run, name: str) -> None:
-    given = shell(f"robodyn --show-completion {name}").succeeds()
-    assert "_ROBODYN_COMPLETE" in given.out
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("bash", "complete -o default"), ("zsh", "#compdef"), ("fish", "complete --command robodyn")],
+)
+def test_the_script_of_each_shell(tmp_path: Path, name: str, part: str) -> None:
+    """The shell is the one that started the command: here bash, by the name of each."""
+    shell = tmp_path / name
+    shell.symlink_to(shutil.which("bash") or "")
+    command = f"{shlex.quote(sys.executable)} -m robodyn --show-completion; exit $?"
+    given = subprocess.run([shell, "-c", command], capture_output=True, text=True, cwd=ROOT)
+    assert given.returncode == 0, given.stderr
+    assert "_ROBODYN_COMPLETE" in given.stdout
+    assert part in given.stdout
 
 
 def test_bash_itself_completes(shell: Run) -> None:
     """The script as a shell has it at a prompt."""
-    line = 'eval "$(robodyn --show-completion bash)"; COMP_WORDS=(robodyn sim); COMP_CWORD=1; '
+    line = 'eval "$(robodyn --show-completion)"; COMP_WORDS=(robodyn sim); COMP_CWORD=1; '
     line += '_robodyn_completion robodyn; echo "${COMPREPLY[@]}"'
     assert shell(line).succeeds().out == "simulate\n"

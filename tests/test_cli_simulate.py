@@ -887,3 +887,22 @@ def test_huge_numbers_end_with_an_outcome(robodyn: Run) -> None:
     assert len(given.rows) == 1
     start = ("simulate", "robots/2r.yaml", "--q", "0,0", "--qd", "1e200,0", "--max-evals", 5000)
     robodyn(*start, "--quiet").fails(1)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "LSODA", "taylor"])
+@pytest.mark.parametrize("end", ["1e308", "-9e19", "1e12"])
+def test_an_end_that_is_never_reached_is_told_after_the_first_steps(
+    robodyn: Run, method: str, end: str
+) -> None:
+    given = robodyn(*ARM, f"--time={end}", "--method", method, "--points", 3)
+    assert "without end" in given.fails(1, f"of {float(end):g} s", "--time").err
+    assert len(given.rows) == 1
+
+
+def test_steps_that_grow_reach_any_end(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """Nothing acts on it: each step is ten times as long as the one before."""
+    path = scene("gravity: 0\nlinks: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    for method in ("DOP853", "taylor"):
+        options = ["--q", "0", "--qd", "1e-300", "--time", "1e290", "--method", method, "--quiet"]
+        given = robodyn("simulate", path, *options).succeeds()
+        assert float(given.rows[-1]["q1"]) == pytest.approx(1e-10)

@@ -357,3 +357,26 @@ def test_a_springs_ends_that_pass_one_another(beside):
     found = [simulate(mech, [0.6], [0], 1.0, **options), taylor(mech, [0.6], [0], 1.0, **options)]
     assert found[1].q == pytest.approx(found[0].q, abs=1e-5)
     assert found[1].report.energy_drift < 1e-5
+
+
+@by_each_engine
+@pytest.mark.parametrize("scene", ["pendulum", "four-bar"])
+@pytest.mark.parametrize(
+    "torque", ["sqrt(abs(t-0.5))", "3*t**0.25", "abs(t-0.5)**1.5", "2*sqrt(t-0.5) if t>0.5 else 1"]
+)
+def test_a_torque_without_a_series_at_a_time_is_led_across(torque: str, scene: str) -> None:
+    """Its derivative is infinite there: DOP853 goes on from it for a few steps."""
+    mech = load(ROOT / f"robots/{scene}.yaml")
+    q, qd = assemble(mech, [1.0]), np.zeros(mech.n)
+    motion = taylor(mech, q, qd, 1.0, torque)
+    assert motion.outcome is Outcome.FINISHED
+    known = simulate(mech, q, qd, 1.0, torque, rtol=1e-12, atol=1e-12)
+    assert motion.q[-1] == pytest.approx(known.q[-1], abs=2e-7)
+    assert motion.qd[-1] == pytest.approx(known.qd[-1], abs=1e-6)
+
+
+def test_a_torque_that_is_infinite_at_a_time_ends_the_run_there() -> None:
+    mech = load(ROOT / "robots/pendulum.yaml")
+    motion = simulate(mech, [1.0], [0.0], 1.0, "1/(t-0.5)", "taylor")
+    assert motion.outcome is Outcome.STEP_TOO_SMALL
+    assert motion.report.t_reached == pytest.approx(0.5, abs=1e-3)

@@ -24,8 +24,9 @@ from robodyn.engines import object_cache
 from robodyn.engines.expression import FUNCTIONS
 
 # Lines of text from which code is made at level 0: in 15 us a line, not 50, and slower by 5 to 15 %
-# with 8 lanes, 20 to 30 % with one
+# with 8 lanes, 20 to 30 % with one; loops would be slower by a factor of 5
 LARGE = 5000
+LONG = 1000  # lines of a function that then is; those that are shorter hold the loops
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
 PLAIN = "plain"  # the processor's family without what is optional: for tests
@@ -118,14 +119,34 @@ def _made(
             return _loaded(content, processor)
         except Exception:  # made anew below
             content = None
-    text = text or write(processor)
-    module = llvm.parse_assembly(text)
-    module.verify()
-    if level is None:
-        level = 2 if text.count("\n") < LARGE else 0
-    content = _machine(processor, level).emit_object(module)
+    objects = []
+    for part, its_level in _parts(text or write(processor), level):
+        module = llvm.parse_assembly(part)
+        module.verify()
+        objects.append(_machine(processor, its_level).emit_object(module))
+    content = b"".join(len(each).to_bytes(8, "little") + each for each in objects)
     object_cache.store(folder, name.hexdigest(), content)
     return _loaded(content, processor)
+
+
+def _parts(text: str, level: int | None) -> list[tuple[str, int]]:
+    """The text in pieces, and the level of each; every piece declares the functions of others."""
+    if level is not None:
+        return [(text, level)]
+    if text.count("\n") < LARGE:
+        return [(text, 2)]
+    functions = text.strip().split("\n\n")
+    declared = [x for x in functions if x.startswith("declare")]
+    declared += [
+        f"declare {x.partition(' nounwind {')[0][7:]}" for x in functions if x not in declared
+    ]
+    found = []
+    for long, its_level in ((True, 0), (False, 2)):
+        own = [x for x in functions if x.startswith("define") and (x.count("\n") >= LONG) == long]
+        names = {x.partition("(")[0].split()[-1] for x in own}
+        others = [x for x in declared if x.partition("(")[0].split()[-1] not in names]
+        found.append(("\n".join([*others, *own, ""]), its_level))
+    return found
 
 
 def _machine(processor: Processor, level: int) -> Any:
@@ -141,7 +162,10 @@ def _loaded(content: bytes, processor: Processor) -> Code:
     from llvmlite import binding as llvm
 
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
-    engine.add_object_file(llvm.ObjectFileRef.from_data(content))
+    while content:
+        end = 8 + int.from_bytes(content[:8], "little")
+        engine.add_object_file(llvm.ObjectFileRef.from_data(content[8:end]))
+        content = content[end:]
     engine.finalize_object()
     return Code(engine, processor)
 

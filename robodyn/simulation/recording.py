@@ -34,6 +34,7 @@ Sink = Callable[[Array, Array], None]
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
+NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
 
 
@@ -53,6 +54,10 @@ class Outcome(Enum):
     TOO_MANY_EVALUATIONS = (
         "too many evaluations",
         "raise the limit (--max-evals), loosen rtol and atol, or try another method",
+    )
+    ENDLESS = (
+        "without end",
+        "by steps as short as those taken until now the end time (--time) is never reached",
     )
     STIFF = (
         "stiff",
@@ -217,10 +222,23 @@ class Recorder:
     def _stepped(self, t: float, running: bool) -> None:
         self.report.t_reached = t
         if self.held >= STEPS_AT_ONCE:
+            endless = running and self._endless()
             self.flush_steps()
+            if endless:
+                raise StopRun(Outcome.ENDLESS)
         if self.report.evaluations > self.max_evaluations and running:
             raise StopRun(Outcome.TOO_MANY_EVALUATIONS)
         self._look(t)
+
+    def _endless(self) -> bool:
+        """Whether even by much longer steps the end is never reached; steps that grow may do so."""
+        t = np.concatenate([t for t, _ in self.steps])
+        steps = np.abs(np.diff(t))
+        longest = float(steps.max())
+        grow = longest > 2.0 * float(steps[: len(steps) // 2].max())
+        most = max(1e10, NEVER * self.max_evaluations)
+        most = min(most, 1.0 / np.finfo(float).eps)  # more are not told apart by floats
+        return not grow and abs(self.report.t_end - float(t[-1])) > most * longest
 
     def finish(self) -> None:
         self.flush_steps()

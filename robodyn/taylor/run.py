@@ -2,7 +2,7 @@
 
 A series that starts close to a singular configuration drowns in rounding.  Engines land elsewhere
 where they can; where they cannot, or a run starts there, a few steps of DOP853, whose stages
-`change_points.py` serves, lead across.
+`change_points.py` serves, lead across.  So they do from where a torque has no series, sqrt(t) at 0.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ CALL = 0.1  # s that a call of compiled code may take
 # Steps of a scene in Python after which machine code has paid: making it costs as much as these.
 WORTH = 1500
 ROWS_A_STEP = 4  # rows at times that cost what a step does
+LEAD = 8  # steps of DOP853 away from where a torque has no series
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
 SMALLEST_RTOL = 3e-14  # of scipy's methods
@@ -154,6 +155,7 @@ def taylor_run(
     t, begun, most = 0.0, time.perf_counter(), STEPS
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
+    stuck = False  # whether no series leads on: a torque bends without end, or rounding hides it
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
@@ -161,12 +163,14 @@ def taylor_run(
             bound = t + math.copysign(max_step, t_end)
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         before, made = t, 0.0
-        if crosses:
-            t, y = _cross(
-                side(), t, y, bound, recorder, closing, 2.0 * suspect, rtol, atol, actuation
+        if crosses or stuck:
+            regular, least = 2.0 * suspect, LEAD if stuck else 1
+            t, y = _lead(
+                side(), t, y, bound, recorder, closing, regular, least, rtol, atol, actuation
             )
             if t == before:
-                return Outcome.SINGULAR
+                singular = closing is not None and closing(y.tolist())[1] < regular
+                return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
             status = Status.FULL
         else:
             near = held or (misses is not None and misses.distance(y[: mechanism.n]) < FAR)
@@ -209,12 +213,11 @@ def taylor_run(
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
             return Outcome.FINISHED
-        stuck = status is Status.STUCK and closing is not None and not crosses
-        if status in (Status.STUCK, Status.NOT_FINITE) and not stuck:
+        stuck = status in (Status.STUCK, Status.NOT_FINITE)
+        if stuck and closing is None and actuation.constants is not None:
             return Outcome.STEP_TOO_SMALL
-        crosses = stuck
+        crosses = status is Status.SINGULAR and at_change_point()
         if status is Status.SINGULAR:
-            crosses = at_change_point()
             held = not crosses
         if isinstance(stepping, SteppingEngine):
             seen[0] += made
@@ -270,7 +273,7 @@ def _held_by_stability(
     return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
-def _cross(
+def _lead(
     side: RightHandSide,
     t: float,
     y: Array,
@@ -278,14 +281,14 @@ def _cross(
     recorder: Recorder,
     closing: Callable[[list[float]], tuple[list[float], float]] | None,
     regular: float,
+    least: int,
     rtol: float,
     atol: float,
     actuation: Actuation,
 ) -> tuple[float, Array]:
-    """DOP853 from (t, y) until the closures are regular again, or the bound."""
+    """DOP853 from (t, y), `least` steps and until the closures are regular, or the bound."""
     from robodyn.simulation.solvers import projected
 
-    assert closing is not None
     tolerances = np.full(len(y), atol)
     tolerances[2 * recorder.mechanism.n :] = 1e100  # the work chooses no step
     options: dict[str, Any] = {
@@ -302,7 +305,8 @@ def _cross(
     while solver.status == "running":
         if solver.step() is not None:
             break
-        if closing(solver.y.tolist())[1] >= regular:
+        least -= 1
+        if least <= 0 and (closing is None or closing(solver.y.tolist())[1] >= regular):
             break
     recorder.end_solver(solver)
     return float(solver.t), np.array(solver.y)
