@@ -93,7 +93,7 @@ class TestGraphs:
         outputs = [
             expression.call("exp", x) - expression.call("log", y * y + 1.5) * p,
             expression.power(y * y, 1.25) / (expression.call("tanh", x) + 2.0)
-            + expression.sqrt(y * y),
+            + expression.call("sqrt", y * y),
             expression.least(x, y) - p * expression.greatest(x, 0.25),
             expression.choose(x, y, abs(x), -y)
             + (p * p - 3.0 * p) * expression.sin(expression.cos(x)),
