@@ -269,6 +269,15 @@ class TestCache:
             assert torques()
             assert path.read_bytes() == good
 
+    def test_an_object_as_older_versions_kept_it_is_made_anew(self, cache):
+        """A bare one; LLVM would abort the process over what is none."""
+        assert torques()
+        (path,) = cache.iterdir()
+        good, content = path.read_bytes(), object_cache.load(cache, path.name)
+        object_cache.store(cache, path.name, content[8:])
+        assert torques()
+        assert path.read_bytes() == good
+
     def test_what_others_can_write_or_own_is_not_read(self, cache, monkeypatch):
         assert torques()
         (path,) = cache.iterdir()
