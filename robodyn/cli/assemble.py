@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
 from robodyn.cli.states import Quantity, complete_from, option_source, overflow
 from robodyn.dynamics.closed_form import point_motion
@@ -50,11 +50,11 @@ def assemble(
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
 
     chosen = default_format(format, out)
-    if chosen is Format.json:
+    if chosen == "json":
         write_structure(out, {"branches": [_content(mechanism, *item) for item in found]}, None)
-    elif chosen is Format.csv:
+    elif chosen == "csv":
         columns = _columns(mechanism)
-        with row_writer(Format.csv, out, ["branch", *columns]) as writer:
+        with row_writer("csv", out, ["branch", *columns]) as writer:
             for name, motion in found:
                 writer.write_row([name, *_row(mechanism, motion)])
     else:

@@ -11,7 +11,7 @@ import typer
 
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
@@ -104,7 +104,7 @@ def bench(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
     with row_writer(format, out, COLUMNS) as writer:
-        digits = 2 if default_format(format, out) is Format.table else 17
+        digits = 2 if default_format(format, out) == "table" else 17
         for row in _rows(result):
             writer.write_row([_shown(value, digits) for value in row])
     for line in result.left_out:

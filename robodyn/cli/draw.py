@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import numpy as np
 import typer
@@ -43,11 +42,7 @@ DEFAULT_POSES = 8
 MOST_POSES = 200
 
 
-class Labels(StrEnum):
-    """What is written beside the links."""
-
-    names = "names"
-    numbers = "numbers"
+Labels = Literal["names", "numbers"]  # what is written beside the links
 
 
 def draw(
@@ -111,7 +106,7 @@ def draw(
     if not 1 <= poses <= MOST_POSES:
         raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
     chosen = picture_format(format, out)
-    if forces and chosen is PictureFormat.text:
+    if forces and chosen == "text":
         raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
     found: list[Force] = []
     with remarks():
@@ -128,7 +123,7 @@ def draw(
             (pose,) = single_state(mechanism, [Quantity("q", q, True)])
             drawn = drawing(mechanism, pose)
     texts = _texts(mechanism, labels)
-    if chosen is PictureFormat.text:
+    if chosen == "text":
         from robodyn.cli.characters import write_drawing
 
         write_drawing(drawn, texts, ascii, out)
@@ -139,7 +134,7 @@ def draw(
 def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
     if labels is None:
         return []
-    if labels is Labels.names:
+    if labels == "names":
         return list(map(shown, mechanism.link_names))
     return [str(k + 1) for k in range(mechanism.n)]
 
@@ -167,7 +162,7 @@ def _figure(
         picture.ghost(pose, 0.15 + 0.35 * (pose + 1) / (last + 1))
     picture.show(last)
     picture.annotate(last, texts, found, scale)
-    save(picture.figure, out, format.value)
+    save(picture.figure, out, format)
 
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:

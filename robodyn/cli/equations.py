@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,20 +20,10 @@ from robodyn.equations.text import WIDTH, text
 from robodyn.mechanics.mechanism import load
 from robodyn.tables.output_file import open_output
 
-
-class EquationFormat(StrEnum):
-    """How equations are written."""
-
-    text = "text"
-    latex = "latex"
-    python = "python"
-    c = "c"
-    json = "json"
-
-
-READABLE = {EquationFormat.latex: latex, EquationFormat.json: as_json}
+EquationFormat = Literal["text", "latex", "python", "c", "json"]  # how equations are written
+READABLE = {"latex": latex, "json": as_json}
 DERIVING = 0.8  # of the time that a long text takes, about
-CODE = {EquationFormat.python: python, EquationFormat.c: c99}
+CODE = {"python": python, "c": c99}
 
 
 def equations(
@@ -42,7 +31,7 @@ def equations(
     format: Annotated[
         EquationFormat,
         typer.Option("--format", help="To read, to typeset, to run, or for a program."),
-    ] = EquationFormat.text,
+    ] = "text",
     numeric: Annotated[
         bool, typer.Option("--numeric", help="Put the scene's numbers in for the symbols.")
     ] = False,

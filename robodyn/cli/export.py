@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated, Optional
+from typing import Annotated, Literal, Optional
 
 import typer
 
@@ -13,12 +12,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.tables.output_file import open_output
 
-
-class ModelFormat(StrEnum):
-    """The language of a model file."""
-
-    urdf = "urdf"
-    mjcf = "mjcf"
+ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
 
 
 def export(
@@ -50,7 +44,7 @@ def export(
       robodyn export robots/four-bar.yaml --format mjcf --q 60deg > four-bar.xml
     """
     mechanism = load(model)
-    if format is ModelFormat.urdf:
+    if format == "urdf":
         for option, value in (("--q", q), ("--timestep", timestep)):
             if value is not None:
                 raise InputError(option, value=value, limit="is for mjcf, urdf has no word for it")

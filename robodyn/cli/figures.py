@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from robodyn.cli.options import PictureFormat
 from robodyn.errors import InputError, RobodynError
@@ -51,18 +51,19 @@ def picture_format(format: PictureFormat | None, out: str | None) -> PictureForm
         if suffix not in (*SUFFIXES, ".txt"):
             limit = f"must end in {', '.join(SUFFIXES)} or .txt; or give --format"
             raise InputError("--out", value=out, limit=limit)
-        format = PictureFormat.text if suffix == ".txt" else PictureFormat(suffix[1:])
+        of_suffix: dict[str, PictureFormat] = {f".{x}": x for x in get_args(PictureFormat)}
+        format = of_suffix.get(suffix, "text")
     elif format is None:
         if not sys.stdout.isatty():
             limit = "give a file (.png, .svg, .pdf), or --format text for a picture of characters"
             raise InputError("--out", limit=limit)
-        format = PictureFormat.text
+        format = "text"
     if out not in (None, "-"):
         check_directory(out or "")
-    elif format is not PictureFormat.text and on_terminal(out):
-        raise InputError("--format", value=format.value, limit="is not for a terminal: give --out")
-    if format is not PictureFormat.text:
-        check_matplotlib(f"a picture ({format.value})")
+    elif format != "text" and on_terminal(out):
+        raise InputError("--format", value=format, limit="is not for a terminal: give --out")
+    if format != "text":
+        check_matplotlib(f"a picture ({format})")
     return format
 
 

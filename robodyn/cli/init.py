@@ -54,7 +54,7 @@ def init(
                 writer.write_row([each, summary(scene_text(each))])
         return
     if format is not None:
-        raise InputError("--format", value=format.value, limit="is for the list")
+        raise InputError("--format", value=format, limit="is for the list")
     text = scene_text(name)
     path = f"{name}.yaml" if out is None else out
     if os.path.isfile(path) and not force:

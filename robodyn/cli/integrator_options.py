@@ -4,46 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from typing import Annotated, Optional
 
 import typer
 
 from robodyn.errors import InputError
+from robodyn.simulation.simulation import Engine, Method, Stabilize
 
 NAMES = (  # what the numerics call --rtol, --max-evals, --control-rate, ...
     *("method", "rtol", "atol", "stabilize", "baumgarte_rate", "max_evals", "order", "engine"),
     *("max_step", "accuracy", "control", "control_rate", "control_model", "kp", "kd", "tau_max"),
 )
-
-
-class Method(StrEnum):
-    """scipy's integrators, and the Taylor series."""
-
-    DOP853 = "DOP853"
-    RK45 = "RK45"
-    RK23 = "RK23"
-    Radau = "Radau"
-    BDF = "BDF"
-    LSODA = "LSODA"
-    taylor = "taylor"
-
-
-class Engine(StrEnum):
-    """What makes the Taylor series."""
-
-    auto = "auto"
-    python = "python"
-    compiled = "compiled"
-
-
-class Stabilize(StrEnum):
-    """How drift off the closures is kept away."""
-
-    projection = "projection"
-    baumgarte = "baumgarte"
-    none = "none"
-
 
 Integrator = Annotated[
     Optional[Method],  # noqa: UP045 (typer reads the annotation at run time)

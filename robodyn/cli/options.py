@@ -2,38 +2,15 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated, Optional
+from typing import Annotated, Literal, Optional
 
 import typer
 
 from robodyn.cli.files import input_argument, output_file
 
-
-class Format(StrEnum):
-    """How a result is written."""
-
-    table = "table"
-    csv = "csv"
-    json = "json"
-
-
-class StructuredFormat(StrEnum):
-    """How a result with matrices or parts is written."""
-
-    table = "table"
-    json = "json"
-
-
-class PictureFormat(StrEnum):
-    """How a picture is written."""
-
-    text = "text"
-    png = "png"
-    svg = "svg"
-    pdf = "pdf"
-
-
+Format = Literal["table", "csv", "json"]  # how a result is written
+StructuredFormat = Literal["table", "json"]  # how a result with matrices or parts is written
+PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
 States = Annotated[
     Optional[str],  # noqa: UP045 (typer reads the annotation at run time)

@@ -39,7 +39,7 @@ def row_writer(
 ) -> Iterator[RowWriter]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`."""
     format = default_format(format, out)
-    if format is Format.table:
+    if format == "table":
         with open_output(out, styled=True) as stream:
             table = TableView(stream, on_terminal(out), columns, header)
             try:
@@ -50,7 +50,7 @@ def row_writer(
             table.close()
         return
     with open_output(out) as stream:
-        writer = WRITERS[format.value](stream, columns, header)
+        writer = WRITERS[format](stream, columns, header)
         try:
             yield writer
         except Exception:
@@ -63,7 +63,7 @@ def default_format(format: Format | None, out: str | None) -> Format:
     """The format asked for; else a table on a terminal and CSV elsewhere."""
     if format is not None:
         return format
-    return Format.table if out is None and on_terminal(out) else Format.csv
+    return "table" if out is None and on_terminal(out) else "csv"
 
 
 class TableView:
@@ -137,7 +137,7 @@ def wants_tables(format: StructuredFormat | None, out: str | None) -> bool:
     """Whether a structured result is to be written as tables."""
     if format is None:
         return out is None and on_terminal(out)
-    return format is StructuredFormat.table
+    return format == "table"
 
 
 def matrix_table(title: str, matrix: Sequence[Sequence[float]], unit: str = "") -> Grid:

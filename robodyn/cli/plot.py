@@ -9,7 +9,7 @@ import typer
 
 from robodyn.cli.figures import parse_size, picture_format
 from robodyn.cli.files import input_argument
-from robodyn.cli.options import Ascii, OutputPicture, PictureFormat, PictureOut, Size
+from robodyn.cli.options import Ascii, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
 from robodyn.errors import InputError
@@ -89,7 +89,7 @@ def plot(
     chosen = picture_format(format, out)
     if colour is not None:
         mapped = _read_map(files, x or "", patterns or [], colour, log)
-        if chosen is PictureFormat.text:
+        if chosen == "text":
             from robodyn.cli.characters import write_map
 
             write_map(mapped, ascii, out)
@@ -97,17 +97,17 @@ def plot(
         from robodyn.cli.figures import save
         from robodyn.cli.map_figure import map_figure, map_palette
 
-        save(map_figure(mapped, extent), out, chosen.value, map_palette())
+        save(map_figure(mapped, extent), out, chosen, map_palette())
         return
     content = _read(files, x, patterns)
-    if chosen is PictureFormat.text:
+    if chosen == "text":
         from robodyn.cli.characters import write_chart
 
         write_chart(content, ascii, out)
         return
     from robodyn.cli.figures import chart_figure, save
 
-    save(chart_figure(content, extent), out, chosen.value)
+    save(chart_figure(content, extent), out, chosen)
 
 
 def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:

@@ -17,16 +17,13 @@ from robodyn.cli.integrator_options import (
     Accuracy,
     Atol,
     BaumgarteRate,
-    Engine,
     EstimateError,
     Integrator,
     MaxEvals,
     MaxStep,
-    Method,
     Order,
     Rtol,
     SeriesEngine,
-    Stabilize,
     Stabilizer,
     named_options,
 )
@@ -102,8 +99,8 @@ def simulate(
     accuracy: Accuracy = None,
     estimate_error: EstimateError = False,
     order: Order = None,
-    engine: SeriesEngine = Engine.auto,
-    stabilize: Stabilizer = Stabilize.projection,
+    engine: SeriesEngine = "auto",
+    stabilize: Stabilizer = "projection",
     baumgarte_rate: BaumgarteRate = 20.0,
     assemble: Annotated[
         bool, typer.Option("--assemble", help="Correct a start that does not close.")
@@ -145,14 +142,14 @@ def simulate(
     if accuracy is not None and (rtol is not None or atol is not None):
         raise InputError("--accuracy and --rtol, --atol", limit="exclude each other")
     settings = Settings(
-        Method.DOP853.value if method is None else method.value,
+        "DOP853" if method is None else method,
         DEFAULT_TOLERANCE if rtol is None else rtol,
         DEFAULT_TOLERANCE if atol is None else atol,
-        stabilize.value,
+        stabilize,
         baumgarte_rate,
         max_evaluations=max_evals,
         order=order,
-        engine=engine.value,
+        engine=engine,
         max_step=max_step,
     )
     with named_options():

@@ -15,9 +15,10 @@ from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Model
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
-from robodyn.cli.sweep_options import Engine, Kind, axes_of, new_plan, seed_of
+from robodyn.cli.sweep_options import Kind, axes_of, new_plan, seed_of
 from robodyn.errors import InputError, RobodynError
 from robodyn.scene.yaml_tree import read_text
+from robodyn.simulation.simulation import Engine
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.sweep_chunks import Rows
@@ -48,7 +49,7 @@ def sweep(
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="S", help="Of the random sample.")] = 0,
     kind: Annotated[Kind, typer.Option("--kind", help="Motions, or torques at states.")] = (
-        Kind.motion
+        "motion"
     ),
     q: Annotated[
         Optional[str],  # noqa: UP045
@@ -86,7 +87,7 @@ def sweep(
     engine: Annotated[
         Engine,
         typer.Option("--engine", help="auto: compiled, with the extra `fast`, from 200 points on."),
-    ] = Engine.auto,
+    ] = "auto",
     workers: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option("--workers", metavar="N", help="Threads or processes. Default: processors."),

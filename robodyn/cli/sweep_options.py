@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
 from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.simulation import Settings
+from robodyn.simulation.simulation import Engine, Settings
 from robodyn.sweeps.scene_values import SceneValues, is_angle
 from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
@@ -23,19 +22,7 @@ MOST_POINTS = 10**12
 MOST_NAMED = 60  # names that a message lists
 
 
-class Kind(StrEnum):
-    """What is computed at each point."""
-
-    motion = "motion"
-    torque = "torque"
-
-
-class Engine(StrEnum):
-    """What computes many motions at once."""
-
-    auto = "auto"
-    python = "python"
-    compiled = "compiled"
+Kind = Literal["motion", "torque"]  # what is computed at each point
 
 
 def new_plan(
@@ -71,15 +58,15 @@ def new_plan(
             limit = f"names no link{nearest(flip, list(mechanism.link_names))}"
             raise InputError("--flip", value=shown(flip), limit=limit)
         link = mechanism.link_names.index(flip)
-    if kind is Kind.torque and vectors["tau"] is not None:
+    if kind == "torque" and vectors["tau"] is not None:
         raise InputError("--tau", limit="is what --kind torque computes")
-    if kind is Kind.motion and vectors["qdd"] is not None:
+    if kind == "motion" and vectors["qdd"] is not None:
         raise InputError("--qdd", limit="is for --kind torque")
     given: dict[str, Any] = {
         name: _values(mechanism, name, value) for name, value in vectors.items()
     }
-    chosen_engine = engine.value
-    if kind is Kind.torque:
+    chosen_engine: str = engine
+    if kind == "torque":
         chosen_engine = "python"
     else:
         try:
@@ -92,7 +79,7 @@ def new_plan(
         source=model,
         variation=variation,
         **given,
-        kind=kind.value,
+        kind=kind,
         t_end=duration,
         results=tuple(name for name in RESULTS if name in chosen),
         link=link,
@@ -129,7 +116,7 @@ def axes_of(
     if sample is not None and not 1 <= sample <= MOST_POINTS:
         raise InputError("--sample", value=sample, limit=f"must be in [1, {MOST_POINTS}]")
     mechanism = build(scene.base)
-    last = "tau" if kind is Kind.motion else "qdd"
+    last = "tau" if kind == "motion" else "qdd"
     joints = [f"{x}{k + 1}" for x in ("q", "qd", last) for k in mechanism.actuated]
     axes: list[Axis] = []
     for text in vary:

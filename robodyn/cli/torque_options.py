@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import numpy as np
 import typer
@@ -25,14 +24,7 @@ if TYPE_CHECKING:
     from robodyn.control.tracking import ReferenceTable
 
 DEFAULT_DURATION = 10.0  # s
-
-
-class Law(StrEnum):
-    """How a controller makes torque of the tracking error."""
-
-    pd = "pd"
-    pd_g = "pd+g"
-    computed_torque = "computed-torque"
+Law = Literal["pd", "pd+g", "computed-torque"]  # what makes torque of the tracking error
 
 
 def _text(flag: str, metavar: str, text: str) -> object:
@@ -135,7 +127,7 @@ def _controlled(
     assert law is not None
     for name in ("track", "kp", "kd"):
         if not options.given(name):
-            raise InputError(f"--{name}", limit=f"missing: --control {law.value} needs it")
+            raise InputError(f"--{name}", limit=f"missing: --control {law} needs it")
     believed = None if options.control_model is None else load(options.control_model)
     gains = {
         name: parse_vector(text, where="--" + name.replace("_", "-"), angles=False)
@@ -146,7 +138,7 @@ def _controlled(
     reference = _reference(mechanism, options.track or "")
     with named_options():
         torques = controller(
-            mechanism, reference, law.value, control_rate=rate, control_model=believed, **gains
+            mechanism, reference, law, control_rate=rate, control_model=believed, **gains
         )
     return torques, reference.times[-1] if duration is None else duration
 

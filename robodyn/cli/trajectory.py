@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from enum import StrEnum
-from typing import Annotated, Optional
+from typing import Annotated, Literal, Optional
 
 import numpy as np
 import typer
@@ -47,23 +46,8 @@ from robodyn.trajectories.time_scaling import (
 
 BLOCK = 5000  # rows computed at once
 WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows
-
-
-class ProfileName(StrEnum):
-    """How the speed goes up and down."""
-
-    cubic = "cubic"
-    quintic = "quintic"
-    trapezoidal = "trapezoidal"
-    cycloidal = "cycloidal"
-    sweep = "sweep"
-
-
-class Ends(StrEnum):
-    """What a cubic spline does at its ends."""
-
-    rest = "rest"
-    natural = "natural"
+ProfileName = Literal["cubic", "quintic", "trapezoidal", "cycloidal", "sweep"]
+Ends = Literal["rest", "natural"]  # what a cubic spline does at its ends
 
 
 def _text(flag: str, metavar: str, text: str) -> object:
@@ -197,9 +181,9 @@ def trajectory(
             rates_from(max_qdd, "--max-qdd", angular_acceleration_from, "20 or 90deg/s^2"),
             rates_from(max_tau, "--max-tau", parse_number, "25"),
         )
-    if acceleration is not None and profile is not ProfileName.trapezoidal:
+    if acceleration is not None and profile != "trapezoidal":
         raise InputError("--acceleration", limit="is for --profile trapezoidal")
-    is_sweep = profile is ProfileName.sweep
+    is_sweep = profile == "sweep"
     if is_sweep:
         refuse("a sweep", to=to, via=via, speed=speed, turns=turns, ends=ends)
     elif amplitude is not None or frequencies is not None:
@@ -219,9 +203,9 @@ def trajectory(
                 motion = _along(mechanism, path, begin, seconds, limits, watch)
             else:
                 wanted = points_from(mechanism, from_, to, via)
-                name = (profile or ProfileName.quintic).value
+                name = profile or "quintic"
                 alpha = ACCELERATION if acceleration is None else acceleration
-                natural = ends is Ends.natural
+                natural = ends == "natural"
                 motion = _through(mechanism, wanted, duration, limits, name, alpha, natural, watch)
         _write(motion, output_times(motion.duration, step, points), format, out)
 

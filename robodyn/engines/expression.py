@@ -252,11 +252,6 @@ def sin(a: Value) -> Value:
     return a.graph.node("sin", (a,))
 
 
-def sqrt(a: Value) -> Value:
-    """The square root of a."""
-    return call("sqrt", a)
-
-
 def power(a: Value, exponent: float) -> Value:
     """a to a constant power."""
     return a.graph.node("pow", (a, exponent)) if isinstance(a, Expression) else a**exponent
@@ -278,9 +273,7 @@ def arctangent(y: Value, x: Value) -> Value:
     for known in (y, x):
         if isinstance(known, Expression):
             return known.graph.node("atan2", (y, x))
-    assert not isinstance(y, Expression)
-    assert not isinstance(x, Expression)
-    return math.atan2(y, x)
+    return math.atan2(y, x)  # type: ignore[arg-type]
 
 
 def keep(a: Value) -> Value:
@@ -295,9 +288,7 @@ def choose(x: Value, y: Value, a: Value, b: Value) -> Value:
     for known in (x, y, a, b):
         if isinstance(known, Expression):
             return a if a is b else known.graph.node("choose", (x, y, a, b))
-    assert not isinstance(x, Expression)
-    assert not isinstance(y, Expression)
-    return a if x < y else b
+    return a if x < y else b  # type: ignore[operator]
 
 
 def least(a: Value, b: Value) -> Value:

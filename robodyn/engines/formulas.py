@@ -27,7 +27,8 @@ def _power(a: Value, exponent: float) -> Value:
     """a to a constant exponent, by a square root where that serves."""
     if abs(exponent) != 0.5:
         return expression.power(a, exponent)
-    return expression.sqrt(a) if exponent > 0.0 else 1.0 / expression.sqrt(a)
+    root = expression.call("sqrt", a)
+    return root if exponent > 0.0 else 1.0 / root
 
 
 RECORDED = Arithmetic(

@@ -165,6 +165,8 @@ def _loaded(content: bytes, processor: Processor) -> Code:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(processor, 0))
     while content:
         end = 8 + int.from_bytes(content[:8], "little")
+        if end > len(content):
+            raise ValueError("no object behind its length")  # as older versions kept it
         engine.add_object_file(llvm.ObjectFileRef.from_data(content[8:end]))
         content = content[end:]
     engine.finalize_object()

@@ -49,7 +49,7 @@ class Pair:
         return Pair(-self.real, -self.imag)
 
     def __abs__(self) -> Value:
-        return expression.sqrt(self.real * self.real + self.imag * self.imag)
+        return expression.call("sqrt", self.real * self.real + self.imag * self.imag)
 
     def conjugate(self) -> Pair:
         return Pair(self.real, -self.imag)

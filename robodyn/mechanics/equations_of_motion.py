@@ -163,10 +163,10 @@ class EquationsOfMotion:
         program.named |= {"E": self.E, "mu": multipliers, "load": loads}
         if work:
             program.named["power"] = [program.sum(*links.power)] if links.power else []
-            program.named |= {"KE": [self._kinetic()], "PE": [self._potential()]}
+            program.named |= {"KE": [self.kinetic()], "PE": [self.potential()]}
         return program
 
-    def _kinetic(self) -> Slot:
+    def kinetic(self) -> Slot:
         """1/2 sum of A_jj w_j^2, and of Re(conj(E_j') A_jk E_k')."""
         program = self.program
         terms: list[tuple[Coefficient, Slot]] = []
@@ -180,7 +180,7 @@ class EquationsOfMotion:
                 terms.append((1.0, program.add(Inner(one, moved))))
         return program.sum(*terms)
 
-    def _potential(self) -> Slot:
+    def potential(self) -> Slot:
         """That of weights, of constant moments, and of springs."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
         terms: list[tuple[Coefficient, Slot]] = []

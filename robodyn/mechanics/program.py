@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields
+from typing import NamedTuple, get_args
 
 Slot = int
 
@@ -186,6 +186,7 @@ Row = (
     | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
 )  # fmt: skip
 
+SLOTS = {row: [x.name for x in fields(row) if x.type == "Slot"] for row in get_args(Row)}
 PLANAR = (Turn, PlanarSum, Scaled)
 SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
 
@@ -293,21 +294,9 @@ class Program:
 
 def arguments(row: Row) -> Iterator[Slot]:
     """The slots that a row reads."""
-    match row:
-        case Sum(terms=terms):
-            yield from (x for _, x in terms)
-        case PlanarSum(terms=planar):
-            yield from (z for _, z in planar)
-        case Rate(turn=x) | RealPart(z=x) | Integral(x=x) | Derivative(x=x) | Anchored(x=x):
-            yield x
-        case Function(x=x) | Power(x=x):
-            yield x
-        case Product(x=x, y=y) | Quotient(x=x, y=y) | Scaled(x=x, z=y) | Inner(z=x, w=y):
-            yield from (x, y)
-        case Primitive(x=x, density=y):
-            yield from (x, y)
-        case Moment(turn=x, bend=y, F=z):
-            yield from (x, y, z)
+    if isinstance(row, (Sum, PlanarSum)):
+        return (x for _, x in row.terms)
+    return (getattr(row, name) for name in SLOTS[type(row)])
 
 
 def finite(numbers: list[float]) -> bool:

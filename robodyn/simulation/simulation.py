@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,11 +33,12 @@ Array = NDArray[np.float64]
 
 MAX_EVALUATIONS = 2_000_000
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
-METHODS = ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor")
-ENGINES = ("auto", "python", "compiled")
+Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
+Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
+Stabilize = Literal["projection", "baumgarte", "none"]
+METHODS: tuple[str, ...] = get_args(Method)
 ORDERS = (4, 60)  # of the Taylor series
-STABILIZERS = ("projection", "baumgarte", "none")
-CHOICES = {"method": METHODS, "stabilize": STABILIZERS, "engine": ENGINES}
+CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 SMALLEST_RTOL = {"taylor": 1e-16}  # of the methods that do
 
