@@ -181,7 +181,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             tau = np.array(torques(t, y.tolist()))
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
-        if not np.isfinite(y).all():
+        if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
         if baumgarte:
             qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
