@@ -21,7 +21,7 @@ from robodyn.scene.description import from_text
 from robodyn.simulation import extended
 from robodyn.simulation.recording import Report
 from robodyn.simulation.simulation import simulate
-from robodyn.sweeps.sweep import run_chunk
+from robodyn.sweeps.sweep_chunks import run_chunk
 from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Axis, Variation
 from robodyn.trajectories.joint_paths import path_through
