@@ -16,7 +16,7 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
 from robodyn.simulation.simulation import METHODS, Settings, run
 from robodyn.taylor import Status
-from robodyn.taylor.steps import InterpretedEngine, StraightEngine
+from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 
 def least_singular(mech, q):

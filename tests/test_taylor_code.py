@@ -14,7 +14,8 @@ from robodyn import forward_dynamics
 from robodyn.engines.step_text import step_text
 from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.simulation.extended import _Series, _Task
-from robodyn.taylor.steps import StraightEngine, relative_matrix
+from robodyn.taylor.python_series import StraightEngine
+from robodyn.taylor.steps import relative_matrix
 
 ORDER = 12
 FREE = 1e100  # a tolerance that holds no step

@@ -12,7 +12,7 @@ from robodyn.engines.expansion import Coefficients, longest_step
 from robodyn.loops.projection import float_closing
 from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.taylor import Status, default_order
-from robodyn.taylor.steps import InterpretedEngine, StraightEngine
+from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 ENGINES = pytest.mark.parametrize("kind", [StraightEngine, InterpretedEngine])
 EACH = pytest.mark.parametrize("name", SENSITIVITY)

@@ -27,7 +27,8 @@ from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome, Recorder
 from robodyn.taylor import Chunk, Engine, NoCodeError, Status, default_order
-from robodyn.taylor.steps import InterpretedEngine, SteppingEngine, StraightEngine
+from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
+from robodyn.taylor.steps import SteppingEngine
 
 if TYPE_CHECKING:
     from robodyn.simulation.right_hand_side import RightHandSide
