@@ -319,7 +319,9 @@ def exact_motion(case: Case) -> Exact:
     mechanism = case.mechanism
     given = mechanism, start(case), np.array([case.time]), Actuation((0.0,) * mechanism.n)
     if case.miss < 1e-6 or len(mechanism.rows) > 2:  # two series: the other way takes minutes
-        both = [extended._by_series(*given, order, 0.1)[-1] for order in (30, 21)]
+        task = extended._Task(*given)
+        series = (extended._Series(task, order, 0.1) for order in (30, 21))
+        both = [extended._followed(task, each)[-1] for each in series]
         apart = float(np.abs(both[0] - both[1]).max())
         found = extended.Reference(both[0].astype(float)[None], apart)
     else:
