@@ -76,8 +76,7 @@ class Scene:
     ) -> None:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
         self.work, self.closes = work, closes and bool(mechanism.rows)
-        self.rate_series = rate_series
-        self.link = link
+        self.rate_series, self.link = rate_series, link
         self.motion = MotionProgram(mechanism, actuation, work, held)
         program = self.motion.program
         self.linear = actuation.constants is None and actuation.linear
@@ -305,13 +304,12 @@ class Scene:
             steady=[graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(self.found.steady)],
         )
         outputs = end_of_step(self.mechanism, found, self.work, graph)
-        for name, word in zip(
-            self.state, self.segment(k, block, graph).write(outputs), strict=True
-        ):
+        words = self.segment(k, block, graph).write(outputs)
+        for name, word in zip(self.state, words, strict=True):
             self.put(k, block, f"to_{name}", word)
         k.done()
 
-    def there(self, names: Sequence[str], prefix: str = "") -> dict[str, str]:
+    def there(self, names: Sequence[str]) -> dict[str, str]:
         """Inputs of a graph, taken from the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
 
@@ -325,8 +323,7 @@ class Scene:
         total = most = k.number(0.0)
         power = k.number(1.0)
         for m, value in enumerate(self.found.watched[i]):
-            stored = isinstance(value, Expression)
-            name = f"watched{i}_{m}"
+            stored, name = isinstance(value, Expression), f"watched{i}_{m}"
             coefficient = self.get(k, block, name) if stored else k.number(float(value))
             term = k.multiply(coefficient, power)
             total, size = k.add(total, term), k.intrinsic("fabs", term)
