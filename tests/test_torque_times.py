@@ -211,11 +211,15 @@ def test_an_accuracy_is_kept_on_short_pulses(tau, method):
     assert np.abs([motion.q[-1, 0], motion.qd[-1, 0]] - known).max() <= 1e-6
 
 
-def test_a_root_that_begins_falls_back_to_dop853():
-    torques = actuation.expressions(PENDULUM, "sqrt(abs(t-0.5))", "")
+def test_a_root_that_begins_is_passed_with_the_accuracy_asked_for():
+    text = "sqrt(abs(t-0.5))"
+    torques = actuation.expressions(PENDULUM, text, "")
     start = np.concatenate(START)
     settings, _ = settings_for(PENDULUM, start, 1.0, torques, Settings(AUTO), 1e-6)
-    assert settings.method == "DOP853"
+    tight = simulate(PENDULUM, *START, 1.0, text, "DOP853", 1e-12, 1e-12)
+    found = simulate(PENDULUM, *START, 1.0, text, settings.method, settings.rtol, settings.atol)
+    assert found.outcome is tight.outcome
+    assert np.abs(found.q[-1] - tight.q[-1]).max() <= 1e-6
 
 
 @pytest.mark.parametrize("method", METHODS)
