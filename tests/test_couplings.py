@@ -28,7 +28,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.scene.quantities import parse_coupling
 from robodyn.simulation.extended import reference
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.steps import InterpretedEngine
+from robodyn.taylor.python_series import InterpretedEngine
 
 FIVE_BAR = """
 gravity: 9.81
