@@ -158,18 +158,23 @@ class TestAgainstDOP853:
         self.compare(drawn.mechanism, drawn.q, 0.1 * drawn.qd, [0.0] * 14, 0.1)
 
 
+def with_forces(seed):
+    """A random state of a tree or a linkage, and that mechanism with all kinds of forces."""
+    shapes = list(LOOPS.values())
+    plain = (
+        seeded_tree(seed, 1 + seed % 4)
+        if seed < 6
+        else seeded_scene(seed, shapes[seed % len(shapes)])
+    )
+    return plain, build(from_text(forced(seed, plain).text, "x"))
+
+
 class TestForces:
     """Springs, dampers, friction, turning loads, couplings, and torques of the state and time."""
 
     @pytest.mark.parametrize("seed", range(14))
     def test_against_python(self, seed):
-        shapes = list(LOOPS.values())
-        plain = (
-            seeded_tree(seed, 1 + seed % 4)
-            if seed < 6
-            else seeded_scene(seed, shapes[seed % len(shapes)])
-        )
-        mechanism = build(from_text(forced(seed, plain).text, "x"))
+        plain, mechanism = with_forces(seed)
         joints = [j + 1 for j in mechanism.actuated]
         text = ", ".join(f"sin(3*t)*tanh(q{j}) - 0.1*qd{j}" for j in joints)
         tau = expressions(mechanism, text if seed % 2 else ", ".join("1" for _ in joints), "x")
@@ -345,13 +350,7 @@ class TestOrderAsALoop:
 
     @pytest.mark.parametrize("seed", range(14))
     def test_all_forces(self, seed):
-        shapes = list(LOOPS.values())
-        plain = (
-            seeded_tree(seed, 1 + seed % 4)
-            if seed < 6
-            else seeded_scene(seed, shapes[seed % len(shapes)])
-        )
-        mechanism = build(from_text(forced(seed, plain).text, "x"))
+        plain, mechanism = with_forces(seed)
         joints = [j + 1 for j in mechanism.actuated]
         text = ", ".join(f"exp(-t)*sin(3*t)*tanh(q{j}) - 0.1*log(2 + qd{j}**2)" for j in joints)
         tau = expressions(mechanism, text if seed % 2 else ", ".join("1" for _ in joints), "x")

@@ -11,7 +11,6 @@ another.  No inverse of M alone is needed, so massless links in a loop are no tr
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -38,7 +37,6 @@ Array = NDArray[np.float64]
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
 MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
-DOUBTFUL = 1e10  # its condition, from which eigenvalues are looked at
 LIGHTEST = 1e-15  # a freedom with less than this part of the largest inertia has none
 SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keeps its digits
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
@@ -150,41 +148,6 @@ def forward(
         if above is not None:
             qdd[..., k] -= acceleration[..., above]
     return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
-
-
-def of_one_state(mechanism: Mechanism) -> Callable[[Array, Array, Array], Array]:
-    """`forward` of q, qd, tau (n,) alone, to qdd (n,), in a quarter of its time."""
-    arrays, n = mechanism.arrays, mechanism.n
-    J, A, P, angles = arrays.J, arrays.A, arrays.P, arrays.angles
-    inverse = np.linalg.inv(J)
-    cut = RANK_CUT * loop_size(mechanism)
-
-    def accelerations(q: Array, qd: Array, tau: Array) -> Array:
-        E, rates = np.exp(1j * (J @ q)), J @ qd
-        W = E.conj()[:, None] * A * E
-        M, square = W.real, rates**2
-        joint = tau - arrays.damping * qd
-        if mechanism.has_state_forces:
-            joint = joint + scene_torques(mechanism, q, qd, E)
-        force = joint @ inverse + W.imag @ square - (arrays.weights * E).imag + arrays.moments
-        PE = P * E
-        U, s, Vt = np.linalg.svd(angles - PE.imag)
-        rank = int((s > cut).sum())
-        N = Vt[rank:]
-        acceleration = ((PE.real @ square) @ U[:, :rank] / s[:rank]) @ Vt[:rank]
-        reduced = N @ M @ N.T
-        scale = np.sqrt(reduced.diagonal())
-        light = not (scale**2 > LIGHTEST * np.abs(M).max()).all()
-        if light or (n - rank > 1 and np.linalg.cond(reduced / np.outer(scale, scale)) > DOUBTFUL):
-            return forward(mechanism, q, qd, tau).qdd  # which says what is wrong
-        if rank < n:
-            right = N @ (force - M @ acceleration)
-            z = right / reduced[0] if n - rank == 1 else np.linalg.solve(reduced, right)
-            acceleration = acceleration + z @ N
-        found: Array = inverse @ acceleration
-        return found
-
-    return accelerations
 
 
 @lru_cache(maxsize=64)

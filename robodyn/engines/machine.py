@@ -27,7 +27,6 @@ from robodyn.engines.expression import FUNCTIONS
 # with 8 lanes, 20 to 30 % with one; loops would be slower by a factor of 5
 LARGE = 5000
 LONG = 1000  # lines of a function that then is; those that are shorter hold the loops
-PARTS = "objects, each after its length"  # of what is kept on disk
 LEAST_LLVM = 17  # the first in which an address has no other type
 LIBRARY = (*FUNCTIONS, "pow", "fma")  # of C, that kernels may call
 PLAIN = "plain"  # the processor's family without what is optional: for tests
@@ -111,7 +110,7 @@ def _made(
     from llvmlite import binding as llvm
 
     text = "" if key else write(processor)
-    parts = (PARTS, key or text, key and generator(), level, processor, llvm.get_process_triple())
+    parts = (key or text, key and generator(), level, processor, llvm.get_process_triple())
     name = hashlib.sha256(repr((*parts, llvmlite.__version__, llvm.llvm_version_info)).encode())
     folder = object_cache.folder()
     content = object_cache.load(folder, name.hexdigest())

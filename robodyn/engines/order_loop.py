@@ -108,8 +108,8 @@ class Loop:
     ) -> Value:
         if not isinstance(m, Order):
             return weighted(x, y, m, first, last, slope, level)
-        begin = max(first, *(m.offset - i + 1 for i in y.now), first)
-        end = min(last.offset, *(i - 1 for i in x.now), last.offset)
+        begin = max([first, *(m.offset - i + 1 for i in y.now)])
+        end = min([last.offset, *(i - 1 for i in x.now)])
         x.read = y.read = True
         wanted = Sum(x, y, m.offset, begin, end, slope, level)
         key = (x.index, y.index, *wanted[2:6], getattr(level, "index", level))

@@ -173,7 +173,6 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
     forced = mechanism.has_state_forces
-    forward = dense_dynamics.of_one_state(mechanism)
 
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
@@ -183,10 +182,7 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
-        if baumgarte:
-            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
-        else:
-            qdd = forward(q, qd, tau)
+        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
         if work and forced:
             tau = tau + other_forces(mechanism, q, qd)
         power = [tau @ qd - damping @ qd**2] if work else []
