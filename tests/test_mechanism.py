@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import within
 from hypothesis import given, settings
 
 from random_mechanisms import (
@@ -27,6 +28,7 @@ from random_mechanisms import (
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import build, joint_index, load
 from robodyn.scene.description import from_text
+from robodyn.scene.scene import Closure, Coupling, Description, Link, Point
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
 examples = settings(deadline=None, max_examples=40)
@@ -166,7 +168,7 @@ class TestPoints:
             "closures: [{point: rod, on: {through: [0, 0.25], along: [3, 0]}}]"
         )
         (row,) = mech.rows
-        assert (row.direction, row.P, row.offset) == (1j, ((0, -1j),), -0.25)
+        assert (row.direction, tuple(row.P), row.offset) == (1j, ((0, -1j),), -0.25)
 
     def test_links_that_both_sides_share_take_no_part_in_a_closure(self):
         scene = seeded_scene(0, LOOPS["loop in a tree"])
@@ -186,6 +188,33 @@ class TestPoints:
         slider = f"{{point: {{link: link0, at: [0, 0]}}, on: {line}}}"
         with pytest.raises(InputError, match=r"closures\[0\]: joins points that cannot move apart"):
             mechanism(chain(2, f"closures: [{slider}]\nactuated: [link1]\n"))
+
+
+def whole_paths(links, closures, couplings):
+    """The joints that are actuated where a scene does not say, from sets of joints."""
+    groups, in_loops = [], set()
+    for closure in closures:
+        sides = []
+        for point in (closure.first, closure.second):
+            passed = {}
+            while point.link is not None:
+                passed[point.link] = point.at
+                point = links[point.link].hangs_from
+            sides.append(passed)
+        one, two = sides
+        loop = {k for k in {*one, *two} if one.get(k, 0) != two.get(k, 0)}
+        in_loops |= loop
+        groups.append(loop)
+    groups += [{x.joint, *(k for k, _ in x.terms)} for x in couplings]
+    for group in list(groups):
+        met = [other for other in groups if other & group]
+        groups = [x for x in groups if x not in met] + [set().union(group, *met)]
+    followers = {x.joint for x in couplings}
+    driven = set(range(len(links))) - in_loops - followers
+    for group in groups:
+        if group & in_loops and not group & driven:
+            driven |= set(sorted(group - followers)[:1])
+    return tuple(sorted(driven))
 
 
 class TestActuated:
@@ -222,6 +251,36 @@ class TestActuated:
             "closures: [[coupler, rocker]]"
         )
         assert mech.actuated == (0, 1)
+
+    def test_groups_of_loops_in_random_trees(self):
+        """Against sets of whole paths: a loop's joints are those on the path to one side only."""
+        rng = np.random.default_rng(11)
+        for _ in range(150):
+            n = int(rng.integers(2, 12))
+            links = [
+                Link(f"a{k}", 1.0, 1.0, 0.5j, 0.1, Point(above, complex(rng.integers(0, 2))))
+                for k, above in enumerate(
+                    None if rng.random() < 0.3 or not k else int(rng.integers(0, k))
+                    for k in range(n)
+                )
+            ]
+
+            def end(n=n):
+                k = int(rng.integers(-1, n))
+                return Point(None if k < 0 else k, complex(rng.integers(0, 2)))
+
+            closures = [Closure(end(), end()) for _ in range(int(rng.integers(0, 4)))]
+            gears = rng.permutation(n)[: 2 * int(rng.integers(0, 2))].tolist()
+            couplings = [Coupling(gears[0], ((gears[1], 2.0),), 0.0)] if gears else []
+            scene = Description(
+                "x", "x", 0j, tuple(links), tuple(closures), (), None, None,
+                couplings=tuple(couplings),
+            )  # fmt: skip
+            try:
+                mech = build(scene)
+            except InputError:
+                continue
+            assert mech.actuated == whole_paths(links, closures, couplings)
 
     def test_passive_are_the_others(self):
         mech = seeded_scene(1, LOOPS["five-bar"]).mechanism
@@ -268,6 +327,22 @@ class TestObject:
         tracemalloc.stop()
         assert peak < 3000 * 5000
         assert mech.n == len(mech.weights) == 3000
+
+    def test_closures_along_a_long_chain_take_the_time_of_links_and_closures(self):
+        """1,800 sliders on 2,000 links: their rows have two million numbers."""
+        sliders = (
+            f"  - {{point: link{k}, on: {{through: [0, {k}], along: [1, 0]}}}}\n"
+            for k in range(200, 2000)
+        )
+        described = from_text(chain(2000, "closures:\n" + "".join(sliders)), "x.yaml")
+        tracemalloc.start()
+        with within(2.0):  # traced; a tenth of this without
+            mech = build(described)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 3800 * 5000
+        assert mech.actuated == (0,)
+        assert len(mech.rows[-1].P) == 2000
 
     def test_constant_forces_are_weights(self):
         """PE = const - Re(weights . E): each force times the way to its point."""

@@ -28,15 +28,25 @@ from dataclasses import replace
 from pathlib import Path
 
 from robodyn.errors import InputError
+from robodyn.mechanics.link_tree import Tree as Tree
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
+from robodyn.mechanics.planar_model import Terms
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
-from robodyn.scene.scene import Description, JointSpring, Link, Load, Moment, Point, Spring
+from robodyn.scene.scene import (
+    Closure,
+    Description,
+    JointSpring,
+    Load,
+    Moment,
+    Point,
+    Spring,
+)
 
 
 def load(path: str | Path) -> Mechanism:
@@ -55,11 +65,11 @@ def build(description: Description) -> Mechanism:
     """
     try:
         mechanism = constants(description)
-        size = max((row.size for row in mechanism.rows), default=0.0)
-        rows = mechanism.rows + tuple(_coupling_rows(description, size))
-        mechanism = replace(mechanism, rows=rows)
+        if description.couplings:
+            rows = mechanism.rows + tuple(_coupling_rows(description))
+            mechanism = replace(mechanism, rows=rows)
         numbers = [*mechanism.B, *mechanism.weights, *_largest(Tree(description.links))]
-        numbers += [mechanism.energy_offset, *(row.offset for row in rows)]
+        numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
     except OverflowError:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
@@ -185,57 +195,6 @@ def too_large(description: Description) -> InputError:
     return InputError("links", where=description.source, limit=limit)
 
 
-def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
-    """The links, each after the one it hangs from."""
-    children: dict[int | None, list[int]] = {}
-    for k, j in enumerate(parent):
-        children.setdefault(j, []).append(k)
-    order = list(children.get(None, []))
-    for k in order:
-        order += children.get(k, [])
-    return tuple(order)
-
-
-class Tree:
-    """The links as a tree: points in terms of E."""
-
-    def __init__(self, links: Sequence[Link]) -> None:
-        self.links = links
-        self.parent = tuple(link.hangs_from.link for link in links)
-        self.order = _order(self.parent)
-        self._depth: dict[int | None, int] = {None: 0}
-        for k in self.order:
-            self._depth[k] = self._depth[self.parent[k]] + 1
-
-    def point(self, point: Point) -> PlanarPoint:
-        """The point, summed from the ground."""
-        terms: list[tuple[int, complex]] = []
-        while point.link is not None:
-            if point.at:
-                terms.append((point.link, point.at))
-            point = self.links[point.link].hangs_from
-        return PlanarPoint(point.at, tuple(reversed(terms)))
-
-    def apart(self, first: Point, second: Point) -> tuple[list[Point], list[Point]]:
-        """The points at which the paths to two points leave their links, up to a common link."""
-        paths: tuple[list[Point], list[Point]] = [first], [second]
-        while (one := paths[0][-1].link) != (two := paths[1][-1].link):
-            path, link = (
-                (paths[0], one) if self._depth[one] >= self._depth[two] else (paths[1], two)
-            )
-            assert link is not None
-            path.append(self.links[link].hangs_from)
-        return paths
-
-    def difference(self, first: Point, second: Point) -> PlanarPoint:
-        """First less second, without the terms that cancel."""
-        (*one, a), (*two, b) = self.apart(first, second)
-        found = [(a.link, a.at - b.at), *((x.link, x.at) for x in reversed(one))]
-        found += [(x.link, -x.at) for x in reversed(two)]
-        constant = a.at - (b.at if a.link is None else a.at)  # 0 also in symbols
-        return PlanarPoint(constant, tuple((k, c) for k, c in found if k is not None and c))
-
-
 def _points(tree: Tree, points: Sequence[Point]) -> Iterator[PlanarPoint]:
     return map(tree.point, points)
 
@@ -263,21 +222,30 @@ def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
     """The equations of the closures; InputError for points that cannot move apart."""
     rows: list[ClosureRow] = []
     for c, closure in enumerate(description.closures):
-        gap = tree.difference(closure.first, closure.second)
-        if not gap.terms:  # a row of zeros, against which nothing can be measured
+        if not tree.moves(closure.first, closure.second):  # nothing to measure its row against
             limit = "joins points that cannot move apart: it says nothing, or never holds"
             raise InputError(f"closures[{c}]", where=description.source, limit=limit)
+        gap = OnDemand(_gap, tree, closure)
+        constant = tree.ground(closure.first) - tree.ground(closure.second)
         directions = (1 + 0j, 1j) if closure.along is None else (1j * closure.along,)
         for direction in directions:
             w = direction.conjugate()
-            P = tuple((k, w * coefficient) for k, coefficient in gap.terms)
-            rows.append(ClosureRow(c, direction, P, (w * gap.constant).real))
+            rows.append(ClosureRow(c, direction, OnDemand(_turned, gap, w), (w * constant).real))
     return rows
 
 
-def _coupling_rows(description: Description, size: float) -> list[ClosureRow]:
+def _gap(tree: Tree, closure: Closure) -> Terms:
+    return tree.difference(closure.first, closure.second).terms
+
+
+def _turned(terms: Terms, w: complex) -> Iterator[tuple[int, complex]]:
+    return ((k, w * coefficient) for k, coefficient in terms)
+
+
+def _coupling_rows(description: Description) -> list[ClosureRow]:
     """Each coupling in absolute angles, as long as the closures' rows are."""
-    links = description.links
+    links, tree = description.links, Tree(description.links)
+    size = max((tree.reach(x.first, x.second) for x in description.closures), default=0.0)
     arm = size or max((link.l for link in links), default=0.0) or 1.0
     found: list[ClosureRow] = []
     for coupling in description.couplings:
@@ -292,13 +260,6 @@ def _coupling_rows(description: Description, size: float) -> list[ClosureRow]:
     return found
 
 
-def _loop(tree: Tree, first: Point, second: Point) -> set[int]:
-    """The joints of a closure's loop: those on the path to one side only."""
-    (*one, a), (*two, b) = tree.apart(first, second)
-    loop = {x.link for x in (*one, *two) if x.link is not None and x.at}
-    return loop | {a.link} if a.link is not None and bool(a.at) != bool(b.at) else loop
-
-
 def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     """As the scene says; else every joint outside of loops, and the first of each group of loops.
 
@@ -307,20 +268,28 @@ def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:
     """
     if description.actuated is not None:
         return description.actuated
-    loops = [_loop(tree, closure.first, closure.second) for closure in description.closures]
-    in_loops = set().union(*loops)
-    followers = {coupling.joint for coupling in description.couplings}
+    leader = list(range(len(description.links)))  # of each joint, in its group
+
+    def group_of(k: int) -> int:
+        while leader[k] != k:
+            leader[k] = k = leader[leader[k]]
+        return k
+
+    in_loops: set[int] = set()
     coupled = [{x.joint, *(k for k, _ in x.terms)} for x in description.couplings]
-    groups: dict[int, set[int]] = {}  # of each joint
-    for tied in loops + coupled:
-        met = {id(groups[k]): groups[k] for k in tied if k in groups}.values()
-        joined = max(met, key=len, default=set())
-        for group in (tied, *met):
-            if group is not joined:
-                joined |= group
-                groups.update(dict.fromkeys(group, joined))
-    driven = set(range(len(description.links))) - in_loops - followers
-    for group in {id(group): group for group in groups.values()}.values():
+    for loop in tree.loops(description.closures):
+        in_loops |= loop
+        for k in loop:
+            leader[group_of(k)] = group_of(next(iter(loop)))
+    for tied in coupled:
+        for k in tied:
+            leader[group_of(k)] = group_of(next(iter(tied)))
+    followers = {coupling.joint for coupling in description.couplings}
+    driven = set(range(len(leader))) - in_loops - followers
+    groups: dict[int, set[int]] = {}
+    for k in in_loops.union(*coupled):
+        groups.setdefault(group_of(k), set()).add(k)
+    for group in groups.values():
         if group & in_loops and not group & driven:
             driven.update(sorted(group - followers)[:1])
     return tuple(sorted(driven))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 T = TypeVar("T")
-Terms = tuple[tuple[int, complex], ...]  # (k, coefficient of E_k), nonzero ones only
+Terms = Sequence[tuple[int, complex]]  # (k, coefficient of E_k), nonzero ones only
 
 
 class OnDemand(Sequence[T]):

@@ -1,0 +1,141 @@
+"""The links of a scene as a tree: the paths to its points, and the loops that closures make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+
+from robodyn.mechanics.planar_model import PlanarPoint
+from robodyn.scene.scene import Closure, Link, Point
+
+
+class Tree:
+    """The links as a tree: points in terms of E."""
+
+    def __init__(self, links: Sequence[Link]) -> None:
+        self.links = links
+        self.parent = tuple(link.hangs_from.link for link in links)
+        self.order = _order(self.parent)
+        self._depth: dict[int | None, int] = {None: 0}
+        self._root: dict[int, int] = {}
+        for k in self.order:
+            j = self.parent[k]
+            self._depth[k] = self._depth[j] + 1
+            self._root[k] = k if j is None else self._root[j]
+
+    def point(self, point: Point) -> PlanarPoint:
+        """The point, summed from the ground."""
+        terms: list[tuple[int, complex]] = []
+        while point.link is not None:
+            if point.at:
+                terms.append((point.link, point.at))
+            point = self.links[point.link].hangs_from
+        return PlanarPoint(point.at, tuple(reversed(terms)))
+
+    def ground(self, point: Point) -> complex:
+        """Where on the ground the path to a point begins."""
+        return point.at if point.link is None else self.links[self._root[point.link]].hangs_from.at
+
+    def common(self, first: Point, second: Point) -> int | None:
+        """The last link that the paths to two points share; None where it is the ground."""
+        one, two = first.link, second.link
+        if one is None or two is None or self._root[one] != self._root[two]:
+            return None
+        while one is not None and two is not None and one != two:
+            if self._depth[one] >= self._depth[two]:
+                one = self.parent[one]
+            else:
+                two = self.parent[two]
+        return one
+
+    def leaves(self, point: Point, common: int | None) -> Iterator[Point]:
+        """The points at which the path to `point` leaves its links, downward to `common`."""
+        while point.link is not None and point.link != common:
+            yield point
+            point = self.links[point.link].hangs_from
+        yield point
+
+    def difference(self, first: Point, second: Point) -> PlanarPoint:
+        """First less second, without the terms that cancel."""
+        common = self.common(first, second)
+        (*one, a), (*two, b) = self.leaves(first, common), self.leaves(second, common)
+        found = [(common, a.at - b.at), *((x.link, x.at) for x in reversed(one))]
+        found += [(x.link, -x.at) for x in reversed(two)]
+        constant = self.ground(first) - self.ground(second)
+        return PlanarPoint(constant, tuple((k, c) for k, c in found if k is not None and c))
+
+    @cached_property
+    def _length(self) -> dict[int | None, float]:
+        """The length of the path from the ground to each link's joint, m."""
+        found: dict[int | None, float] = {None: 0.0}
+        for k in self.order:
+            j = self.parent[k]
+            found[k] = 0.0 if j is None else found[j] + abs(self.links[k].hangs_from.at)
+        return found
+
+    def reach(self, first: Point, second: Point) -> float:
+        """The length of the paths from one point to another, m."""
+        common = self.common(first, second)
+        ends = [abs(x.at) + self._length[x.link] for x in (first, second) if x.link is not None]
+        return sum(ends) - len(ends) * self._length[common]
+
+    def moves(self, first: Point, second: Point) -> bool:
+        """Whether the difference of two points can change."""
+        common = self.common(first, second)
+        paths = (x for point in (first, second) for x in self.leaves(point, common))
+        return any(x.at for x in paths if x.link not in (common, None)) or bool(
+            self.difference(first, second).terms
+        )
+
+    def loops(self, closures: Sequence[Closure]) -> Iterator[set[int]]:
+        """Of each closure the joints on the path to one side only.
+
+        Where earlier closures share a part of the path with it, one joint stands for that part:
+        the time is that of the links and closures, not of their product.
+        """
+        shared: dict[int, tuple[int, set[int]]] = {}
+        for closure in closures:
+            common = self.common(closure.first, closure.second)
+            loop: set[int] = set()
+            last: list[Point] = []  # of both sides, on the common link
+            for point in (closure.first, closure.second):
+                k = point.link
+                if k is not None and k != common:
+                    loop |= {k} if point.at else set()
+                    k = self._climb(k, self._depth[common] + 1, shared, loop)
+                    point = self.links[k].hangs_from
+                last.append(point)
+            if common is not None and bool(last[0].at) != bool(last[1].at):
+                loop.add(common)
+            yield loop
+
+    def _climb(
+        self, k: int, depth: int, shared: dict[int, tuple[int, set[int]]], loop: set[int]
+    ) -> int:
+        """The link at `depth` below which link k hangs; the joints on the way come to `loop`."""
+        passed: list[int] = []
+        while self._depth[k] > depth:
+            passed.append(k)
+            top, joint = shared.get(k, (None, set()))
+            if top is not None and self._depth[top] >= depth:
+                k, loop_joint = top, joint
+                loop |= loop_joint
+            else:
+                at, above = self.links[k].hangs_from.at, self.parent[k]
+                assert above is not None
+                k = above
+                loop |= {above} if at else set()
+        for link in passed:
+            shared[link] = k, set(list(loop)[:1])
+        return k
+
+
+def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
+    """The links, each after the one it hangs from."""
+    children: dict[int | None, list[int]] = {}
+    for k, j in enumerate(parent):
+        children.setdefault(j, []).append(k)
+    order = list(children.get(None, []))
+    for k in order:
+        order += children.get(k, [])
+    return tuple(order)
