@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import NamedTuple, get_args
 
 Slot = int
@@ -37,106 +37,92 @@ Coefficient = float | Number
 PlanarCoefficient = tuple[Coefficient, Coefficient]  # real and imaginary part; 0.0: none
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
+class Given(NamedTuple):
     """Real: what comes from outside: the time, a torque, an angle where a motion starts."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(NamedTuple):
     """Real: an unknown that enters linearly, such as a multiplier of a closure."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(NamedTuple):
     """Planar: the direction E = exp(i alpha) of a link; its angular acceleration is unknown."""
 
     link: int
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
+class Rate(NamedTuple):
     """Real: w = Im(conj(E) E') of the direction `turn`."""
 
     turn: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Integral:
+class Integral(NamedTuple):
     """Real: the integral of x over time, from the given value `start`."""
 
     x: Slot
     start: str
 
 
-@dataclass(frozen=True, slots=True)
-class Anchored:
+class Anchored(NamedTuple):
     """Real: x, but its first coefficient is the given value `start`, not rounded as x is."""
 
     x: Slot
     start: str
 
 
-@dataclass(frozen=True, slots=True)
-class Derivative:
+class Derivative(NamedTuple):
     """Real or planar: dx/dt."""
 
     x: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Sum:
+class Sum(NamedTuple):
     """Real: constant + sum c x."""
 
     constant: Coefficient
     terms: tuple[tuple[Coefficient, Slot], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarSum:
+class PlanarSum(NamedTuple):
     """Planar: constant + sum c z, the coefficients complex, the slots planar or real."""
 
     constant: PlanarCoefficient
     terms: tuple[tuple[PlanarCoefficient, Slot], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class RealPart:
+class RealPart(NamedTuple):
     """Real: Re z."""
 
     z: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Product:
+class Product(NamedTuple):
     """Real: x y."""
 
     x: Slot
     y: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Scaled:
+class Scaled(NamedTuple):
     """Planar: x z, x real and z planar."""
 
     x: Slot
     z: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Inner:
+class Inner(NamedTuple):
     """Real: Re(conj(z) w)."""
 
     z: Slot
     w: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """Real: inertia a + Im(conj(E) F), what turns the link of `turn`; F is without P.
 
     `bend` is the slot of P = E''.  The link's own part is exact so: Im(conj(E) inertia P).
@@ -148,32 +134,28 @@ class Moment:
     F: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Quotient:
+class Quotient(NamedTuple):
     """Real: x / y."""
 
     x: Slot
     y: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Power:
+class Power(NamedTuple):
     """Real: x to a constant exponent."""
 
     x: Slot
     exponent: float
 
 
-@dataclass(frozen=True, slots=True)
-class Function:
+class Function(NamedTuple):
     """Real: exp, tanh, sin, cos, sinh or cosh of x."""
 
     name: str
     x: Slot
 
 
-@dataclass(frozen=True, slots=True)
-class Primitive:
+class Primitive(NamedTuple):
     """Real: the function of x whose slope is 1/density: log, atan, asin or acos."""
 
     name: str
@@ -186,7 +168,10 @@ Row = (
     | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
 )  # fmt: skip
 
-SLOTS = {row: [x.name for x in fields(row) if x.type == "Slot"] for row in get_args(Row)}
+SLOTS: dict[type, list[str]] = {
+    row: [name for name, x in row.__annotations__.items() if x.__forward_arg__ == "Slot"]
+    for row in get_args(Row)
+}
 PLANAR = (Turn, PlanarSum, Scaled)
 SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
 
@@ -214,7 +199,7 @@ class Program:
     named: dict[str, list[Slot]] = field(default_factory=dict)
     planar: list[bool] = field(default_factory=list)
     arms: dict[Slot, float] = field(default_factory=dict)  # of slots that bend: torque per unit
-    _known: dict[Row, Slot] = field(default_factory=dict)
+    _known: dict[tuple[type, Row], Slot] = field(default_factory=dict)
     _schedules: dict[tuple[int, ...], Schedule] = field(default_factory=dict)
 
     # -- building ----------------------------------------------------------------------------------
@@ -235,9 +220,10 @@ class Program:
 
     def add(self, row: Row) -> Slot:
         """The slot of a row; equal rows share one."""
-        if (known := self._known.get(row)) is not None:
+        key = type(row), row  # rows of two types may hold the same
+        if (known := self._known.get(key)) is not None:
             return known
-        slot = self._known[row] = len(self.rows)
+        slot = self._known[key] = len(self.rows)
         self.rows.append(row)
         z = row.x if isinstance(row, Derivative) else None
         self.planar.append(isinstance(row, PLANAR) or (z is not None and self.planar[z]))
@@ -262,7 +248,7 @@ class Program:
     def shape(self) -> tuple[object, ...]:
         """What programs that differ in their numbers alone share; a key of dicts."""
         named = tuple((name, tuple(slots)) for name, slots in self.named.items())
-        return tuple(self.rows), tuple(self.residuals), named
+        return tuple((type(row), row) for row in self.rows), tuple(self.residuals), named
 
     def schedule(self, wanted: Sequence[Slot] = ()) -> Schedule:
         """In what order, and how many orders ahead of the unknowns, slots must be known."""
