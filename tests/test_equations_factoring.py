@@ -74,8 +74,8 @@ def test_planar_is_the_algebra_of_complex_numbers() -> None:
     q = Planar(ONE.times(-1), ONE.times(4))
     assert p * q == Planar(ONE.times(-14), ONE.times(5))
     assert p.conjugate() == Planar(ONE.times(2), ONE.times(-3))
-    assert p.quarter_turn == Planar(ONE.times(-3), ONE.times(2))
-    turned = Planar(L1, ZERO).turned((0,))
+    assert p * 1j == Planar(ONE.times(-3), ONE.times(2))
+    turned = Planar(L1, ZERO) * Planar(C1, S1)
     assert (turned.real, turned.imag) == (L1 * C1, L1 * S1)
     assert total([]) == ZERO
 

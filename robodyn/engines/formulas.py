@@ -130,7 +130,8 @@ class Recorded:
         for j in range(mechanism.n):
             given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
             given[f"qd{j}"] = (self.relative["qd"][j],)
-        self.E = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
+        cos, sin = self.arithmetic.cos, self.arithmetic.sin
+        self.E = [(cos(angle), sin(angle)) for angle in alpha]
         turn = None if self.by_direction else self._turn
         accelerations = self.absolute("qdd") if accelerated else None
         state = State(self.E, self.absolute("qd"), given, turn, accelerations)
@@ -166,7 +167,7 @@ class Recorded:
                 angle = angle + q[link]
                 link = parent[link]
             if link == first:
-                return expression.cos(angle), sign * expression.sin(angle)
+                return self.arithmetic.cos(angle), sign * self.arithmetic.sin(angle)
         E = self.E
         return conjugate_times(E[j], E[k])  # on different branches
 

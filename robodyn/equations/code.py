@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
-from robodyn.equations import Equations, legend
-from robodyn.equations.outline import Block
+from robodyn.equations import legend
+from robodyn.equations.outline import Block, Equations
 
 WIDTH = 100
 TAB = "    "

@@ -58,7 +58,7 @@ class Root:
         return self.inner.atoms()
 
 
-def by_role(*roles: Role) -> Key:
+def by_role(*roles: int) -> Key:
     """Collect by the atoms of these roles."""
     return lambda product: tuple(
         factor

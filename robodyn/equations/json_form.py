@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-from robodyn.equations import Equations, legend
+from robodyn.equations import legend
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import PYTHON, one_line
-from robodyn.equations.outline import Block
+from robodyn.equations.outline import Block, Equations
 
 
 def as_json(equations: Equations[Written]) -> str:

@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from robodyn.equations import Equations, legend
+from robodyn.equations import legend
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
-from robodyn.equations.outline import Block, Definition
+from robodyn.equations.outline import Block, Definition, Equations
 from robodyn.equations.symbolic import Number
 
 WIDTH = 92  # of a formula on a page, in letters of an average width

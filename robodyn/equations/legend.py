@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from robodyn.equations import Equations
-from robodyn.equations.outline import Block, Definition, Entry
+from robodyn.equations.outline import Block, Definition, Entry, Equations
 from robodyn.equations.parameters import Parameter
 from robodyn.errors import printable
 from robodyn.scene.scene import Point

@@ -2,16 +2,17 @@
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
-Their entries are formulas to read (`blocks.py`) or recorded arithmetic (`recorded.py`).
+Their entries are formulas to read (`written.py`) or recorded arithmetic (`recorded.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.equations.parameters import Parameter, Parameters
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Load
 
 if TYPE_CHECKING:
@@ -96,3 +97,46 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         yield Head("closures", "Psi", "closure Jacobian, d gap/dq", "m", "matrix")
         yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
         yield Head("closures", "gap", "closure gap, first side less second", "m", "vector")
+
+
+@dataclass(frozen=True, slots=True)
+class Equations(Generic[Entry]):
+    """The blocks of equation (1) for one scene, and what its symbols mean.
+
+    The sum of the blocks of `left`, each times its rate, is the left side; those of `right` are
+    added to tau; `closures` are Psi, Psidot qd and gap.  `zero` names parameters that are 0 in the
+    scene, `unused` those that have no effect.
+    """
+
+    mechanism: Mechanism
+    blocks: tuple[Block[Entry], ...]
+    parameters: tuple[Parameter, ...]
+    zero: tuple[str, ...]
+    unused: tuple[str, ...]
+
+    def side(self, name: str) -> tuple[Block[Entry], ...]:
+        """The blocks of the side `left` or `right`, or of the `closures`."""
+        return tuple(block for block in self.blocks if block.head.side == name)
+
+    @property
+    def terms(self) -> list[tuple[str, str]]:
+        """The left side's terms that are not zero: a block's name and the rate it stands before."""
+        return [(block.name, block.head.rate) for block in self.side("left") if not block.zero]
+
+
+def with_parameters(
+    mechanism: Mechanism,
+    blocks: Iterable[Block[Entry]],
+    parameters: Parameters,
+    used: set[str],
+    numeric: bool,
+) -> Equations[Entry]:
+    """The equations of these blocks, which use the parameters of these names."""
+    known = parameters.known.values()
+    return Equations(
+        mechanism=mechanism,
+        blocks=tuple(blocks),
+        parameters=tuple(x for x in known if x.name in used),
+        zero=tuple(parameters.zero),
+        unused=() if numeric else tuple(x.name for x in known if x.name not in used),
+    )

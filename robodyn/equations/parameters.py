@@ -23,18 +23,18 @@ plain numbers come from the grammar.  What is zero in the scene is no symbol: it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
 from robodyn.errors import printable
+from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.grammar import FORMS, NUMBERS
 from robodyn.scene.scene import (
     Closure,
     Coupling,
-    Description,
     JointSpring,
     Link,
     Load,
@@ -42,9 +42,6 @@ from robodyn.scene.scene import (
     Point,
     Spring,
 )
-
-if TYPE_CHECKING:
-    from fractions import Fraction
 
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -72,31 +69,30 @@ class Parameters:
     """The symbols of a scene; each stands for one number of the file.
 
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
-    legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; the lengths
-    that turn the angles of couplings into gaps are `arms`.
+    legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; `couplings`
+    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset and turns.
     """
 
-    def __init__(self, description: Description, arms: Sequence[float] = ()) -> None:
-        self.description = description
+    def __init__(self, mechanism: Mechanism) -> None:
+        description = self.description = mechanism.description
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
         self._points: dict[Point, Planar] = {}
         links = [self._link(k, link) for k, link in enumerate(description.links)]
         closures = [self._closure(c, closure) for c, closure in enumerate(description.closures)]
-        self.arms: list[Sum] = []
+        arms = [row.arm for row in mechanism.rows if row.closure is None]
         coupled = zip(description.couplings, arms, strict=True)
-        couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
+        self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
         gravity: Any = self._gravity()
         for k, link in enumerate(description.links):
             if link.friction is not None and link.friction.torque:
                 numbers = self._numbers("friction", k, link.friction, link.name)
                 links[k] = replace(links[k], friction=replace(link.friction, **numbers))
-        self.scene = replace(
+        self.scene: Any = replace(
             description,
             gravity=gravity,
             links=tuple(links),
             closures=tuple(closures),
-            couplings=tuple(couplings),
             springs=tuple(self._spring(i, spring) for i, spring in enumerate(description.springs)),
             loads=tuple(self._load(i, load) for i, load in enumerate(description.loads)),
         )
@@ -104,8 +100,6 @@ class Parameters:
     @cached_property
     def values(self) -> dict[str, Fraction]:
         """The numbers of the symbols, exactly as the decimal numbers that they are written as."""
-        from fractions import Fraction
-
         return {name: Fraction(repr(entry.value)) for name, entry in self.known.items()}
 
     # -- parts of a scene ----------------------------------------------------------------------
@@ -143,25 +137,25 @@ class Parameters:
         meaning = f"normal of the line of closure {c + 1}, its cosine with {axis.upper()}"
         return self._symbol(f"n{c + 1}{axis}", (c, axis), value, "", meaning)
 
-    def _coupling(self, c: int, coupling: Coupling, arm: float) -> Coupling:
-        """A coupling, whose arm is the length that the angle by which it is open is times."""
+    def _coupling(self, c: int, coupling: Coupling, arm: float) -> tuple[Sum, dict[int, Sum]]:
+        """Its row, as long as the arm that turns the angle by which it is open into a gap."""
         meaning = f"length that turns the angle of coupling {c + 1} into a gap"
-        self.arms.append(self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, role=Role.normal))
-        angle: Any = ZERO
+        size = self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, role=Role.normal)
+        angle = ZERO
         if coupling.angle:
             told = f"angle of coupling {c + 1}"
             angle = self._symbol(f"psi{c + 1}", (c, "psi"), coupling.angle, "rad", told)
-        terms: list[Any] = []
+        turns = {coupling.joint: size}
         for joint, ratio in coupling.terms:
             if abs(ratio) == 1.0:  # 1 and -1 stand as numbers
-                terms.append((joint, ONE.times(int(ratio))))
+                turns[joint] = size.times(-ratio)
                 continue
             name = f"i{c + 1}" if len(coupling.terms) == 1 else f"i{c + 1}_{joint + 1}"
             link = self.description.links[joint].name
             meaning = f"ratio of coupling {c + 1} to the joint of {link}"
             place = c, f"i{joint}"
-            terms.append((joint, self._symbol(name, place, ratio, "", meaning, Role.length)))
-        return Coupling(coupling.joint, tuple(terms), angle)
+            turns[joint] = -size * self._symbol(name, place, ratio, "", meaning, Role.length)
+        return -size * angle, turns
 
     def _gravity(self) -> Planar:
         """gx + i gy; -i g where it acts along -Y."""
@@ -189,7 +183,8 @@ class Parameters:
         told = f"load {i + 1}"
         if isinstance(load, Moment):
             on = f"{told} on {self.description.links[load.link].name}"
-            return replace(load, **self._numbers("torque", i, load, on))
+            torque: Any = self._number("torque", "torque", i, load.torque, on, load.link)
+            return replace(load, torque=torque)
         frame = "its link's frame" if load.turns else "the ground's frame"
         numbers = self._numbers("force", i, load, f"{told}, in {frame}")
         names, meaning = (f"c{i + 1}x", f"c{i + 1}y"), f"point of {told} {self._on(load.point)}"
@@ -206,10 +201,13 @@ class Parameters:
             if key.symbol
         }
 
-    def _number(self, form: str, name: str, k: int, value: Any, told: str) -> Sum | Planar:
+    def _number(
+        self, form: str, name: str, k: int, value: Any, told: str, link: int | None = None
+    ) -> Sum | Planar:
         key = FORMS[form].keys[name]
         letters, _, meaning = key.symbol.partition(": ")
-        named, place, meaning = f"{letters}{k + 1}", (k, letters), meaning.replace("{}", told)
+        named, place = f"{letters}{k + 1}", (k if link is None else link, letters)
+        meaning = meaning.replace("{}", told)
         if key.kind in NUMBERS:
             optional = key.default == "0" and not value
             return ZERO if optional else self._symbol(named, place, value, key.unit, meaning)
@@ -227,7 +225,7 @@ class Parameters:
         value: float,
         unit: str,
         meaning: str,
-        role: Role | None = None,
+        role: int | None = None,
     ) -> Sum:
         if value == 0.0:
             self.zero[name] = None

@@ -6,45 +6,38 @@ is a number times powers of atoms.  An atom is a parameter (m2), a function of a
 (sin(q2), cos(q1 + q2)), or a sum of rates (qd1 + qd2), which is never multiplied out: it is the
 angular velocity of one link, or of a link relative to another.
 
-Numbers are int as long as parameters stand as symbols; `substituted` makes them Fractions of the
-scene's decimal numbers, so that what cancels on paper cancels here.
+Sums take the place of floats in the formulas of `mechanism.py` and in the rows of the equations of
+motion.  Their numbers are exact: ints and Fractions, of the scene's decimal numbers where
+`substituted` puts them in, so that what cancels on paper cancels here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import TYPE_CHECKING, Union
+from fractions import Fraction
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    from fractions import Fraction
+from robodyn.engines.expression import call
 
-Number = Union[int, "Fraction"]
+Number = int | Fraction
 
 
-class Role(IntEnum):
+class Role:
     """What an atom stands for, in the order in which the factors of a product are written."""
 
-    mass = 0
-    inertia = 1
-    damping = 2
+    mass, inertia, damping = 0, 1, 2
     force = 3  # stiffness too
-    gravity = 4
-    normal = 5
-    length = 6
+    gravity, normal, length = 4, 5, 6
     stretch = 7  # components of a spring
-    angle = 8
-    rate = 9
-    function = 10
+    angle, rate, function = 8, 9, 10
 
 
-@dataclass(frozen=True, slots=True)
-class Symbol:
+class Symbol(NamedTuple):
     """A parameter of the scene; `place` orders those of one role, (link, letter)."""
 
     name: str
-    role: Role
+    role: int
     place: tuple[int, str]
 
     @property
@@ -52,54 +45,50 @@ class Symbol:
         return self.role, *self.place, self.name
 
 
-@dataclass(frozen=True, slots=True)
-class Rates:
+class Rates(NamedTuple):
     """A sum of joint rates (indices of joints, from 0), rad/s: qd1 + qd2."""
 
     joints: tuple[int, ...]
 
     @property
-    def role(self) -> Role:
+    def role(self) -> int:
         return Role.rate
 
     @property
     def key(self) -> tuple[object, ...]:
-        return self.role, len(self.joints), self.joints
+        return Role.rate, len(self.joints), self.joints
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(NamedTuple):
     """A function of a sum of joint angles: cos(q1 + q2)."""
 
     function: str
     joints: tuple[int, ...]
 
     @property
-    def role(self) -> Role:
+    def role(self) -> int:
         return Role.function
 
     @property
     def key(self) -> tuple[object, ...]:
-        return self.role, self.joints, self.function
+        return Role.function, self.joints, self.function
 
 
-@dataclass(frozen=True, slots=True)
-class Angle:
+class Angle(NamedTuple):
     """The angle of one joint, rad: q2."""
 
     joint: int
 
     @property
-    def role(self) -> Role:
+    def role(self) -> int:
         return Role.angle
 
     @property
     def key(self) -> tuple[object, ...]:
-        return self.role, self.joint
+        return Role.angle, self.joint
 
 
-@dataclass(frozen=True, slots=True)
-class Smooth:
+class Smooth(NamedTuple):
     """A function of a joint's rate against a speed: tanh(qd2/wf2)."""
 
     function: str
@@ -107,47 +96,79 @@ class Smooth:
     speed: Symbol | Fraction
 
     @property
-    def role(self) -> Role:
+    def role(self) -> int:
         return Role.function
 
     @property
     def key(self) -> tuple[object, ...]:
-        return self.role, (self.joint,), self.function
+        return Role.function, (self.joint,), self.function
 
 
 Atom = Symbol | Angle | Rates | Call | Smooth
 Monomial = tuple[tuple[Atom, int], ...]  # atoms with their powers, sorted by key
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Sum:
-    """A sum of products: the number of each monomial, none of them zero, in order of writing."""
+    """A sum of products: the number of each monomial, none of them zero."""
 
     terms: Mapping[Monomial, Number]
 
     def __bool__(self) -> bool:
         return bool(self.terms)
 
-    def __add__(self, other: Sum) -> Sum:
-        return total((self, other))
+    def __eq__(self, other: object) -> bool:
+        return self.terms == other.terms if isinstance(other, Sum) else other == 0 and not self
+
+    @property
+    def real(self) -> Sum:
+        """Itself, as of any real number."""
+        return self
+
+    @property
+    def imag(self) -> Sum:
+        return ZERO
+
+    def __add__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, Planar) else total((self, summed(other)))
+
+    __radd__ = __add__
 
     def __neg__(self) -> Sum:
         return self.times(-1)
 
-    def __sub__(self, other: Sum) -> Sum:
-        return total((self, -other))
+    def __sub__(self, other: Sum | float) -> Sum:
+        return total((self, -summed(other)))
 
-    def __mul__(self, other: Sum) -> Sum:
+    def __rsub__(self, other: float) -> Sum:
+        return summed(other) - self
+
+    def __mul__(self, other: Any) -> Any:
+        if not isinstance(other, Sum):
+            return NotImplemented if isinstance(other, Planar) else self.times(other)
         found: dict[Monomial, Number] = {}
         for a, x in self.terms.items():
             for b, y in other.terms.items():
-                product = _merged(a, b)
+                product = merged(a, b)
                 found[product] = found.get(product, 0) + x * y
         return Sum({monomial: x for monomial, x in found.items() if x})
 
-    def times(self, number: Number) -> Sum:
-        """Every term times a number that is not zero."""
-        return Sum({monomial: number * x for monomial, x in self.terms.items()})
+    __rmul__ = __mul__
+
+    def __truediv__(self, number: float) -> Sum:
+        return self.times(1 / Fraction(number))
+
+    def __rtruediv__(self, one: float) -> Sum:
+        """The inverse of a symbol."""
+        (((((atom, power),), number)),) = self.terms.items()
+        return of(atom, -power).times(one / Fraction(number))
+
+    def times(self, number: Number | float) -> Sum:
+        """Every term times a number."""
+        exact = Fraction(number)
+        by = exact.numerator if exact.denominator == 1 else exact
+        found = {monomial: by * x for monomial, x in self.terms.items()} if by else {}
+        return Sum({monomial: int(x) if x == int(x) else x for monomial, x in found.items()})
 
     def atoms(self) -> Iterator[Atom]:
         """Every atom of every term."""
@@ -180,6 +201,11 @@ def of(atom: Atom, power: int = 1) -> Sum:
     return Sum({((atom, power),): 1})
 
 
+def summed(number: Any) -> Sum:
+    """A number as a sum; sums as they are."""
+    return number if isinstance(number, Sum) else ONE.times(number)
+
+
 def total(parts: Iterable[Sum]) -> Sum:
     """The sum of the parts, in their order."""
     found: dict[Monomial, Number] = {}
@@ -189,7 +215,8 @@ def total(parts: Iterable[Sum]) -> Sum:
     return Sum({monomial: x for monomial, x in found.items() if x})
 
 
-def _merged(a: Monomial, b: Monomial) -> Monomial:
+def merged(a: Monomial, b: Monomial) -> Monomial:
+    """The product of two."""
     powers = dict(a)
     for atom, power in b:
         powers[atom] = powers.get(atom, 0) + power
@@ -198,18 +225,23 @@ def _merged(a: Monomial, b: Monomial) -> Monomial:
 
 @dataclass(frozen=True, slots=True)
 class Planar:
-    """A point or vector of the plane as a complex number, x + i y."""
+    """A complex number x + i y of two sums, or of two recorded numbers.
 
-    real: Sum
-    imag: Sum
+    It takes the place of complex numbers in formulas.
+    """
+
+    real: Any
+    imag: Any
 
     def __bool__(self) -> bool:
         return bool(self.real or self.imag)
 
-    def __add__(self, other: Planar) -> Planar:
+    def __add__(self, other: Any) -> Planar:
         return Planar(self.real + other.real, self.imag + other.imag)
 
-    def __sub__(self, other: Planar) -> Planar:
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Planar:
         return Planar(self.real - other.real, self.imag - other.imag)
 
     def __rsub__(self, zero: complex) -> Planar:
@@ -218,30 +250,18 @@ class Planar:
     def __neg__(self) -> Planar:
         return Planar(-self.real, -self.imag)
 
-    def __mul__(self, other: Planar | Sum | complex) -> Planar:
-        if isinstance(other, Sum):
-            return Planar(self.real * other, self.imag * other)
-        if isinstance(other, complex):  # 1, i and their opposites
-            other = Planar(*(ONE.times(int(x)) if x else ZERO for x in (other.real, other.imag)))
-        return Planar(
-            self.real * other.real - self.imag * other.imag,
-            self.real * other.imag + self.imag * other.real,
-        )
+    def __mul__(self, other: Any) -> Planar:
+        x, y = other.real, other.imag
+        return Planar(self.real * x - self.imag * y, self.real * y + self.imag * x)
 
     __rmul__ = __mul__
+
+    def __abs__(self) -> Any:
+        return call("sqrt", self.real * self.real + self.imag * self.imag)
 
     def conjugate(self) -> Planar:
         """x - i y."""
         return Planar(self.real, -self.imag)
-
-    @property
-    def quarter_turn(self) -> Planar:
-        """The vector times i."""
-        return Planar(-self.imag, self.real)
-
-    def turned(self, joints: tuple[int, ...]) -> Planar:
-        """The vector turned by the sum of these joints' angles."""
-        return self * Planar(of(Call("cos", joints)), of(Call("sin", joints)))
 
 
 NOWHERE = Planar(ZERO, ZERO)

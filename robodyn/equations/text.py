@@ -5,10 +5,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from robodyn.equations import Equations, legend
+from robodyn.equations import legend
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import PLAIN, broken
-from robodyn.equations.outline import Block
+from robodyn.equations.outline import Block, Equations
 
 MARGIN = "  "
 LEAST_WIDTH = 40

@@ -1,0 +1,344 @@
+"""The equations of motion as formulas to read, with names for the springs' lengths and pulls.
+
+A spring from its second end to its first is S, V = dS/dt.  It pulls by K S and its damper by P S,
+
+    K = k (1 - S0/|S|)        P = ds Re(conj(S) V)/|S|^2
+
+like loads on its ends; these stand as names in the entries.  Without a free length K = k, and S is
+multiplied out where its links hang from one another.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import inf
+from typing import Any
+
+from robodyn.engines.formulas import Recorded
+from robodyn.engines.series import Arithmetic
+from robodyn.equations.entries import Entries
+from robodyn.equations.factoring import (
+    Key,
+    Product,
+    Root,
+    Written,
+    as_one,
+    by_angle,
+    by_function,
+    by_role,
+    written,
+)
+from robodyn.equations.outline import Block, Definition, Equations, heads, with_parameters
+from robodyn.equations.parameters import Parameters
+from robodyn.equations.symbolic import (
+    NOWHERE,
+    ONE,
+    ZERO,
+    Angle,
+    Call,
+    Monomial,
+    Number,
+    Planar,
+    Rates,
+    Role,
+    Smooth,
+    Sum,
+    Symbol,
+    merged,
+    of,
+    summed,
+    total,
+)
+from robodyn.mechanics.mechanism import Mechanism, Tree, closure_rows, constants, too_large
+from robodyn.scene.scene import Closure, Load, Point, Spring
+
+# How the terms of a block's entries are collected: by the first of these, then within by the next.
+LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
+FORCES = (by_role(Role.gravity, Role.force), by_angle, by_function)
+LEVELS: dict[str, Sequence[Key]] = {
+    "M": (by_role(Role.mass, Role.inertia), by_angle, by_function),
+    "C": (as_one, by_role(Role.rate), by_angle, by_function),
+    "D": (),
+    "G": FORCES,
+    "Q": FORCES,
+}
+
+
+def equations(
+    mechanism: Mechanism, numeric: bool = False, watch: Callable[[float], object] | None = None
+) -> Equations[Written]:
+    """The equations of motion of the mechanism's scene, in symbols or with its numbers put in.
+
+    `watch` is told now and then what part is done.  Raises InputError where a number that is put
+    in leaves the range of floats.
+    """
+    parameters = Parameters(mechanism)
+    n, rows = mechanism.n, len(mechanism.rows)
+    columns = {"vector": 1, "diagonal": n, "matrix": n, "symmetric": (n + 1) / 2}
+    known = list(heads(mechanism))
+    most = sum((rows if head.side == "closures" else n) * columns[head.shape] for head in known)
+    done = 0
+
+    def write(entry: Any, levels: Sequence[Key] = LINE) -> Written:
+        nonlocal done
+        done += 1
+        if watch is not None:
+            watch(min(1.0, done / most))
+        if not numeric:
+            return written(entry, levels)
+        entry = entry.substituted(parameters.values)
+        limit = sys.float_info.max
+        if any(not -limit <= number <= limit for number in entry.terms.values()):
+            raise too_large(mechanism.description)
+        return written(entry, levels)
+
+    springs = _Springs(parameters.scene)
+    entries = Entries(springs.mechanism, parameters.couplings, _Symbolic, springs.drag)
+    found = []
+    for head in known:
+        sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
+        block: list[tuple[Written, ...]] = []
+        for i, row in enumerate(sums):
+            mirrored = [block[j][i] for j in range(i)] if head.shape == "symmetric" else []
+            more = (write(_in_order(x, head.name), levels) for x in row[len(mirrored) :])
+            block.append((*mirrored, *more))
+        found.append(Block(head, tuple(block), tuple(springs.definitions(head.name, write))))
+    atoms = {atom for block in found for entry in _formulas(block) for atom in entry.atoms()}
+    speeds = {atom.speed for atom in atoms if isinstance(atom, Smooth)}
+    used = {atom.name for atom in atoms | speeds if isinstance(atom, Symbol)}
+    return with_parameters(mechanism, found, parameters, used, numeric)
+
+
+def _formulas(block: Block[Written]) -> Iterator[Written]:
+    """Every formula of a block, those of its definitions too."""
+    yield from (name.value for name in block.where)
+    for row in block.rows:
+        yield from row
+
+
+# -- rows on symbols -------------------------------------------------------------------------------
+
+
+class _Symbolic(Recorded):
+    """The rows of a mechanism whose numbers are symbols, at a state of symbols."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__(mechanism, ("qd",), by_direction=False, arithmetic=SYMBOLIC)
+        joints = range(mechanism.n)
+        self.relative: dict[str, Any] = {
+            "q": [of(Angle(k)) for k in joints],
+            "qd": [of(Rates((k,))) for k in joints],
+        }
+
+    def absolute(self, name: str) -> list[Any]:
+        """Angles of links as sums, their rates as one atom each."""
+        angles: list[Any] = super().absolute("q")
+        return angles if name == "q" else [of(Rates(_joints(angle))) for angle in angles]
+
+
+def _joints(angle: Any) -> tuple[int, ...]:
+    """The joints of a sum of angles."""
+    return tuple(sorted(atom.joint for atom in angle.atoms()))
+
+
+def _smooth(ratio: Sum) -> Sum:
+    speed, rates = ratio.atoms()
+    assert isinstance(speed, Symbol)
+    assert isinstance(rates, Rates)
+    return of(Smooth("tanh", rates.joints[0], speed))
+
+
+SYMBOLIC = Arithmetic(
+    cos=lambda angle: of(Call("cos", _joints(angle))),
+    sin=lambda angle: of(Call("sin", _joints(angle))),
+    power=pow,
+    functions={"tanh": _smooth},
+)
+
+
+# -- the order of terms ----------------------------------------------------------------------------
+
+
+def _in_order(entry: Any, block: str) -> Sum:
+    """The entry of a block, its terms from the ground on, body by body."""
+    terms = _gathered(summed(entry)) if block == "C" else summed(entry).terms
+    turns = {atom.joints: None for term in terms for atom, _ in term if isinstance(atom, Call)}
+    seen = {joints: place for place, joints in enumerate(turns)}
+    place = ORDER.get(block, _by_angle)
+    return Sum({term: terms[term] for term in sorted(terms, key=lambda term: place(term, seen))})
+
+
+def _gathered(entry: Sum) -> dict[Monomial, Number]:
+    """The terms with what multiplies one product as one rate: (qd1 + qd2) - qd1 is qd2."""
+    found: dict[Monomial, dict[int, Number]] = {}
+    for monomial, number in entry.terms.items():
+        rates = next(atom for atom, _ in monomial if isinstance(atom, Rates))
+        joints = found.setdefault(tuple(x for x in monomial if x[0] is not rates), {})
+        for joint in rates.joints:
+            joints[joint] = joints.get(joint, 0) + number
+    gathered = {}
+    for rest, joints in found.items():
+        for number in set(joints.values()) - {0}:
+            rate = Rates(tuple(sorted(k for k, x in joints.items() if x == number)))
+            gathered[merged(rest, ((rate, 1),))] = number
+    return gathered
+
+
+# What stands first, by block; ties stay in the order of the rows.
+
+Seen = dict[tuple[int, ...], int]  # the angles, as they came
+Place = tuple[Any, ...]
+
+
+def _symbols(monomial: Monomial, least: int, most: int) -> list[Symbol]:
+    """The symbols of these roles."""
+    return [x for x, _ in monomial if isinstance(x, Symbol) and least <= x.role <= most]
+
+
+def _calls(monomial: Monomial) -> list[Call]:
+    return [atom for atom, _ in monomial if isinstance(atom, Call)]
+
+
+def _body(monomial: Monomial) -> list[tuple[int, int]]:
+    """The link, and which of its masses and inertias."""
+    places = (x.place for x in _symbols(monomial, Role.mass, Role.inertia))
+    return [(link, ("m", "I", "mp").index(letters)) for link, letters in places]
+
+
+def _lengths(monomial: Monomial) -> list[tuple[int, str]]:
+    return [x.place for x in _symbols(monomial, Role.length, Role.length)]
+
+
+def _by_body(monomial: Monomial, seen: Seen) -> Place:
+    return _body(monomial), len(_calls(monomial))
+
+
+def _by_links(monomial: Monomial, seen: Seen) -> Place:
+    sines_first = [-ord(x.function[0]) for x in _calls(monomial)]
+    return [k for k, _ in _lengths(monomial)], _body(monomial), sines_first
+
+
+def _by_force(monomial: Monomial, seen: Seen) -> Place:
+    """Link by link, there gravity, loads and springs; those at joints last."""
+    link = max((x.joints[-1] for x in _calls(monomial)), default=inf)
+    if body := _body(monomial):
+        return link, 0, body, _lengths(monomial)
+    force = next(iter(_symbols(monomial, Role.force, Role.force)), None)
+    if force is not None and force.name[0] in "FT":
+        torque = force.name[0] == "T"
+        return force.place[0] if torque else link, 1 + torque, force.place, _lengths(monomial)
+    stretch = [-ord(x.name[-1]) for x in _symbols(monomial, Role.stretch, Role.stretch)]
+    angle = any(isinstance(atom, Angle) for atom, _ in monomial)
+    within = _lengths(monomial) if stretch else []
+    return link, 3, force and force.place[0], not angle, stretch, within
+
+
+def _by_load(monomial: Monomial, seen: Seen) -> Place:
+    for force in _symbols(monomial, Role.force, Role.force):
+        if force.name[0] == "F":
+            calls = _calls(monomial)
+            turns = sum(len(x.joints) for x in calls)
+            return -1, force.place, -turns, [-ord(x.function[0]) for x in calls]
+    return _by_force(monomial, seen)
+
+
+def _by_angle(monomial: Monomial, seen: Seen) -> Place:
+    angles = any(isinstance(atom, (Angle, Call)) for atom, _ in monomial)
+    return not angles, [(seen[x.joints], x.function) for x in _calls(monomial)]
+
+
+def _by_axis(monomial: Monomial, seen: Seen) -> Place:
+    calls, lengths = _calls(monomial), _lengths(monomial)
+    return not calls, [seen[x.joints] for x in calls], [letters[-1] for _, letters in lengths]
+
+
+ORDER = {"M": _by_body, "C": _by_links, "G": _by_force, "Q": _by_load, "S": _by_axis}
+
+
+# -- springs ---------------------------------------------------------------------------------------
+
+
+class _Springs:
+    """The springs between points of a scene in symbols.
+
+    `mechanism` is the scene's with loads for the springs whose pulls have names; `drag` (n) are the
+    weights of the dampers' pulls.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.springs: dict[int, Any] = {
+            i: x for i, x in enumerate(scene.springs) if isinstance(x, Spring)
+        }
+        self.tree = Tree(scene.links)
+        pulls, drags = [], []
+        left = [x for x in scene.springs if not isinstance(x, Spring)]
+        for i, spring in self.springs.items():
+            S = Planar(*(of(x) for x in _components(i)))
+            if self._pulls(spring):
+                named = of(_pull("K", i)) if spring.length else spring.stiffness
+                pulls += _loads(spring, S * named)
+            elif spring.stiffness:
+                left.append(replace(spring, damping=ZERO))
+            if spring.damping:
+                drags += _loads(spring, S * of(_pull("P", i)))
+        loads = (*scene.loads, *pulls)
+        self.mechanism = constants(replace(scene, springs=tuple(left), loads=loads))
+        nothing = replace(scene, gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
+        self.drag = constants(nothing).weights
+        pins = tuple(Closure(x.first, x.second) for x in self.springs.values())
+        rows = tuple(closure_rows(replace(scene, closures=pins), self.tree))
+        gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
+        self.gaps = dict(zip(self.springs, zip(gaps[::2], gaps[1::2], strict=True), strict=True))
+
+    def _pulls(self, spring: Spring) -> bool:
+        """Whether the pull has a name: it has a free length, or joins links of two branches."""
+        between = [k for k, _ in self.tree.difference(spring.first, spring.second).terms]
+        paths = [{j for j, _ in self.tree.point(Point(k, 1.0)).terms} for k in between]
+        across = any(not (a <= b or b <= a) for a, b in combinations(paths, 2))
+        return bool(spring.stiffness and (spring.length or across))
+
+    def definitions(self, block: str, write: Callable[..., Written]) -> Iterator[Definition]:
+        """The names that the block uses: S, |S|, K in G, and V, P too in Q."""
+        for i, spring in self.springs.items():
+            if not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
+                continue
+            told, S = f"spring {i + 1}", _components(i)
+            size = Symbol(f"S{i + 1}", Role.stretch, (i, ""))
+            for x, (value, _) in zip(S, self.gaps[i], strict=True):
+                meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
+                yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
+            if spring.length or block == "Q":
+                squares = Written(tuple(Product(1, ((x, 2),)) for x in S))
+                root = Written((Product(1, ((Root(squares), 1),)),))
+                yield Definition(size.name, root, "m", f"length of {told}")
+            if block == "Q":
+                V = [Symbol(f"V{i + 1}{axis}", Role.stretch, (i, f"V{axis}")) for axis in "xy"]
+                for x, v, (_, rate) in zip(S, V, self.gaps[i], strict=True):
+                    written_rate = write(_in_order(rate, "S"))
+                    yield Definition(v.name, written_rate, "m/s", f"rate of {x.name}")
+                along = total(of(x) * of(v) for x, v in zip(S, V, strict=True))
+                value, name = spring.damping * along * of(size, -2), _pull("P", i)
+                meaning = f"pull of the damper of {told} per length"
+            elif spring.length:
+                value = spring.stiffness * (ONE - spring.length * of(size, -1))
+                name, meaning = _pull("K", i), f"pull of {told} per length"
+            else:
+                continue
+            yield Definition(name.name, write(value, ()), "N/m", meaning)
+
+
+def _components(i: int) -> list[Symbol]:
+    return [Symbol(f"S{i + 1}{axis}", Role.stretch, (i, axis)) for axis in "xy"]
+
+
+def _pull(letter: str, i: int) -> Symbol:
+    return Symbol(f"{letter}{i + 1}", Role.force, (i, ""))
+
+
+def _loads(spring: Spring, pull: Any) -> list[Load]:
+    """What pulls the ends of a spring together."""
+    ends = (spring.first, -pull), (spring.second, pull)
+    return [Load(end, force) for end, force in ends if end.link is not None]
