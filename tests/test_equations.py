@@ -26,10 +26,9 @@ from random_mechanisms import (
 )
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.equations import equations
-from robodyn.equations.json_form import as_json
-from robodyn.equations.python_code import python
+from robodyn.equations.code import python
 from robodyn.equations.recorded import recorded
-from robodyn.equations.text import text
+from robodyn.equations.text import as_json, text
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

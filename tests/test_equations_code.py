@@ -23,8 +23,7 @@ from random_mechanisms import (
     sizes,
 )
 from robodyn.dynamics import closed_form
-from robodyn.equations.c_code import c99
-from robodyn.equations.python_code import python
+from robodyn.equations.code import c99, python
 from robodyn.equations.recorded import recorded
 from robodyn.mechanics.mechanism import Mechanism, load
 

@@ -11,12 +11,10 @@ import typer
 from robodyn.cli.options import Model, Out
 from robodyn.cli.progress import progress
 from robodyn.equations import equations as equations_of
-from robodyn.equations.c_code import c99
-from robodyn.equations.json_form import as_json
+from robodyn.equations.code import c99, python
 from robodyn.equations.latex import latex
-from robodyn.equations.python_code import python
 from robodyn.equations.recorded import recorded
-from robodyn.equations.text import WIDTH, text
+from robodyn.equations.text import WIDTH, as_json, text
 from robodyn.mechanics.mechanism import load
 from robodyn.tables.output_file import open_output
 

@@ -1,4 +1,4 @@
-"""What the equations of motion have in common as code, in Python and in C.
+"""The equations of motion as code: a Python module or C99, which need nothing but their `math`.
 
 There is one function for each matrix and vector, under its name, of q and qd as it needs them: it
 computes sines and cosines, c12 = cos(q1 + q2), and from them the entries that are not zero.
@@ -13,55 +13,200 @@ from typing import NamedTuple
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
-from robodyn.equations import legend
 from robodyn.equations.outline import Block, Equations
+from robodyn.equations.parameters import Parameter
 
 WIDTH = 100
 TAB = "    "
 STATEMENT = 64  # characters; what is longer is computed in steps
 SHORT = 3  # joints whose numbers stand side by side
+BESSEL = ("y0", "y1", "yn", "j0", "j1", "jn")  # functions that C compilers know from math.h
 
 CodeEquations = Equations[Value]
 CodeBlock = Block[Value]
 
 
-class Body(NamedTuple):
-    """A function's statements, the entries as they are put together, and the inputs it uses."""
+def python(equations: CodeEquations) -> str:
+    """A module; its matrices are lists of rows, and states are sequences of n numbers."""
+    lines = [f"# {line}".rstrip() for line in _head(equations)]
+    rows = chain.from_iterable(block.rows for block in equations.blocks)
+    used = {node.op for node in needed(list(chain.from_iterable(rows)))} & set(FUNCTIONS)
+    if used:
+        lines += ["", f"from math import {', '.join(sorted(used))}"]
+    if equations.parameters:
+        lines.append("")
+    for parameter in equations.parameters:
+        lines.append(f"{parameter.name} = {parameter.value!r}  # {_meaning(parameter)}")
+    for block in equations.blocks:
+        lines += ["", "", *_python_function(block, equations.mechanism.n)]
+    torques = _torques(equations)
+    blocks = [*torques.terms, *torques.others]
+    values = [f"{x.name}({', '.join(x.head.inputs)})" for x in blocks]
+    products = [
+        f"sum(a*b for a, b in zip({x.name}_i, {x.head.rate}))" if x.head.rate else f"{x.name}_i"
+        for x in torques.terms
+    ]
+    source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
+    lines += ["", "", f"def {torques.name}(q, qd, qdd):", f'{TAB}"""{torques.told}."""']
+    lines += [f"{TAB}return [", f"{TAB}{TAB}{products[0]}"]
+    lines += [f"{TAB}{TAB}+ {product}" for product in products[1:]]
+    lines += [f"{TAB}{TAB}- {block.name}_i" for block in torques.others]
+    lines += [f"{TAB}{TAB}for {', '.join(f'{x.name}_i' for x in blocks)} in {source}", f"{TAB}]"]
+    return "\n".join(lines) + "\n"
 
-    lines: list[str]
-    entries: list[list[str]]
-    used: set[str]
+
+def _python_function(block: CodeBlock, n: int) -> Iterator[str]:
+    given, meaning = block.head, block.head.meaning
+    statements, entries, used = _body(block, str)
+    yield f"def {block.name}({', '.join(given.inputs)}):"
+    yield f'{TAB}"""{meaning[0].upper()}{meaning[1:]}, {given.unit}."""'
+    for name in given.inputs:
+        names = [f"{name}{k + 1}" for k in range(n)]
+        if used & set(names):
+            lines = _wrapped(names, f"{TAB}(", f"{',' if n == 1 else ''}) = {name}")
+            yield from lines if n == 1 or len(lines) > 1 else [f"{TAB}{', '.join(names)} = {name}"]
+    yield from (f"{TAB}{line}" for line in statements)
+    if block.vector:
+        yield from _wrapped([row[0] for row in entries], f"{TAB}return [", "]")
+    elif len(entries) == 1:
+        yield from _wrapped(entries[0], f"{TAB}return [[", "]]")
+    else:
+        yield f"{TAB}return ["
+        for row in entries:
+            yield from _wrapped(row, f"{TAB}{TAB}[", "],")
+        yield f"{TAB}]"
 
 
-def head(equations: CodeEquations) -> Iterator[str]:
+def c99(equations: CodeEquations) -> str:
+    """The text of a file of functions that fill arrays; matrices are arrays of rows."""
+    n = equations.mechanism.n
+    lines = ["/*", *(f" * {_comment(line)}".rstrip() for line in _head(equations)), " */"]
+    lines += ["", "#include <math.h>"]
+    if equations.parameters:
+        lines.append("")
+    for parameter in equations.parameters:
+        value = f"{_symbol(parameter.name)} = {parameter.value!r}"
+        lines.append(f"static const double {value}; /* {_comment(_meaning(parameter))} */")
+    for block in equations.blocks:
+        lines += ["", *_c_function(block, n)]
+    lines += ["", *_c_torques(_torques(equations), n)]
+    return "\n".join(lines) + "\n"
+
+
+def _comment(text: str) -> str:
+    """Text that neither ends a comment nor begins another."""
+    return text.replace("*/", "* /").replace("/*", "/ *")
+
+
+def _symbol(name: str) -> str:
+    return f"{name}_" if name in BESSEL else name
+
+
+def _size(block: CodeBlock) -> str:
+    rows, columns = len(block.rows), len(block.rows[0])
+    return f"[{rows}]" if block.vector else f"[{rows}][{columns}]"
+
+
+def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
+    given = block.head
+    lines, entries, used = _body(block, _symbol)
+    arguments = [f"const double {name}[{n}]" for name in given.inputs]
+    yield f"/* {given.meaning}, {given.unit} */"
+    yield f"void {block.name}({', '.join([*arguments, f'double out{_size(block)}'])})"
+    yield "{"
+    for name in given.inputs:
+        values = [f"{name}{k + 1} = {name}[{k}]" for k in range(n) if f"{name}{k + 1}" in used]
+        yield from (
+            _wrapped(values, f"{TAB}const double ", ";") if values else [f"{TAB}(void){name};"]
+        )
+    yield from (f"{TAB}const double {line};" for line in lines)
+    for i, row in enumerate(entries):
+        for j, entry in enumerate(row):
+            yield f"{TAB}out[{i}]{'' if block.vector else f'[{j}]'} = {entry};"
+    yield "}"
+
+
+class _Torques(NamedTuple):
+    """The function that sums up the joint torques: the terms, less the others beside tau."""
+
+    name: str
+    told: str
+    terms: Sequence[CodeBlock]
+    others: Sequence[CodeBlock]
+
+
+def _torques(equations: CodeEquations) -> _Torques:
+    """That of tau, or of tau + Psi^T lambda."""
+    left, others = equations.side("left"), equations.others
+    closed = bool(equations.side("closures"))
+    what = "tau + Psi^T lambda" if closed else "tau"
+    right = "".join(f" - {block.name}" for block in others)
+    return _Torques(
+        name="joint_torques" if closed else "inverse_dynamics",
+        told=f"{what} = {equations.told()[0].split(' = ')[0]}{right}, N m",
+        terms=[block for block in left if not block.zero] or [left[0]],
+        others=others,
+    )
+
+
+def _c_torques(torques: _Torques, n: int) -> Iterator[str]:
+    blocks = [*torques.terms, *torques.others]
+    used = {name for block in blocks for name in (block.head.rate, *block.head.inputs)}
+    yield f"/* {torques.told} */"
+    arguments = ", ".join(f"const double {name}[{n}]" for name in ("q", "qd", "qdd"))
+    yield f"void {torques.name}({arguments}, double out[{n}])"
+    yield "{"
+    yield from (f"{TAB}(void){name};" for name in ("q", "qd", "qdd") if name not in used)
+    yield from (f"{TAB}double {block.name}_{_size(block)};" for block in blocks)
+    for block in blocks:
+        yield f"{TAB}{block.name}({', '.join([*block.head.inputs, f'{block.name}_'])});"
+    yield f"{TAB}for (int i = 0; i < {n}; i++) {{"
+    vectors = [f"{block.name}_[i]" for block in torques.terms if not block.head.rate]
+    less = "".join(f" - {block.name}_[i]" for block in torques.others)
+    yield f"{TAB}{TAB}out[i] = {' + '.join(vectors) or '0.0'}{less};"
+    products = [f"{x.name}_[i][j]*{x.head.rate}[j]" for x in torques.terms if x.head.rate]
+    if products:
+        yield f"{TAB}{TAB}for (int j = 0; j < {n}; j++)"
+        yield f"{TAB}{TAB}{TAB}out[i] += {' + '.join(products)};"
+    yield from [f"{TAB}}}", "}"]
+
+
+# -- what both have in common ----------------------------------------------------------------------
+
+
+def _head(equations: CodeEquations) -> Iterator[str]:
     """The lines of the first comment."""
-    yield f"{legend.title(equations)}: equations of motion, written by robodyn."
+    yield f"{equations.title}: equations of motion, written by robodyn."
     yield ""
-    yield from (f"  {line}" for line in legend.equation_of_motion(equations))
+    yield from (f"  {line}" for line in equations.told())
     yield ""
-    variables = legend.variables(equations)
+    variables = equations.variables()
     names = [x.name + x.numbers for x in variables]
     widths = max(map(len, names)), max(len(x.unit) for x in variables)
     for name, x in zip(names, variables, strict=True):
         yield f"  {name.ljust(widths[0])}  {x.unit.ljust(widths[1])}  {x.meaning}"
-    remarks = legend.left_out(equations)
+    remarks = equations.remarks(christoffel="")
     yield from ["", *remarks] if remarks else []
 
 
-def functions(equations: CodeEquations) -> list[str]:
-    """The names of the functions that all blocks use."""
-    rows = chain.from_iterable(block.rows for block in equations.blocks)
-    return sorted({node.op for node in needed(list(chain.from_iterable(rows)))} & set(FUNCTIONS))
+def _meaning(parameter: Parameter) -> str:
+    """For a comment behind its value."""
+    return ", ".join(part for part in (parameter.unit, parameter.meaning) if part)
 
 
-def body(block: CodeBlock, symbol: Callable[[str], str]) -> Body:
-    """What a block's function does; `symbol` tells what parameters are called."""
-    listed = legend.listed(block)
+def _body(
+    block: CodeBlock, symbol: Callable[[str], str]
+) -> tuple[list[str], list[list[str]], set[str]]:
+    """The statements of a block's function, the entries made of them, and the inputs it uses.
+
+    `symbol` tells what parameters are called.
+    """
+    listed = block.listed()
     outputs = [entry for _, entry in listed]
     names = _names(outputs)
     for places, entry in listed:
         if isinstance(entry, Expression) and entry.op != "var":
-            names.setdefault(entry.index, block.name + legend.numbers(block, *places[0], "_"))
+            names.setdefault(entry.index, block.name + block.numbers(*places[0], "_"))
     used: set[str] = set()
 
     def shown(name: str) -> str:
@@ -76,7 +221,7 @@ def body(block: CodeBlock, symbol: Callable[[str], str]) -> Body:
     for (places, _), text in zip(listed, texts, strict=True):
         for i, j in places:
             entries[i][j] = text.replace(" + -", " - ")
-    return Body([line.replace(" + -", " - ") for line in lines], entries, used)
+    return [line.replace(" + -", " - ") for line in lines], entries, used
 
 
 def _parted(variable: str) -> tuple[str, int]:
@@ -122,31 +267,7 @@ def _joints(joints: Sequence[int]) -> str:
     return "".join(f"_{a}" if a == b else f"_{a}to{b}" for a, b in runs)
 
 
-def summed(equations: CodeEquations) -> list[CodeBlock]:
-    """The blocks that the joint torques are the sum of."""
-    left = equations.side("left")
-    return [block for block in left if not block.zero] or [left[0]]
-
-
-def taken_off(equations: CodeEquations) -> list[CodeBlock]:
-    """The blocks that are taken off this sum."""
-    return [block for block in equations.side("right") if not block.zero]
-
-
-def result(equations: CodeEquations) -> str:
-    """The name of the function that computes tau, or tau + Psi^T lambda."""
-    return "joint_torques" if equations.side("closures") else "inverse_dynamics"
-
-
-def told(equations: CodeEquations) -> str:
-    """What that function computes."""
-    left = legend.equation_of_motion(equations)[0].split(" = ")[0]
-    right = "".join(f" - {block.name}" for block in taken_off(equations))
-    what = "tau + Psi^T lambda" if equations.side("closures") else "tau"
-    return f"{what} = {left}{right}, N m"
-
-
-def wrapped(parts: Iterable[str], opening: str, closing: str) -> list[str]:
+def _wrapped(parts: Iterable[str], opening: str, closing: str) -> list[str]:
     """Parts in a row between `opening` and `closing`, on as many lines as they need."""
     line = f"{opening}{', '.join(parts)}{closing}"
     if len(line) <= WIDTH:

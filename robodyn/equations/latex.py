@@ -6,10 +6,9 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from robodyn.equations import legend
 from robodyn.equations.factoring import Written
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
-from robodyn.equations.outline import Block, Definition, Equations
+from robodyn.equations.outline import Block, Equations
 from robodyn.equations.symbolic import Number
 
 WIDTH = 92  # of a formula on a page, in letters of an average width
@@ -46,15 +45,18 @@ NAMES = {
 
 def latex(equations: Equations[Written]) -> str:
     """A whole document."""
-    lines = [r"\begin{document}"]
-    lines.append(rf"\section*{{{escaped(legend.title(equations))}: equations of motion}}")
+    columns = max(len(block.rows[0]) for block in equations.blocks)
+    wide = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
+    lines = [PREAMBLE + wide, r"\begin{document}"]
+    lines.append(rf"\section*{{{escaped(equations.title)}: equations of motion}}")
     lines += _display(_head(equations))
-    for definitions, block in legend.new_definitions(equations):
+    for definitions, block in equations.defined():
         lines += _display(_block(block))
         if definitions:
-            lines += _display(chain.from_iterable(map(_definition, definitions)))
+            named = ((subscripted(name.name), name.value) for name in definitions)
+            lines += _display(chain.from_iterable(_equation(*x) for x in named))
     lines += _legend(equations)
-    return "\n".join([_preamble(equations), *lines, r"\end{document}"]) + "\n"
+    return "\n".join([*lines, r"\end{document}"]) + "\n"
 
 
 def escaped(text: str) -> str:
@@ -112,31 +114,22 @@ def measure(formula: str) -> float:
     return 0.7 * len(small) + len(normal) - 0.6 * normal.count("'") + 1.6 * operators
 
 
-def _preamble(equations: Equations[Written]) -> str:
-    columns = max(len(block.rows[0]) for block in equations.blocks)
-    more = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
-    return PREAMBLE + more
-
-
 def _display(lines: Iterable[str]) -> list[str]:
     return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
 
 
 def _head(equations: Equations[Written]) -> Iterator[str]:
     """The equation of motion in matrices, and what its right side is."""
-    mechanism = equations.mechanism
     terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
-    others = (block.name for block in equations.side("right") if not block.zero)
-    right = " + ".join([r"\tau", *others])
+    right = " + ".join([r"\tau", *(block.name for block in equations.others)])
     right += r" + \Psi^{T}\lambda" if equations.side("closures") else ""
     yield f"{' + '.join(terms) or '0'} &= {right}"
     if equations.side("closures"):
         more = [r"\Psi\dot{q} = 0", r"\Psi\ddot{q} + \dot{\Psi}\dot{q} = 0"]
         yield r", \quad ".join([r"\mathrm{gap} &= 0", *more])
-    if mechanism.passive:
-        joints = range(mechanism.n)
-        driven = [rf"\tau_{{{k + 1}}}" if k in mechanism.actuated else "0" for k in joints]
-        yield rf"\tau &= ({', '.join(driven)})^{{T}}"
+    if equations.mechanism.passive:
+        driven = ", ".join(equations.driven(r"\tau_{{{}}}"))
+        yield rf"\tau &= ({driven})^{{T}}"
 
 
 def _entry(entry: Written) -> str:
@@ -152,7 +145,7 @@ def _block(block: Block[Written]) -> Iterator[str]:
         yield f"{name} &= 0"
         return
     texts = [[_entry(entry) for entry in row] for row in block.rows]
-    if block.shape == "diagonal":
+    if block.head.shape == "diagonal":
         entries = r",\; ".join(texts[k][k] for k in range(len(texts)))
         yield rf"{name} &= \operatorname{{diag}}({entries})".replace(GLUE, " ")
         return
@@ -164,11 +157,11 @@ def _block(block: Block[Written]) -> Iterator[str]:
 
     def label(i: int, j: int) -> str:
         bare = f"({name})" if block.name == "Psidot_qd" else name
-        return f"{bare}_{{{legend.numbers(block, i, j, ',')}}}"
+        return f"{bare}_{{{block.numbers(i, j, ',')}}}"
 
-    for places, entry in legend.listed(block):
+    for places, entry in block.listed():
         yield from _equation(" = ".join(label(*place) for place in places), entry)
-    zeros = [label(*place) for place in legend.zeros(block)]
+    zeros = [label(*place) for place in block.zeros]
     for k in range(0, len(zeros), ZEROS):
         first, *others = zeros[k : k + ZEROS]
         yield f"{first} &= {' = '.join([*others, '0'])}"
@@ -180,15 +173,11 @@ def _equation(left: str, entry: Written) -> Iterator[str]:
     yield from (rf"&\quad {part.strip()}" for part in more)
 
 
-def _definition(definition: Definition) -> Iterator[str]:
-    return _equation(subscripted(definition.name), definition.value)
-
-
 def _legend(equations: Equations[Written]) -> Iterator[str]:
     """Tables of the variables and of the parameters, and remarks."""
     variables = [
         (f"${NAMES.get(x.name, x.name)}_{{{x.numbers}}}$", "", x.unit, x.meaning)
-        for x in legend.variables(equations)
+        for x in equations.variables()
     ]
     parameters = [
         (f"${subscripted(x.name)}$", f"${_number(x.value)}$", x.unit, x.meaning)
@@ -201,6 +190,5 @@ def _legend(equations: Equations[Written]) -> Iterator[str]:
     names = [(NAMES.get(block.name, block.name), block.head.unit) for block in equations.blocks]
     units = ", ".join(f"${name}$ in {escaped(unit)}" for name, unit in names)
     yield f"SI units and radians: {units}."
-    if legend.is_coriolis(equations):
-        yield r"$C$ is the Christoffel one: $\dot{M} - 2C$ is skew-symmetric."
-    yield from legend.left_out(equations, lambda name: f"${subscripted(name)}$")
+    christoffel = r"$C$ is the Christoffel one: $\dot{M} - 2C$ is skew-symmetric."
+    yield from equations.remarks(lambda name: f"${subscripted(name)}$", christoffel)

@@ -1,4 +1,4 @@
-"""Which matrices and vectors the equations of motion of a scene have, and what each is called.
+"""What the equations of motion of a scene consist of, and what their parts and symbols are called.
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
@@ -7,18 +7,20 @@ Their entries are formulas to read (`written.py`) or recorded arithmetic (`recor
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
 from robodyn.equations.parameters import Parameter, Parameters
+from robodyn.errors import printable
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Load
+from robodyn.scene.scene import Load, Point
 
 if TYPE_CHECKING:
     from robodyn.equations.factoring import Written
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
+Place = tuple[int, int]  # row and column
 
 
 class Definition(NamedTuple):
@@ -26,6 +28,15 @@ class Definition(NamedTuple):
 
     name: str
     value: Written
+    unit: str
+    meaning: str
+
+
+class Variable(NamedTuple):
+    """Coordinates, torques or multipliers: their letter, numbers from 1, unit and meaning."""
+
+    name: str
+    numbers: str
     unit: str
     meaning: str
 
@@ -61,13 +72,38 @@ class Block(Generic[Entry]):
         return self.head.name
 
     @property
-    def shape(self) -> str:
-        return self.head.shape
+    def plain_name(self) -> str:
+        """The name as it is read."""
+        return self.name.replace("_", " ")
+
+    @property
+    def vector(self) -> bool:
+        return self.head.shape == "vector"
+
+    @property
+    def zeros(self) -> list[Place]:
+        """The places of the entries that are zero."""
+        return [(i, j) for i, row in enumerate(self.rows) for j, x in enumerate(row) if not x]
 
     @property
     def zero(self) -> bool:
         """Whether every entry is zero."""
-        return not any(entry for row in self.rows for entry in row)
+        return not self.listed()
+
+    def listed(self) -> list[tuple[list[Place], Entry]]:
+        """The entries that are not zero, each with its place; equal ones of M with both places."""
+        found = []
+        symmetric = self.head.shape == "symmetric"
+        for i, row in enumerate(self.rows):
+            for j, entry in enumerate(row):
+                if entry and not (symmetric and j < i):
+                    found.append(([(i, j), (j, i)][: 1 + (symmetric and i != j)], entry))
+        return found
+
+    def numbers(self, i: int, j: int, between: str) -> str:
+        """The numbers of an entry, from 1; `between` parts them where both may have two digits."""
+        many = max(len(self.rows), len(self.rows[0])) > 9
+        return (between if many else "").join(str(k + 1) for k in ([i] if self.vector else [i, j]))
 
 
 def heads(mechanism: Mechanism) -> Iterator[Head]:
@@ -114,6 +150,11 @@ class Equations(Generic[Entry]):
     zero: tuple[str, ...]
     unused: tuple[str, ...]
 
+    @property
+    def title(self) -> str:
+        """The name of the scene, in one line."""
+        return printable(self.mechanism.name)
+
     def side(self, name: str) -> tuple[Block[Entry], ...]:
         """The blocks of the side `left` or `right`, or of the `closures`."""
         return tuple(block for block in self.blocks if block.head.side == name)
@@ -122,6 +163,82 @@ class Equations(Generic[Entry]):
     def terms(self) -> list[tuple[str, str]]:
         """The left side's terms that are not zero: a block's name and the rate it stands before."""
         return [(block.name, block.head.rate) for block in self.side("left") if not block.zero]
+
+    @property
+    def others(self) -> list[Block[Entry]]:
+        """The blocks beside tau that are not zero."""
+        return [block for block in self.side("right") if not block.zero]
+
+    def told(self) -> list[str]:
+        """The equation of motion in matrices, and below it what the closures demand."""
+        left = " + ".join(f"{name} {rate}".strip() for name, rate in self.terms) or "0"
+        right = "".join(f" + {block.name}" for block in self.others)
+        if not self.side("closures"):
+            return [f"{left} = tau{right}"]
+        return [
+            f"{left} = tau{right} + Psi^T lambda",
+            "gap = 0    Psi qd = 0    Psi qdd + Psidot qd = 0",
+        ]
+
+    def driven(self, name: str, other: str = "0") -> list[str]:
+        """The joint torques: `name` with a joint's number where it is driven."""
+        joints, driven = range(self.mechanism.n), self.mechanism.actuated
+        return [name.format(k + 1) if k in driven else other for k in joints]
+
+    def defined(self) -> list[tuple[list[Definition], Block[Entry]]]:
+        """Each block, with the names that it is the first to use."""
+        told: set[str] = set()
+        found = []
+        for block in self.blocks:
+            found.append(([entry for entry in block.where if entry.name not in told], block))
+            told.update(entry.name for entry in block.where)
+        return found
+
+    def variables(self) -> list[Variable]:
+        """q1, q2, ..., tau1, ... and lambda1, ..., and what dots on q mean."""
+        description = self.mechanism.description
+        links = description.links
+        found = []
+        for k, link in enumerate(links):
+            carrier = link.hangs_from.link
+            zero = "+X" if carrier is None else links[carrier].name
+            found.append(Variable("q", f"{k + 1}", "rad", f"angle of {link.name} from {zero}"))
+        for k in self.mechanism.actuated:
+            meaning = f"torque on {links[k].name} at its joint"
+            found.append(Variable("tau", f"{k + 1}", "N m", meaning))
+
+        def body(point: Point) -> str:
+            return "the ground" if point.link is None else links[point.link].name
+
+        rows = []
+        for closure in description.closures:
+            first, second = body(closure.first), body(closure.second)
+            if closure.along is None:
+                rows += [f"force of {second} on {first}, along {axis}" for axis in "XY"]
+            else:
+                rows.append(f"force of the line on {first}, along the line's normal")
+        for c, coupling in enumerate(description.couplings):
+            driven = links[coupling.joint].name
+            rows.append(f"R{c + 1} times this is the torque of coupling {c + 1} on {driven}")
+        found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
+        for definitions, _ in self.defined():
+            found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]
+        return [x._replace(meaning=printable(x.meaning)) for x in found]
+
+    def remarks(
+        self,
+        shown: Callable[[str], str] = str,
+        christoffel: str = "C is the Christoffel one: Mdot - 2C is skew-symmetric.",
+    ) -> list[str]:
+        """Sentences on C, and on the parameters that do not appear, named as `shown` writes."""
+        told = {
+            "Left out, being 0 in this scene": self.zero,
+            "Without effect on the motion": self.unused,
+        }
+        first = [christoffel] if christoffel and ("C", "qd") in self.terms else []
+        return first + [
+            f"{x}: {', '.join(map(shown, names))}." for x, names in told.items() if names
+        ]
 
 
 def with_parameters(

@@ -1,13 +1,13 @@
-"""The equations of motion as plain text, for reading: formulas, then a legend of their symbols."""
+"""The equations of motion as plain text to read, a legend of their symbols below; and as JSON."""
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from robodyn.equations import legend
 from robodyn.equations.factoring import Written
-from robodyn.equations.notation import PLAIN, broken
+from robodyn.equations.notation import PLAIN, PYTHON, broken, one_line
 from robodyn.equations.outline import Block, Equations
 
 MARGIN = "  "
@@ -18,55 +18,42 @@ WIDTH = 100
 def text(equations: Equations[Written], width: int = WIDTH) -> str:
     """The equations in lines of `width` at most, where they can be broken."""
     width = max(width, LEAST_WIDTH)
-    lines = [f"{legend.title(equations)}: equations of motion", "", *_head(equations, width)]
-    for definitions, block in legend.new_definitions(equations):
+    lines = [f"{equations.title}: equations of motion", ""]
+    lines += [f"{MARGIN}{line}" for line in equations.told()]
+    if equations.mechanism.passive:
+        lines += ["", *_equation("tau", f"({', '.join(equations.driven('tau{}'))})", width)]
+    for definitions, block in equations.defined():
         lines += ["", *_block(block, width)]
         lines += [""] if definitions else []
         for name in definitions:
             lines += _equation(name.name, PLAIN.text(name.value), width)
-    lines += ["", "where", "", *_legend(equations, width)]
+    lines += ["", "where", ""]
+    lines += _table([x.name + x.numbers, x.unit, x.meaning] for x in equations.variables())
+    lines.append("")
+    if equations.parameters:
+        rows = ([x.name, f"{x.value:.6g}", x.unit, x.meaning] for x in equations.parameters)
+        lines += [*_table(rows), ""]
+    units = [f"{block.plain_name} in {block.head.unit}" for block in equations.blocks]
+    for told in (f"SI units and radians: {', '.join(units)}.", *equations.remarks()):
+        lines += textwrap.wrap(told, width, initial_indent=MARGIN, subsequent_indent=2 * MARGIN)
     return "\n".join(lines) + "\n"
-
-
-def _head(equations: Equations[Written], width: int) -> Iterator[str]:
-    """The equation of motion in matrices, and what its right side is."""
-    mechanism = equations.mechanism
-    yield from (f"{MARGIN}{line}" for line in legend.equation_of_motion(equations))
-    if mechanism.passive:
-        driven = [f"tau{k + 1}" if k in mechanism.actuated else "0" for k in range(mechanism.n)]
-        yield ""
-        yield from _equation("tau", f"({', '.join(driven)})", width)
 
 
 def _block(block: Block[Written], width: int) -> Iterator[str]:
     """The entries of a matrix or vector, one below the other; zeros together at the end."""
-    name = legend.plain_name(block)
     if block.zero:
-        yield f"{MARGIN}{name} = 0"
+        yield f"{MARGIN}{block.plain_name} = 0"
         return
-    if block.shape == "diagonal":
+    if block.head.shape == "diagonal":
         entries = (PLAIN.text(row[k]) for k, row in enumerate(block.rows))
-        yield from _equation(name, f"diag({', '.join(entries)})", width)
+        yield from _equation(block.plain_name, f"diag({', '.join(entries)})", width)
         return
-    entries_of = legend.listed(block)
-    labels = [" = ".join(_label(block, *place) for place in places) for places, _ in entries_of]
+    labels = [" = ".join(_label(block, *place) for place in places) for places, _ in block.listed()]
     wide = max(map(len, labels))
-    for label, (_, entry) in zip(labels, entries_of, strict=True):
+    for label, (_, entry) in zip(labels, block.listed(), strict=True):
         yield from _equation(label.ljust(wide), PLAIN.text(entry), width)
-    yield from _zeros([_label(block, *place) for place in legend.zeros(block)], width)
-
-
-def _equation(label: str, line: str, width: int) -> list[str]:
-    """`label = line`, broken lines below the first."""
-    start = f"{MARGIN}{label} = "
-    first, *more = broken(line, width - len(start))
-    return [start + first, *(f"{' ' * len(start)}{part}" for part in more)]
-
-
-def _zeros(labels: Sequence[str], width: int) -> Iterator[str]:
-    """Entries that are zero, as many in a line as fit."""
-    line = ""
-    for label in labels:
+    line = ""  # zeros, as many in a line as fit
+    for label in (_label(block, *place) for place in block.zeros):
         longer = f"{line} = {label}" if line else MARGIN + label
         if line and len(longer) + len(" = 0") > width:
             yield f"{line} = 0"
@@ -76,31 +63,17 @@ def _zeros(labels: Sequence[str], width: int) -> Iterator[str]:
         yield f"{line} = 0"
 
 
+def _equation(label: str, line: str, width: int) -> list[str]:
+    """`label = line`, broken lines below the first."""
+    start = f"{MARGIN}{label} = "
+    first, *more = broken(line, width - len(start))
+    return [start + first, *(f"{' ' * len(start)}{part}" for part in more)]
+
+
 def _label(block: Block[Written], i: int, j: int) -> str:
     """M12, G1, (Psidot qd)1."""
-    name = legend.plain_name(block)
-    return (f"({name})" if " " in name else name) + legend.numbers(block, i, j, ",")
-
-
-def _legend(equations: Equations[Written], width: int) -> Iterator[str]:
-    """Tables of the variables and of the parameters, and remarks."""
-    variables = legend.variables(equations)
-    yield from _table([x.name + x.numbers, x.unit, x.meaning] for x in variables)
-    yield ""
-    if equations.parameters:
-        rows = ([x.name, f"{x.value:.6g}", x.unit, x.meaning] for x in equations.parameters)
-        yield from _table(rows)
-        yield ""
-    for told in _remarks(equations):
-        yield from textwrap.wrap(told, width, initial_indent=MARGIN, subsequent_indent=2 * MARGIN)
-
-
-def _remarks(equations: Equations[Written]) -> Iterator[str]:
-    units = [f"{legend.plain_name(block)} in {block.head.unit}" for block in equations.blocks]
-    yield f"SI units and radians: {', '.join(units)}."
-    if legend.is_coriolis(equations):
-        yield "C is the Christoffel one: Mdot - 2C is skew-symmetric."
-    yield from legend.left_out(equations)
+    name = block.plain_name
+    return (f"({name})" if " " in name else name) + block.numbers(i, j, ",")
 
 
 def _table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
@@ -109,3 +82,29 @@ def _table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
     for line in lines:
         cells = [cell.ljust(wide) for cell, wide in zip(line, widths, strict=True)]
         yield (MARGIN + "  ".join(cells)).rstrip()
+
+
+def as_json(equations: Equations[Written]) -> str:
+    """One JSON object, a key in each line; entries in the syntax of Python and SymPy."""
+
+    def shown(entry: Written) -> str:
+        return one_line(PYTHON.text(entry))
+
+    content: dict[str, object] = {
+        "name": equations.mechanism.name,
+        "equation": equations.told()[0],
+        "q": [f"q{k + 1}" for k in range(equations.mechanism.n)],
+        "tau": equations.driven("tau{}"),
+    }
+    for block in equations.blocks:
+        rows = [[shown(entry) for entry in row] for row in block.rows]
+        content[block.name] = [row[0] for row in rows] if block.vector else rows
+    named = {x.name: shown(x.value) for block in equations.blocks for x in block.where}
+    content |= {"definitions": named} if named else {}
+    content["symbols"] = {
+        x.name: {"value": x.value, "unit": x.unit, "meaning": x.meaning}
+        for x in equations.parameters
+    }
+    content |= {"zero": equations.zero, "unused": equations.unused}
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
