@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from math import gcd
 from typing import Union
 
-from robodyn.equations.symbolic import Atom, Call, Number, Role, Sum
+from robodyn.equations.symbolic import Atom, Number, Role, Sum
 
-Factor = Union[Atom, "Written", "Root"]
+Factor = Union[Atom, "Written"]
 Key = Callable[["Product"], Hashable]
 
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """A number times powers of atoms and of sums in brackets."""
+    """A number times powers of atoms and of sums in brackets; of these 1/2 is the square root."""
 
     number: Number
-    factors: tuple[tuple[Factor, int], ...]
+    factors: tuple[tuple[Factor, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +41,10 @@ class Written:
         """Every atom, those in brackets too."""
         for product in self.terms:
             for factor, _ in product.factors:
-                if isinstance(factor, (Written, Root)):
+                if isinstance(factor, Written):
                     yield from factor.atoms()
                 else:
                     yield factor
-
-
-@dataclass(frozen=True, slots=True)
-class Root:
-    """The square root of a sum."""
-
-    inner: Written
-
-    def atoms(self) -> Iterator[Atom]:
-        """Every atom below the root."""
-        return self.inner.atoms()
 
 
 def by_role(*roles: int) -> Key:
@@ -63,7 +52,7 @@ def by_role(*roles: int) -> Key:
     return lambda product: tuple(
         factor
         for factor in product.factors
-        if not isinstance(factor[0], (Written, Root)) and factor[0].role in roles
+        if not isinstance(factor[0], Written) and factor[0].role in roles
     )
 
 
@@ -74,7 +63,11 @@ def as_one(product: Product) -> Hashable:
 
 def by_angle(product: Product) -> Hashable:
     """Collect by the angle of sines and cosines."""
-    return tuple(factor.joints for factor, _ in product.factors if isinstance(factor, Call))
+    return tuple(
+        factor.place
+        for factor, _ in product.factors
+        if isinstance(factor, Atom) and factor.role == Role.function and factor.speed is None
+    )
 
 
 by_function = by_role(Role.function)
@@ -151,7 +144,7 @@ def _bracketed(
     return [_product(number, (*common, (Written(tuple(rest)), 1)))]
 
 
-def _common(group: list[Product]) -> tuple[Number, tuple[tuple[Factor, int], ...]]:
+def _common(group: list[Product]) -> tuple[Number, tuple[tuple[Factor, float], ...]]:
     """The whole number and the factors that all products of the group share."""
     first, *others = group
     common = tuple(
@@ -163,21 +156,21 @@ def _common(group: list[Product]) -> tuple[Number, tuple[tuple[Factor, int], ...
     return number, common
 
 
-def _divided(product: Product, number: Number, common: tuple[tuple[Factor, int], ...]) -> Product:
+def _divided(product: Product, number: Number, common: tuple[tuple[Factor, float], ...]) -> Product:
     left = tuple(factor for factor in product.factors if factor not in common)
     quotient = product.number // number if isinstance(product.number, int) else product.number
     return Product(quotient, left)
 
 
-def _product(number: Number, factors: tuple[tuple[Factor, int], ...]) -> Product:
+def _product(number: Number, factors: tuple[tuple[Factor, float], ...]) -> Product:
     """The product with its factors in the order of writing."""
     return Product(number, tuple(sorted(factors, key=lambda factor: _rank(factor[0]))))
 
 
 def _rank(factor: Factor) -> tuple[object, ...]:
     """Masses, other parameters, brackets of parameters, rates, sines and what holds them."""
-    if not isinstance(factor, (Written, Root)):
-        return factor.key
+    if not isinstance(factor, Written):
+        return factor
     roles = {atom.role for atom in factor.atoms()}
     if roles == {Role.mass}:
         return (Role.mass + 0.5,)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.equations.factoring import Factor, Product, Root, Written
-from robodyn.equations.symbolic import Angle, Call, Number, Rates, Smooth, Symbol
+from robodyn.equations.factoring import Factor, Product, Written
+from robodyn.equations.symbolic import Atom, Number, Role
 
 GLUE = "\u00a0"  # a blank that is not broken at
 OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")
@@ -55,29 +55,28 @@ class Notation:
             text += f"/({divisor})" if "*" in divisor else f"/{divisor}"
         return text
 
-    def _power(self, factor: Factor, power: int) -> str:
-        text = self._factor(factor)
-        return text if power == 1 else self.power(text, power)
+    def _power(self, factor: Factor, power: float) -> str:
+        if isinstance(factor, Written):
+            if power == 0.5:
+                return self.root(self.text(factor))
+            text = self.bracketed(self.text(factor))
+        else:
+            text = self._atom(factor)
+        return text if power == 1 else self.power(text, int(power))
 
-    def _factor(self, factor: Factor) -> str:
-        match factor:
-            case Written():
-                return self.bracketed(self.text(factor))
-            case Root():
-                return self.root(self.text(factor.inner))
-            case Rates():
-                names = added([self.rate(j) for j in factor.joints])
-                return names if len(factor.joints) == 1 else f"({names})"
-            case Call():
-                return self.call(factor.function, factor.joints)
-            case Smooth():
-                speed = factor.speed
-                limit = self.symbol(speed.name) if isinstance(speed, Symbol) else self.number(speed)
-                return self.applied(factor.function, f"{self.rate(factor.joint)}/{limit}")
-            case Angle():
-                return self.angle(factor.joint)
-            case Symbol():
-                return self.symbol(factor.name)
+    def _atom(self, atom: Atom) -> str:
+        if atom.role == Role.rate:
+            names = added([self.rate(k) for k in atom.place])
+            return names if len(atom.place) == 1 else f"({names})"
+        if atom.role == Role.angle:
+            return self.angle(*atom.place)
+        if atom.speed is not None:
+            speed = atom.speed
+            limit = self.symbol(speed.name) if isinstance(speed, Atom) else self.number(speed)
+            return self.applied(atom.name, f"{self.rate(*atom.place)}/{limit}")
+        if atom.role == Role.function:
+            return self.call(atom.name, atom.place)
+        return self.symbol(atom.name)
 
 
 def added(names: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
 from robodyn.equations.outline import Block, Equations, heads, with_parameters
 from robodyn.equations.parameters import Parameters
-from robodyn.equations.symbolic import Sum, Symbol
+from robodyn.equations.symbolic import Sum
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
@@ -96,7 +96,6 @@ class _Numbers:
         for monomial, number in sum_.terms.items():
             term: Any = number
             for atom, power in monomial:
-                assert isinstance(atom, Symbol)
                 for _ in range(power):
                     term = term * self.graph.variable(atom.name)
             total = total + term

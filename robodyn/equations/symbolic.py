@@ -33,79 +33,40 @@ class Role:
     angle, rate, function = 8, 9, 10
 
 
-class Symbol(NamedTuple):
-    """A parameter of the scene; `place` orders those of one role, (link, letter)."""
+class Atom(NamedTuple):
+    """A factor of products, in whose order they sort.
 
-    name: str
+    `place` of a parameter orders those of one role, (link, letters); else it is the joints (from 0)
+    whose angles or rates are summed.  `speed` is what a rate is measured by: tanh(qd2/wf2).
+    """
+
     role: int
-    place: tuple[int, str]
+    place: tuple[Any, ...]
+    name: str = ""  # of a parameter or a function
+    speed: Atom | Fraction | None = None
 
     @property
-    def key(self) -> tuple[object, ...]:
-        return self.role, *self.place, self.name
+    def parameter(self) -> bool:
+        """Whether it is a parameter of the scene, or a name that is defined."""
+        return self.role < Role.angle
 
 
-class Rates(NamedTuple):
-    """A sum of joint rates (indices of joints, from 0), rad/s: qd1 + qd2."""
-
-    joints: tuple[int, ...]
-
-    @property
-    def role(self) -> int:
-        return Role.rate
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        return Role.rate, len(self.joints), self.joints
+def Symbol(name: str, role: int, place: tuple[int, str]) -> Atom:
+    """A parameter of the scene."""
+    return Atom(role, place, name)
 
 
-class Call(NamedTuple):
+def Rates(joints: tuple[int, ...]) -> Atom:
+    """A sum of joint rates, rad/s: qd1 + qd2."""
+    return Atom(Role.rate, joints)
+
+
+def Call(function: str, joints: tuple[int, ...]) -> Atom:
     """A function of a sum of joint angles: cos(q1 + q2)."""
-
-    function: str
-    joints: tuple[int, ...]
-
-    @property
-    def role(self) -> int:
-        return Role.function
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        return Role.function, self.joints, self.function
+    return Atom(Role.function, joints, function)
 
 
-class Angle(NamedTuple):
-    """The angle of one joint, rad: q2."""
-
-    joint: int
-
-    @property
-    def role(self) -> int:
-        return Role.angle
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        return Role.angle, self.joint
-
-
-class Smooth(NamedTuple):
-    """A function of a joint's rate against a speed: tanh(qd2/wf2)."""
-
-    function: str
-    joint: int
-    speed: Symbol | Fraction
-
-    @property
-    def role(self) -> int:
-        return Role.function
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        return Role.function, (self.joint,), self.function
-
-
-Atom = Symbol | Angle | Rates | Call | Smooth
-Monomial = tuple[tuple[Atom, int], ...]  # atoms with their powers, sorted by key
+Monomial = tuple[tuple[Atom, int], ...]  # atoms with their powers, sorted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,13 +141,12 @@ class Sum:
         for monomial, number in self.terms.items():
             left: list[tuple[Atom, int]] = []
             for atom, power in monomial:
-                if isinstance(atom, Symbol) and atom.name in values:
+                if atom.parameter and atom.name in values:
                     number = number * values[atom.name] ** power
-                elif isinstance(atom, Smooth) and isinstance(atom.speed, Symbol):
-                    speed = values[atom.speed.name]
-                    left.append((Smooth(atom.function, atom.joint, speed), power))
-                else:
-                    left.append((atom, power))
+                    continue
+                if isinstance(atom.speed, Atom):
+                    atom = atom._replace(speed=values[atom.speed.name])
+                left.append((atom, power))
             key = tuple(left)
             found[key] = found.get(key, 0) + number
         return Sum({monomial: x for monomial, x in found.items() if x})
@@ -220,7 +180,7 @@ def merged(a: Monomial, b: Monomial) -> Monomial:
     powers = dict(a)
     for atom, power in b:
         powers[atom] = powers.get(atom, 0) + power
-    return tuple(sorted(powers.items(), key=lambda factor: factor[0].key))
+    return tuple(sorted(powers.items()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ multiplied out where its links hang from one another.
 from __future__ import annotations
 
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -23,7 +24,6 @@ from robodyn.equations.entries import Entries
 from robodyn.equations.factoring import (
     Key,
     Product,
-    Root,
     Written,
     as_one,
     by_angle,
@@ -37,14 +37,13 @@ from robodyn.equations.symbolic import (
     NOWHERE,
     ONE,
     ZERO,
-    Angle,
+    Atom,
     Call,
     Monomial,
     Number,
     Planar,
     Rates,
     Role,
-    Smooth,
     Sum,
     Symbol,
     merged,
@@ -107,8 +106,8 @@ def equations(
             block.append((*mirrored, *more))
         found.append(Block(head, tuple(block), tuple(springs.definitions(head.name, write))))
     atoms = {atom for block in found for entry in _formulas(block) for atom in entry.atoms()}
-    speeds = {atom.speed for atom in atoms if isinstance(atom, Smooth)}
-    used = {atom.name for atom in atoms | speeds if isinstance(atom, Symbol)}
+    atoms |= {atom.speed for atom in atoms if isinstance(atom.speed, Atom)}
+    used = {atom.name for atom in atoms if atom.parameter}
     return with_parameters(mechanism, found, parameters, used, numeric)
 
 
@@ -129,7 +128,7 @@ class _Symbolic(Recorded):
         super().__init__(mechanism, ("qd",), by_direction=False, arithmetic=SYMBOLIC)
         joints = range(mechanism.n)
         self.relative: dict[str, Any] = {
-            "q": [of(Angle(k)) for k in joints],
+            "q": [of(Atom(Role.angle, (k,))) for k in joints],
             "qd": [of(Rates((k,))) for k in joints],
         }
 
@@ -141,14 +140,12 @@ class _Symbolic(Recorded):
 
 def _joints(angle: Any) -> tuple[int, ...]:
     """The joints of a sum of angles."""
-    return tuple(sorted(atom.joint for atom in angle.atoms()))
+    return tuple(sorted(atom.place[0] for atom in angle.atoms()))
 
 
 def _smooth(ratio: Sum) -> Sum:
     speed, rates = ratio.atoms()
-    assert isinstance(speed, Symbol)
-    assert isinstance(rates, Rates)
-    return of(Smooth("tanh", rates.joints[0], speed))
+    return of(Atom(Role.function, rates.place, "tanh", speed))
 
 
 SYMBOLIC = Arithmetic(
@@ -165,19 +162,18 @@ SYMBOLIC = Arithmetic(
 def _in_order(entry: Any, block: str) -> Sum:
     """The entry of a block, its terms from the ground on, body by body."""
     terms = _gathered(summed(entry)) if block == "C" else summed(entry).terms
-    turns = {atom.joints: None for term in terms for atom, _ in term if isinstance(atom, Call)}
-    seen = {joints: place for place, joints in enumerate(turns)}
-    place = ORDER.get(block, _by_angle)
-    return Sum({term: terms[term] for term in sorted(terms, key=lambda term: place(term, seen))})
+    angles = dict.fromkeys(x.place for term in terms for x, _ in term if x.role == Role.function)
+    seen = {joints: place for place, joints in enumerate(angles)}
+    return Sum({x: terms[x] for x in sorted(terms, key=lambda term: _place(block, term, seen))})
 
 
 def _gathered(entry: Sum) -> dict[Monomial, Number]:
     """The terms with what multiplies one product as one rate: (qd1 + qd2) - qd1 is qd2."""
     found: dict[Monomial, dict[int, Number]] = {}
     for monomial, number in entry.terms.items():
-        rates = next(atom for atom, _ in monomial if isinstance(atom, Rates))
+        rates = next(atom for atom, _ in monomial if atom.role == Role.rate)
         joints = found.setdefault(tuple(x for x in monomial if x[0] is not rates), {})
-        for joint in rates.joints:
+        for joint in rates.place:
             joints[joint] = joints.get(joint, 0) + number
     gathered = {}
     for rest, joints in found.items():
@@ -187,75 +183,40 @@ def _gathered(entry: Sum) -> dict[Monomial, Number]:
     return gathered
 
 
-# What stands first, by block; ties stay in the order of the rows.
+def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> tuple[Any, ...]:
+    """Where a term stands in an entry: ties stay as the rows have them, angles as they are `seen`.
 
-Seen = dict[tuple[int, ...], int]  # the angles, as they came
-Place = tuple[Any, ...]
-
-
-def _symbols(monomial: Monomial, least: int, most: int) -> list[Symbol]:
-    """The symbols of these roles."""
-    return [x for x, _ in monomial if isinstance(x, Symbol) and least <= x.role <= most]
-
-
-def _calls(monomial: Monomial) -> list[Call]:
-    return [atom for atom, _ in monomial if isinstance(atom, Call)]
-
-
-def _body(monomial: Monomial) -> list[tuple[int, int]]:
-    """The link, and which of its masses and inertias."""
-    places = (x.place for x in _symbols(monomial, Role.mass, Role.inertia))
-    return [(link, ("m", "I", "mp").index(letters)) for link, letters in places]
-
-
-def _lengths(monomial: Monomial) -> list[tuple[int, str]]:
-    return [x.place for x in _symbols(monomial, Role.length, Role.length)]
-
-
-def _by_body(monomial: Monomial, seen: Seen) -> Place:
-    return _body(monomial), len(_calls(monomial))
-
-
-def _by_links(monomial: Monomial, seen: Seen) -> Place:
-    sines_first = [-ord(x.function[0]) for x in _calls(monomial)]
-    return [k for k, _ in _lengths(monomial)], _body(monomial), sines_first
-
-
-def _by_force(monomial: Monomial, seen: Seen) -> Place:
-    """Link by link, there gravity, loads and springs; those at joints last."""
-    link = max((x.joints[-1] for x in _calls(monomial)), default=inf)
-    if body := _body(monomial):
-        return link, 0, body, _lengths(monomial)
-    force = next(iter(_symbols(monomial, Role.force, Role.force)), None)
-    if force is not None and force.name[0] in "FT":
-        torque = force.name[0] == "T"
-        return force.place[0] if torque else link, 1 + torque, force.place, _lengths(monomial)
-    stretch = [-ord(x.name[-1]) for x in _symbols(monomial, Role.stretch, Role.stretch)]
-    angle = any(isinstance(atom, Angle) for atom, _ in monomial)
-    within = _lengths(monomial) if stretch else []
-    return link, 3, force and force.place[0], not angle, stretch, within
-
-
-def _by_load(monomial: Monomial, seen: Seen) -> Place:
-    for force in _symbols(monomial, Role.force, Role.force):
-        if force.name[0] == "F":
-            calls = _calls(monomial)
-            turns = sum(len(x.joints) for x in calls)
-            return -1, force.place, -turns, [-ord(x.function[0]) for x in calls]
-    return _by_force(monomial, seen)
-
-
-def _by_angle(monomial: Monomial, seen: Seen) -> Place:
-    angles = any(isinstance(atom, (Angle, Call)) for atom, _ in monomial)
-    return not angles, [(seen[x.joints], x.function) for x in _calls(monomial)]
-
-
-def _by_axis(monomial: Monomial, seen: Seen) -> Place:
-    calls, lengths = _calls(monomial), _lengths(monomial)
-    return not calls, [seen[x.joints] for x in calls], [letters[-1] for _, letters in lengths]
-
-
-ORDER = {"M": _by_body, "C": _by_links, "G": _by_force, "Q": _by_load, "S": _by_axis}
+    M goes body by body, C pair by pair of links; G and Q link by link, and there gravity, loads,
+    and springs; those at joints are last.
+    """
+    atoms: dict[int, list[Atom]] = defaultdict(list)
+    for atom, _ in monomial:
+        atoms[atom.role].append(atom)
+    body = [
+        (x.place[0], x.name[:2] == "mp", x.role) for x in atoms[Role.mass] + atoms[Role.inertia]
+    ]
+    lengths = [x.place for x in atoms[Role.length]]
+    calls = [x for x in atoms[Role.function] if x.speed is None]
+    angles, sines_first = [seen[x.place] for x in calls], [-ord(x.name[0]) for x in calls]
+    if block == "M":
+        return body, len(calls)
+    if block == "C":
+        return [k for k, _ in lengths], body, sines_first
+    if block == "S":
+        return not calls, angles, [letters[-1] for _, letters in lengths]
+    if block not in ("G", "Q"):
+        names = [x.name for x in calls]
+        return not (calls or atoms[Role.angle]), list(zip(angles, names, strict=True))
+    link = max((x.place[-1] for x in calls), default=inf)
+    force = min(atoms[Role.force], default=Atom(Role.force, (0,), " "))
+    if force.name[0] == "F" and block == "Q":  # turns with its link
+        return -1, force.place, -sum(len(x.place) for x in calls), sines_first
+    if force.name[0] == "T":
+        link = force.place[0]
+    stretch = [-ord(x.name[-1]) for x in atoms[Role.stretch]]
+    kind = 0 if body else {"F": 1, "T": 2}.get(force.name[0], 3)
+    free = kind == 3 and not stretch
+    return link, kind, body, force.place, not atoms[Role.angle], stretch, [] if free else lengths
 
 
 # -- springs ---------------------------------------------------------------------------------------
@@ -311,8 +272,8 @@ class _Springs:
                 meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
                 yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
             if spring.length or block == "Q":
-                squares = Written(tuple(Product(1, ((x, 2),)) for x in S))
-                root = Written((Product(1, ((Root(squares), 1),)),))
+                squares = written(total(of(x, 2) for x in S), ())
+                root = Written((Product(1, ((squares, 0.5),)),))
                 yield Definition(size.name, root, "m", f"length of {told}")
             if block == "Q":
                 V = [Symbol(f"V{i + 1}{axis}", Role.stretch, (i, f"V{axis}")) for axis in "xy"]
@@ -330,11 +291,11 @@ class _Springs:
             yield Definition(name.name, write(value, ()), "N/m", meaning)
 
 
-def _components(i: int) -> list[Symbol]:
+def _components(i: int) -> list[Atom]:
     return [Symbol(f"S{i + 1}{axis}", Role.stretch, (i, axis)) for axis in "xy"]
 
 
-def _pull(letter: str, i: int) -> Symbol:
+def _pull(letter: str, i: int) -> Atom:
     return Symbol(f"{letter}{i + 1}", Role.force, (i, ""))
 
 
