@@ -24,8 +24,7 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
-from robodyn.export.mjcf import MINIMUM, TIMESTEP, mjcf
-from robodyn.export.mjcf_elements import DEEPEST
+from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
 from robodyn.mechanics.mechanism import build, load
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))

@@ -3,7 +3,12 @@
     https://mujoco.readthedocs.io/en/stable/XMLreference.html
 
 A closure or coupling is an equality constraint, which MuJoCo keeps softly: its force is what brings
-the error to nothing in a few time steps.  The elements of a model are in `mjcf_elements.py`.
+the error to nothing in a few time steps.  A pin is a `connect` of two sites (MuJoCo 3.2.3 or
+newer).  A slider needs no body of its own: its line holds the points that are as far from one
+ground site as from another, its mirror image in the line, so that two spatial tendons from these to
+the point are held to equal lengths.  M and C stay those of the scene.  But MuJoCo leaves out
+Psidot qd of tendons (and of connects before 3.7); the error that this makes in a motion falls with
+the square of the time step.
 """
 
 from __future__ import annotations
@@ -12,20 +17,22 @@ from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
-from robodyn.export.mjcf_elements import Elements
 from robodyn.export.model_xml import (
     INERTIA_REMARKS,
+    Names,
     comment,
     document,
+    link_names,
     number,
     refuse_unsaid,
     vector,
 )
-from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Description
+from robodyn.mechanics.mechanism import Mechanism, Tree
+from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
 
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
+DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
 REASONS = {"friction": "MuJoCo has no friction by tanh(qd/speed); its frictionloss is another law"}
 SAID = ("closures", "springs", "loads", "couplings")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
@@ -50,8 +57,14 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     """
     description = mechanism.description
     refuse_unsaid(description, "MJCF", REASONS, SAID)
-    _refuse_massless(description)
-    model = Elements(mechanism)
+    for k, link in enumerate(description.links):
+        for key, value in (("m", link.m), ("I", link.I)):
+            if value < MINIMUM:
+                limit = f"MuJoCo takes nothing that moves with less than {MINIMUM:g} of mass (kg)"
+                limit += " or inertia (kg m^2): give it a little"
+                place = f"links[{k}] ({link.name}).{key}"
+                raise InputError(place, where=description.source, value=value, limit=limit)
+    model = _Elements(mechanism)
     root = Element("mujoco", model=printable(mechanism.name))
     SubElement(root, "compiler", angle="radian")
     option = SubElement(root, "option", timestep=number(timestep), integrator="RK4")
@@ -68,10 +81,6 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         keys = SubElement(root, "keyframe")
         angles = " ".join(number(q[k]) for k in model.order)
         SubElement(keys, "key", name="start", qpos=angles)
-    return document(root, comment(mechanism, model.names, _remarks(description)))
-
-
-def _remarks(description: Description) -> list[str]:
     remarks = [*INERTIA_REMARKS]
     for there, more in (
         (any(link.payload for link in description.links), PAYLOAD_REMARKS),
@@ -80,14 +89,159 @@ def _remarks(description: Description) -> list[str]:
         (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
     ):
         remarks += more if there else ()
-    return remarks
+    return document(root, comment(mechanism, model.names, remarks))
 
 
-def _refuse_massless(description: Description) -> None:
-    for k, link in enumerate(description.links):
-        for key, value in (("m", link.m), ("I", link.I)):
-            if value < MINIMUM:
-                limit = f"MuJoCo takes nothing that moves with less than {MINIMUM:g} of mass (kg)"
-                limit += " or inertia (kg m^2): give it a little"
-                place = f"links[{k}] ({link.name}).{key}"
-                raise InputError(place, where=description.source, value=value, limit=limit)
+class _Elements:
+    """The elements of a mechanism's model, made as it is created.
+
+    `world` holds the bodies, `names` of the links; `order` has the links as MuJoCo orders joints.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, description = mechanism, mechanism.description
+        self.links, names = description.links, Names()
+        self.names = link_names(mechanism, names)
+        self.payloads = [
+            names.new(f"{name}_payload") if link.payload else ""
+            for name, link in zip(self.names, self.links, strict=True)
+        ]
+        self.world, self.tendon = Element("worldbody"), Element("tendon")
+        self.equality, self.actuator = Element("equality"), Element("actuator")
+        self.order: list[int] = []
+        self._sites: dict[int | None, list[dict[str, str]]] = {}
+        for c, closure in enumerate(description.closures):
+            self._close(f"closure{c + 1}", closure)
+        for c, coupling in enumerate(description.couplings):
+            self._couple(f"coupling{c + 1}", coupling)
+        for p, spring in enumerate(description.springs):
+            if isinstance(spring, Spring):
+                self._stretch(f"spring{p + 1}", spring)
+        for k in mechanism.actuated:
+            joint = self.names[k]
+            SubElement(self.actuator, "motor", name=joint, joint=joint, gear="1")
+        for f, load in enumerate(description.loads):
+            self._load(names.new(f"load{f + 1}"), load)
+        self._hang(self.world, None, 0)  # last, when all sites are known
+
+    def _hang(self, parent: Element, above: int | None, level: int) -> None:
+        """Put the sites of a link (None: the ground) into its body, and what hangs from it."""
+        if level > DEEPEST:
+            limit = f"more than {DEEPEST} hang from one another: MuJoCo's XML nests no deeper"
+            raise InputError("links", where=self.mechanism.source, limit=limit)
+        for site in self._sites.get(above, ()):
+            SubElement(parent, "site", site)
+        for k, link in enumerate(self.links):
+            if link.hangs_from.link != above:
+                continue
+            self.order.append(k)
+            name = self.names[k]
+            body = SubElement(parent, "body", name=name, pos=vector(link.hangs_from.at))
+            joint = SubElement(body, "joint", name=name, type="hinge", axis="0 0 1")
+            joint.attrib |= self._turning(k)
+            _inertial(body, link.m, link.r, link.I)
+            if link.payload:
+                tip = vector(complex(link.l))
+                payload = SubElement(body, "body", name=self.payloads[k], pos=tip)
+                _inertial(payload, link.payload, 0j, 0.0)
+            self._hang(body, k, level + 1)
+
+    def _turning(self, joint: int) -> dict[str, str]:
+        """The dampers and springs of a joint; springs beside one another act as one."""
+        found = {}
+        if self.mechanism.damping[joint]:
+            found["damping"] = number(self.mechanism.damping[joint])
+        springs = [spring for spring in self.mechanism.joint_springs if spring.joint == joint]
+        if springs:
+            stiffness = sum(spring.stiffness for spring in springs)
+            angle = springs[0].angle
+            if len(springs) > 1:
+                angle = sum(spring.stiffness * spring.angle for spring in springs) / stiffness
+            found |= {"stiffness": number(stiffness), "springref": number(angle)}
+        return found
+
+    def _stretch(self, name: str, spring: Spring) -> None:
+        """A spring and damper between two points: a tendon."""
+        sites = (
+            self._site(f"{name}_first", spring.first),
+            self._site(f"{name}_second", spring.second),
+        )
+        tendon = self._spatial(name, *sites)
+        tendon.set("stiffness", number(spring.stiffness))
+        tendon.set("springlength", number(spring.length))
+        tendon.set("damping", number(spring.damping))
+
+    def _spatial(self, name: str, *sites: str) -> Element:
+        """A tendon along these sites."""
+        tendon = SubElement(self.tendon, "spatial", name=name)
+        for site in sites:
+            SubElement(tendon, "site", site=site)
+        return tendon
+
+    def _load(self, name: str, load: Load | Moment) -> None:
+        """A constant force or torque: an actuator at a site whose force is its bias, 1.
+
+        Its gear is the wrench in the frame of the site, or of a site of the ground.
+        """
+        if isinstance(load, Moment):
+            point, gear = Point(load.link, 0j), f"0 0 0 0 0 {number(load.torque)}"
+        else:
+            point, gear = load.point, f"{vector(load.force)} 0 0 0"
+        site = self._site(name, point)
+        constant = SubElement(self.actuator, "general", name=name, site=site, gear=gear)
+        if isinstance(load, Load) and not load.turns:
+            constant.set("refsite", self._site(f"{name}_frame", Point(None, 0j)))
+        constant.attrib |= {"gainprm": "0", "biastype": "affine", "biasprm": "1 0 0"}
+
+    def _close(self, name: str, closure: Closure) -> None:
+        """The sites of a closure and its constraint.
+
+        A slider has two tendons to the point, from ground sites on both sides of the line; gap > 0:
+        left.  MuJoCo counts lengths from those at zero angles: y - y0 = a0 + a1 (x - x0).
+        """
+        if closure.along is None:
+            first = self._site(f"{name}_first", closure.first)
+            second = self._site(f"{name}_second", closure.second)
+            SubElement(self.equality, "connect", name=name, site1=first, site2=second)
+            return
+        along, line = closure.along, closure.second.at
+        point = self._site(f"{name}_point", closure.first)
+        place = Tree(self.links).point(closure.first)
+        pivot, arms = place.constant, [arm for _, arm in place.terms]
+        resting = pivot + sum(arms)  # at zero angles
+        foot = line + along * ((pivot - line) * along.conjugate()).real
+        # so far that the point cannot get there
+        away = 2.0 * (sum(map(abs, arms)) + abs(pivot - foot)) or 1.0
+        lengths = []
+        for side, way in (("right", -1j), ("left", 1j)):
+            at = foot + away * way * along
+            self._spatial(f"{name}_{side}", self._site(f"{name}_{side}", Point(None, at)), point)
+            lengths.append(abs(resting - at))
+        held = SubElement(self.equality, "tendon", name=name, tendon1=f"{name}_right")
+        held.set("tendon2", f"{name}_left")
+        held.set("polycoef", f"{number(lengths[1] - lengths[0])} 1 0 0 0")
+
+    def _couple(self, name: str, coupling: Coupling) -> None:
+        """An equation between joints; of more than two the sum of all is a tendon's length."""
+        terms, ratio = coupling.terms, 0.0
+        if len(terms) < 2:
+            found = SubElement(self.equality, "joint", name=name, joint1=self.names[coupling.joint])
+            if terms:
+                found.set("joint2", self.names[terms[0][0]])
+                ratio = terms[0][1]
+        else:
+            tendon = SubElement(self.tendon, "fixed", name=name)
+            for k, factor in ((coupling.joint, 1.0), *((k, -ratio) for k, ratio in terms)):
+                SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
+            found = SubElement(self.equality, "tendon", name=name, tendon1=name)
+        found.set("polycoef", f"{number(coupling.angle)} {number(ratio)} 0 0 0")
+
+    def _site(self, name: str, point: Point) -> str:
+        """Note a site for the body of the point's link; its name."""
+        self._sites.setdefault(point.link, []).append({"name": name, "pos": vector(point.at)})
+        return name
+
+
+def _inertial(body: Element, m: float, r: complex, I: float) -> None:
+    moments = " ".join([number(I)] * 3)
+    SubElement(body, "inertial", pos=vector(r), mass=number(m), diaginertia=moments)

@@ -99,24 +99,18 @@ def refuse_unsaid(
     What is said is listed, here and in `more` keys of the scene or of links; any other key is
     refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
     """
-    without = f"{format} cannot say it"
-    for field in fields(description):
-        if field.name not in SCENE_SAID and field.name not in more:
-            _refuse(description, description, field.name, "", reasons.get(field.name, without))
-    for k, link in enumerate(description.links):
-        for field in fields(link):
-            if field.name not in LINK_SAID and field.name not in more:
-                place = f"links[{k}] ({link.name})."
-                _refuse(description, link, field.name, place, reasons.get(field.name, without))
-
-
-def _refuse(
-    description: Description, holder: Description | Link, key: str, place: str, limit: str
-) -> None:
-    value = getattr(holder, key)
-    if value and getattr(value, "torque", True):  # friction without torque is none
-        shown = value if isinstance(value, (int, float, str)) else None
-        raise InputError(f"{place}{key}", where=description.source, value=shown, limit=limit)
+    holders: list[tuple[str, Description | Link, frozenset[str]]] = [("", description, SCENE_SAID)]
+    links = enumerate(description.links)
+    holders += [(f"links[{k}] ({link.name}).", link, LINK_SAID) for k, link in links]
+    for place, holder, said in holders:
+        for key in (field.name for field in fields(holder) if field.name not in {*said, *more}):
+            value = getattr(holder, key)
+            if value and getattr(value, "torque", True):  # friction without torque is none
+                shown = value if isinstance(value, (int, float, str)) else None
+                limit = reasons.get(key, f"{format} cannot say it")
+                raise InputError(
+                    f"{place}{key}", where=description.source, value=shown, limit=limit
+                )
 
 
 def document(root: ElementTree.Element, lines: Iterable[str]) -> str:
