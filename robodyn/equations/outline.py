@@ -7,7 +7,7 @@ Their entries are formulas to read (`written.py`) or recorded arithmetic (`recor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
@@ -140,15 +140,29 @@ class Equations(Generic[Entry]):
     """The blocks of equation (1) for one scene, and what its symbols mean.
 
     The sum of the blocks of `left`, each times its rate, is the left side; those of `right` are
-    added to tau; `closures` are Psi, Psidot qd and gap.  `zero` names parameters that are 0 in the
-    scene, `unused` those that have no effect.
+    added to tau; `closures` are Psi, Psidot qd and gap.  Of the parameters `used` stand in them.
     """
 
     mechanism: Mechanism
     blocks: tuple[Block[Entry], ...]
-    parameters: tuple[Parameter, ...]
-    zero: tuple[str, ...]
-    unused: tuple[str, ...]
+    known: Parameters
+    used: set[str]
+    numeric: bool
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that stand in the entries."""
+        return tuple(x for x in self.known.known.values() if x.name in self.used)
+
+    @property
+    def zero(self) -> tuple[str, ...]:
+        """The names of parameters that are 0 in the scene."""
+        return tuple(self.known.zero)
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The names of parameters that have no effect."""
+        return () if self.numeric else tuple(x for x in self.known.known if x not in self.used)
 
     @property
     def title(self) -> str:
@@ -231,29 +245,10 @@ class Equations(Generic[Entry]):
         christoffel: str = "C is the Christoffel one: Mdot - 2C is skew-symmetric.",
     ) -> list[str]:
         """Sentences on C, and on the parameters that do not appear, named as `shown` writes."""
-        told = {
-            "Left out, being 0 in this scene": self.zero,
-            "Without effect on the motion": self.unused,
-        }
         first = [christoffel] if christoffel and ("C", "qd") in self.terms else []
-        return first + [
-            f"{x}: {', '.join(map(shown, names))}." for x, names in told.items() if names
-        ]
-
-
-def with_parameters(
-    mechanism: Mechanism,
-    blocks: Iterable[Block[Entry]],
-    parameters: Parameters,
-    used: set[str],
-    numeric: bool,
-) -> Equations[Entry]:
-    """The equations of these blocks, which use the parameters of these names."""
-    known = parameters.known.values()
-    return Equations(
-        mechanism=mechanism,
-        blocks=tuple(blocks),
-        parameters=tuple(x for x in known if x.name in used),
-        zero=tuple(parameters.zero),
-        unused=() if numeric else tuple(x.name for x in known if x.name not in used),
-    )
+        for told, names in (
+            ("Left out, being 0 in this scene", self.zero),
+            ("Without effect on the motion", self.unused),
+        ):
+            first += [f"{told}: {', '.join(map(shown, names))}."] if names else []
+        return first

@@ -28,7 +28,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from robodyn.equations.symbolic import NOWHERE, ONE, ZERO, Planar, Role, Sum, Symbol, of
+from robodyn.equations.symbolic import ONE, ZERO, Planar, Role, Sum, Symbol, of
 from robodyn.errors import printable
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.grammar import FORMS, NUMBERS
@@ -83,7 +83,7 @@ class Parameters:
         arms = [row.arm for row in mechanism.rows if row.closure is None]
         coupled = zip(description.couplings, arms, strict=True)
         self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
-        gravity: Any = self._gravity()
+        gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
             if link.friction is not None and link.friction.torque:
                 numbers = self._numbers("friction", k, link.friction, link.name)
@@ -106,41 +106,39 @@ class Parameters:
 
     def _link(self, k: int, link: Link) -> Link:
         numbers = self._numbers("link", k, link, link.name)
-        point = link.hangs_from
-        if point.link is None:
-            names, place, where = (f"x{k + 1}", f"y{k + 1}"), (k, "x"), "ground pivot of {}"
-        else:
-            names, place = (f"p{k + 1}x", f"p{k + 1}y"), (point.link, "p")
-            where = f"pivot of {{}} on {self.description.links[point.link].name}, in its frame"
-        hangs_from = self._point(point, names, place, where.replace("{}", link.name))
+        above = link.hangs_from.link
+        name, place, meaning = f"{{}}{k + 1}", (k, "x"), f"ground pivot of {link.name}"
+        if above is not None:
+            name, place = f"p{k + 1}{{}}", (above, "p")
+            meaning = f"pivot of {link.name} {self._on(link.hangs_from)}"
+        hangs_from = self._point(link.hangs_from, name, place, meaning)
         return replace(link, **numbers, hangs_from=hangs_from, friction=None)
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along
-        sides = []
-        for letter, point in (("a", closure.first), ("b", closure.second)):
-            meaning = f"point of closure {c + 1} {self._on(point)}"
-            if along is not None and letter == "b":
-                meaning = f"point of the line of closure {c + 1}"
-            names = f"{letter}{c + 1}x", f"{letter}{c + 1}y"
-            sides.append(self._point(point, names, (c, letter), meaning))
+        told = f"point of closure {c + 1} {self._on(closure.second)}"
+        if along is not None:
+            told = f"point of the line of closure {c + 1}"
+        meaning = f"point of closure {c + 1} {self._on(closure.first)}"
+        first = self._point(closure.first, f"a{c + 1}{{}}", (c, "a"), meaning)
+        second = self._point(closure.second, f"b{c + 1}{{}}", (c, "b"), told)
         if along is not None:
             normal = 1j * along
             x, y = self._cosine(c, "x", normal.real), self._cosine(c, "y", normal.imag)
             along = Planar(y, -x)
-        return Closure(sides[0], sides[1], along)
+        return Closure(first, second, along)
 
     def _cosine(self, c: int, axis: str, value: float) -> Sum:
         """Of the normal along which the gap of slider c is measured; 0 and 1 stand as numbers."""
         if abs(value) in (0.0, 1.0):
-            return ONE.times(int(value)) if value else ZERO
+            return ONE.times(value)
         meaning = f"normal of the line of closure {c + 1}, its cosine with {axis.upper()}"
         return self._symbol(f"n{c + 1}{axis}", (c, axis), value, "", meaning)
 
     def _coupling(self, c: int, coupling: Coupling, arm: float) -> tuple[Sum, dict[int, Sum]]:
         """Its row, as long as the arm that turns the angle by which it is open into a gap."""
         meaning = f"length that turns the angle of coupling {c + 1} into a gap"
-        size = self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, role=Role.normal)
+        size = self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, Role.normal)
         angle = ZERO
         if coupling.angle:
             told = f"angle of coupling {c + 1}"
@@ -157,9 +155,9 @@ class Parameters:
             turns[joint] = -size * self._symbol(name, place, ratio, "", meaning, Role.length)
         return -size * angle, turns
 
-    def _gravity(self) -> Planar:
+    def _gravity(self, gamma: complex) -> Planar:
         """gx + i gy; -i g where it acts along -Y."""
-        gamma, unit = self.description.gravity, "m/s²"
+        unit = "m/s²"
         if gamma.real == 0.0 and gamma.imag <= 0.0:
             g = self._symbol("g", (0, ""), -gamma.imag, unit, "gravity, along -Y")
             return Planar(ZERO, -g)
@@ -172,12 +170,12 @@ class Parameters:
             told += f", at the joint of {self.description.links[spring.joint].name}"
             return replace(spring, **self._numbers("joint_spring", i, spring, told))
         numbers = self._numbers("point_spring", i, spring, told)
-        ends = []
-        for letter, point in (("e", spring.first), ("h", spring.second)):
-            names = f"{letter}{i + 1}x", f"{letter}{i + 1}y"
-            place = len(self.description.links) + i, letter  # after lengths
-            ends.append(self._point(point, names, place, f"end of {told} {self._on(point)}"))
-        return replace(spring, first=ends[0], second=ends[1], **numbers)
+        place = len(self.description.links) + i  # after lengths
+        first, second = (
+            self._point(end, f"{x}{i + 1}{{}}", (place, x), f"end of {told} {self._on(end)}")
+            for x, end in (("e", spring.first), ("h", spring.second))
+        )
+        return replace(spring, first=first, second=second, **numbers)
 
     def _load(self, i: int, load: Load | Moment) -> Load | Moment:
         told = f"load {i + 1}"
@@ -187,17 +185,18 @@ class Parameters:
             return replace(load, torque=torque)
         frame = "its link's frame" if load.turns else "the ground's frame"
         numbers = self._numbers("force", i, load, f"{told}, in {frame}")
-        names, meaning = (f"c{i + 1}x", f"c{i + 1}y"), f"point of {told} {self._on(load.point)}"
-        return replace(load, point=self._point(load.point, names, (i, "c"), meaning), **numbers)
+        meaning = f"point of {told} {self._on(load.point)}"
+        return replace(
+            load, point=self._point(load.point, f"c{i + 1}{{}}", (i, "c"), meaning), **numbers
+        )
 
     # -- numbers and points --------------------------------------------------------------------
 
     def _numbers(self, form: str, k: int, item: object, told: str) -> dict[str, Any]:
         """The symbols of the numbers of an entry of the file, the k-th of its kind."""
-        keys = FORMS[form].keys
         return {
             name: self._number(form, name, k, getattr(item, name), told)
-            for name, key in keys.items()
+            for name, key in FORMS[form].keys.items()
             if key.symbol
         }
 
@@ -216,7 +215,7 @@ class Parameters:
             return Planar(self._symbol(named, place, value.real, key.unit, meaning), ZERO)
         if key.kind == "centre":
             meaning += ", in its frame"
-        return self._pair((f"{named}x", f"{named}y"), place, value, meaning, key.unit)
+        return self._pair(f"{named}{{}}", place, value, meaning, key.unit)
 
     def _symbol(
         self,
@@ -238,32 +237,26 @@ class Parameters:
             return "on the ground"
         return f"on {self.description.links[point.link].name}, in its frame"
 
-    def _point(
-        self, point: Point, names: tuple[str, str], place: tuple[int, str], meaning: str
-    ) -> Point:
+    def _point(self, point: Point, name: str, place: tuple[int, str], meaning: str) -> Point:
         """A point of a link or of the ground; the same point has the same symbols everywhere."""
-        at: Any = NOWHERE
-        links = self.description.links
-        if point.at == 0.0:
-            pass
-        elif point.link is not None and point.at == links[point.link].l:
-            link = links[point.link]
+        if point.link is not None and point.at == self.description.links[point.link].l != 0.0:
+            link = self.description.links[point.link]
             length: Any = self._number("link", "l", point.link, link.l, link.name)
-            at = Planar(length, ZERO)
-        else:
-            if point not in self._points:
-                self._points[point] = self._pair(names, place, point.at, meaning, "m")
-            at = self._points[point]
+            return Point(point.link, length * Planar(ONE, ZERO))
+        if point not in self._points:
+            self._points[point] = self._pair(name, place, point.at, meaning, "m")
+        at: Any = self._points[point]
         return Point(point.link, at)
 
     def _pair(
-        self, names: tuple[str, str], place: tuple[int, str], value: complex, told: str, unit: str
+        self, name: str, place: tuple[int, str], value: complex, told: str, unit: str
     ) -> Planar:
+        """Two symbols, named with x and y in place of braces; a coordinate 0 is none."""
         k, letters = place
         parts = [
-            self._symbol(name, (k, letters + axis), amount, unit, f"{told}, {axis}")
+            self._symbol(name.format(axis), (k, letters + axis), amount, unit, f"{told}, {axis}")
             if amount
             else ZERO
-            for name, axis, amount in zip(names, "xy", (value.real, value.imag), strict=True)
+            for axis, amount in (("x", value.real), ("y", value.imag))
         ]
         return Planar(*parts)

@@ -16,7 +16,7 @@ from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
-from robodyn.equations.outline import Block, Equations, heads, with_parameters
+from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Sum
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large
@@ -67,7 +67,7 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
                 raise no_direction(mechanism, i) from None
         raise
     used = {str(node.args[0]) for node in nodes if node.op == "var"}
-    return with_parameters(mechanism, found, parameters, used, numeric)
+    return Equations(mechanism, tuple(found), parameters, used, numeric)
 
 
 class _Numbers:

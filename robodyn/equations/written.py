@@ -31,7 +31,7 @@ from robodyn.equations.factoring import (
     by_role,
     written,
 )
-from robodyn.equations.outline import Block, Definition, Equations, heads, with_parameters
+from robodyn.equations.outline import Block, Definition, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import (
     NOWHERE,
@@ -108,7 +108,7 @@ def equations(
     atoms = {atom for block in found for entry in _formulas(block) for atom in entry.atoms()}
     atoms |= {atom.speed for atom in atoms if isinstance(atom.speed, Atom)}
     used = {atom.name for atom in atoms if atom.parameter}
-    return with_parameters(mechanism, found, parameters, used, numeric)
+    return Equations(mechanism, tuple(found), parameters, used, numeric)
 
 
 def _formulas(block: Block[Written]) -> Iterator[Written]:
