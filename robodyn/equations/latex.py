@@ -6,10 +6,9 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from robodyn.equations.factoring import Written
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
 from robodyn.equations.outline import Block, Equations
-from robodyn.equations.symbolic import Number
+from robodyn.equations.symbolic import Number, Sum
 
 WIDTH = 92  # of a formula on a page, in letters of an average width
 MATRIX_WIDTH = 84  # the same of a whole matrix; a wider one is given entry by entry
@@ -43,7 +42,7 @@ NAMES = {
 }
 
 
-def latex(equations: Equations[Written]) -> str:
+def latex(equations: Equations[Sum]) -> str:
     """A whole document."""
     columns = max(len(block.rows[0]) for block in equations.blocks)
     wide = rf"\setcounter{{MaxMatrixCols}}{{{columns}}}" + "\n" if columns > 10 else ""
@@ -118,7 +117,7 @@ def _display(lines: Iterable[str]) -> list[str]:
     return [r"\begin{align*}", *(" \\\\\n".join(lines)).split("\n"), r"\end{align*}"]
 
 
-def _head(equations: Equations[Written]) -> Iterator[str]:
+def _head(equations: Equations[Sum]) -> Iterator[str]:
     """The equation of motion in matrices, and what its right side is."""
     terms = [name + NAMES[rate] if rate else name for name, rate in equations.terms]
     right = " + ".join([r"\tau", *(block.name for block in equations.others)])
@@ -132,13 +131,13 @@ def _head(equations: Equations[Written]) -> Iterator[str]:
         yield rf"\tau &= ({driven})^{{T}}"
 
 
-def _entry(entry: Written) -> str:
+def _entry(entry: Sum) -> str:
     """The formula; a row must not begin with a bracket that its line break would take."""
     text = LATEX.text(entry)
     return "{}" + text if text.startswith("[") else text
 
 
-def _block(block: Block[Written]) -> Iterator[str]:
+def _block(block: Block[Sum]) -> Iterator[str]:
     """A matrix or vector as a whole where the page is wide enough, else its entries."""
     name = NAMES.get(block.name, block.name)
     if block.zero:
@@ -167,13 +166,13 @@ def _block(block: Block[Written]) -> Iterator[str]:
         yield f"{first} &= {' = '.join([*others, '0'])}"
 
 
-def _equation(left: str, entry: Written) -> Iterator[str]:
+def _equation(left: str, entry: Sum) -> Iterator[str]:
     first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
     yield f"{left} &= {first}"
     yield from (rf"&\quad {part.strip()}" for part in more)
 
 
-def _legend(equations: Equations[Written]) -> Iterator[str]:
+def _legend(equations: Equations[Sum]) -> Iterator[str]:
     """Tables of the variables and of the parameters, and remarks."""
     variables = [
         (f"${NAMES.get(x.name, x.name)}_{{{x.numbers}}}$", "", x.unit, x.meaning)

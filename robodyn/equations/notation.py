@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from robodyn.equations.factoring import Factor, Product, Written
-from robodyn.equations.symbolic import Atom, Number, Role
+from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum
 
 GLUE = "\u00a0"  # a blank that is not broken at
 OPENING, CLOSING = ("(", "[", r"\{"), (")", "]", r"\}")
@@ -32,31 +31,30 @@ class Notation:
     applied: Callable[[str, str], str] = "{}({})".format
     bracketed: Callable[[str], str] = "({})".format
 
-    def text(self, entry: Written) -> str:
+    def text(self, entry: Sum) -> str:
         """The entry as one line."""
-        if not entry.terms:
-            return self.number(0)
-        first, *others = entry.terms
-        text = f"{'-' if first.number < 0 else ''}{self._product(first)}"
-        for product in others:
-            text += f" {'-' if product.number < 0 else '+'}{GLUE}{self._product(product)}"
-        return text
+        text = ""
+        for factors, number in entry.terms.items():
+            if text:
+                text += f" {'-' if number < 0 else '+'}{GLUE}"
+            elif number < 0:
+                text = "-"
+            text += self._product(factors, max(number, -number))
+        return text or self.number(0)
 
-    def _product(self, product: Product) -> str:
-        """The product less its sign; what has a negative power stands below a line, a/b."""
-        number = -product.number if product.number < 0 else product.number
-        above = [(factor, power) for factor, power in product.factors if power > 0]
-        below = [(factor, -power) for factor, power in product.factors if power < 0]
-        parts = [] if number == 1 and above else [self.number(number)]
-        parts += [self._power(factor, power) for factor, power in above]
+    def _product(self, factors: Monomial, number: Number) -> str:
+        """A product; what has a negative power stands below a line, a/b."""
+        above = [self._power(factor, power) for factor, power in factors if power > 0]
+        parts = above if number == 1 and above else [self.number(number), *above]
         text = self.times.join(parts)
-        for factor, power in below:
-            divisor = self._power(factor, power)
-            text += f"/({divisor})" if "*" in divisor else f"/{divisor}"
+        for factor, power in factors:
+            if power < 0:
+                divisor = self._power(factor, -power)
+                text += f"/({divisor})" if "*" in divisor else f"/{divisor}"
         return text
 
-    def _power(self, factor: Factor, power: float) -> str:
-        if isinstance(factor, Written):
+    def _power(self, factor: Atom | Sum, power: float) -> str:
+        if isinstance(factor, Sum):
             if power == 0.5:
                 return self.root(self.text(factor))
             text = self.bracketed(self.text(factor))

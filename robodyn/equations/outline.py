@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar
 
 from robodyn.equations.parameters import Parameter, Parameters
+from robodyn.equations.symbolic import Sum
 from robodyn.errors import printable
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Load, Point
-
-if TYPE_CHECKING:
-    from robodyn.equations.factoring import Written
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
 Place = tuple[int, int]  # row and column
@@ -27,7 +25,7 @@ class Definition(NamedTuple):
     """A name that stands for a formula in the entries."""
 
     name: str
-    value: Written
+    value: Sum
     unit: str
     meaning: str
 

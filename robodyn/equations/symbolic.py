@@ -66,7 +66,8 @@ def Call(function: str, joints: tuple[int, ...]) -> Atom:
     return Atom(Role.function, joints, function)
 
 
-Monomial = tuple[tuple[Atom, int], ...]  # atoms with their powers, sorted
+# Atoms with their powers, sorted; as they are written, sums in brackets too, under a root by 1/2.
+Monomial = tuple[tuple[Any, Any], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +81,9 @@ class Sum:
 
     def __eq__(self, other: object) -> bool:
         return self.terms == other.terms if isinstance(other, Sum) else other == 0 and not self
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.terms.items()))
 
     @property
     def real(self) -> Sum:
@@ -132,14 +136,19 @@ class Sum:
         return Sum({monomial: int(x) if x == int(x) else x for monomial, x in found.items()})
 
     def atoms(self) -> Iterator[Atom]:
-        """Every atom of every term."""
-        return (atom for monomial in self.terms for atom, _ in monomial)
+        """Every atom of every term, those in brackets too."""
+        for monomial in self.terms:
+            for factor, _ in monomial:
+                if isinstance(factor, Sum):
+                    yield from factor.atoms()
+                else:
+                    yield factor
 
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:
         """The sum with numbers for the symbols that `values` names."""
         found: dict[Monomial, Number] = {}
         for monomial, number in self.terms.items():
-            left: list[tuple[Atom, int]] = []
+            left: list[tuple[Any, Any]] = []
             for atom, power in monomial:
                 if atom.parameter and atom.name in values:
                     number = number * values[atom.name] ** power
@@ -156,7 +165,7 @@ ZERO = Sum({})
 ONE = Sum({(): 1})
 
 
-def of(atom: Atom, power: int = 1) -> Sum:
+def of(atom: Atom | Sum, power: float = 1) -> Sum:
     """A power of the atom as a sum of one term."""
     return Sum({((atom, power),): 1})
 

@@ -6,16 +6,16 @@ import json
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from robodyn.equations.factoring import Written
 from robodyn.equations.notation import PLAIN, PYTHON, broken, one_line
 from robodyn.equations.outline import Block, Equations
+from robodyn.equations.symbolic import Sum
 
 MARGIN = "  "
 LEAST_WIDTH = 40
 WIDTH = 100
 
 
-def text(equations: Equations[Written], width: int = WIDTH) -> str:
+def text(equations: Equations[Sum], width: int = WIDTH) -> str:
     """The equations in lines of `width` at most, where they can be broken."""
     width = max(width, LEAST_WIDTH)
     lines = [f"{equations.title}: equations of motion", ""]
@@ -39,7 +39,7 @@ def text(equations: Equations[Written], width: int = WIDTH) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _block(block: Block[Written], width: int) -> Iterator[str]:
+def _block(block: Block[Sum], width: int) -> Iterator[str]:
     """The entries of a matrix or vector, one below the other; zeros together at the end."""
     if block.zero:
         yield f"{MARGIN}{block.plain_name} = 0"
@@ -70,7 +70,7 @@ def _equation(label: str, line: str, width: int) -> list[str]:
     return [start + first, *(f"{' ' * len(start)}{part}" for part in more)]
 
 
-def _label(block: Block[Written], i: int, j: int) -> str:
+def _label(block: Block[Sum], i: int, j: int) -> str:
     """M12, G1, (Psidot qd)1."""
     name = block.plain_name
     return (f"({name})" if " " in name else name) + block.numbers(i, j, ",")
@@ -84,10 +84,10 @@ def _table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
         yield (MARGIN + "  ".join(cells)).rstrip()
 
 
-def as_json(equations: Equations[Written]) -> str:
+def as_json(equations: Equations[Sum]) -> str:
     """One JSON object, a key in each line; entries in the syntax of Python and SymPy."""
 
-    def shown(entry: Written) -> str:
+    def shown(entry: Sum) -> str:
         return one_line(PYTHON.text(entry))
 
     content: dict[str, object] = {

@@ -23,8 +23,6 @@ from robodyn.engines.series import Arithmetic
 from robodyn.equations.entries import Entries
 from robodyn.equations.factoring import (
     Key,
-    Product,
-    Written,
     as_one,
     by_angle,
     by_function,
@@ -68,7 +66,7 @@ LEVELS: dict[str, Sequence[Key]] = {
 
 def equations(
     mechanism: Mechanism, numeric: bool = False, watch: Callable[[float], object] | None = None
-) -> Equations[Written]:
+) -> Equations[Sum]:
     """The equations of motion of the mechanism's scene, in symbols or with its numbers put in.
 
     `watch` is told now and then what part is done.  Raises InputError where a number that is put
@@ -81,7 +79,7 @@ def equations(
     most = sum((rows if head.side == "closures" else n) * columns[head.shape] for head in known)
     done = 0
 
-    def write(entry: Any, levels: Sequence[Key] = LINE) -> Written:
+    def write(entry: Any, levels: Sequence[Key] = LINE) -> Sum:
         nonlocal done
         done += 1
         if watch is not None:
@@ -99,23 +97,18 @@ def equations(
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
-        block: list[tuple[Written, ...]] = []
+        block: list[tuple[Sum, ...]] = []
         for i, row in enumerate(sums):
             mirrored = [block[j][i] for j in range(i)] if head.shape == "symmetric" else []
             more = (write(_in_order(x, head.name), levels) for x in row[len(mirrored) :])
             block.append((*mirrored, *more))
         found.append(Block(head, tuple(block), tuple(springs.definitions(head.name, write))))
-    atoms = {atom for block in found for entry in _formulas(block) for atom in entry.atoms()}
+    formulas = [entry for block in found for row in block.rows for entry in row]
+    formulas += [name.value for block in found for name in block.where]
+    atoms = {atom for entry in formulas for atom in entry.atoms()}
     atoms |= {atom.speed for atom in atoms if isinstance(atom.speed, Atom)}
     used = {atom.name for atom in atoms if atom.parameter}
     return Equations(mechanism, tuple(found), parameters, used, numeric)
-
-
-def _formulas(block: Block[Written]) -> Iterator[Written]:
-    """Every formula of a block, those of its definitions too."""
-    yield from (name.value for name in block.where)
-    for row in block.rows:
-        yield from row
 
 
 # -- rows on symbols -------------------------------------------------------------------------------
@@ -261,7 +254,7 @@ class _Springs:
         across = any(not (a <= b or b <= a) for a, b in combinations(paths, 2))
         return bool(spring.stiffness and (spring.length or across))
 
-    def definitions(self, block: str, write: Callable[..., Written]) -> Iterator[Definition]:
+    def definitions(self, block: str, write: Callable[..., Sum]) -> Iterator[Definition]:
         """The names that the block uses: S, |S|, K in G, and V, P too in Q."""
         for i, spring in self.springs.items():
             if not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
@@ -272,8 +265,7 @@ class _Springs:
                 meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
                 yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
             if spring.length or block == "Q":
-                squares = written(total(of(x, 2) for x in S), ())
-                root = Written((Product(1, ((squares, 0.5),)),))
+                root = of(total(of(x, 2) for x in S), 0.5)
                 yield Definition(size.name, root, "m", f"length of {told}")
             if block == "Q":
                 V = [Symbol(f"V{i + 1}{axis}", Role.stretch, (i, f"V{axis}")) for axis in "xy"]
