@@ -321,6 +321,13 @@ def test_a_spring_between_points() -> None:
     assert "G2 = K1 l2 (S1y cos(q1 + q2) - S1x sin(q1 + q2))" in found
 
 
+def test_a_spring_whose_ends_never_move_does_nothing() -> None:
+    head = "springs: [{between: [{link: a, at: [0, 0]}, [2, 0]], stiffness: 3, length: 0.5}]\n"
+    found = equations(arm(head))
+    assert "M qdd + C qd = tau" in text(found)
+    assert found.unused == ("l2", "k1", "S01", "h1x")
+
+
 def test_a_spring_without_a_free_length_is_multiplied_out() -> None:
     """On one branch S drops out, and what balances gravity shows; across branches it has a name."""
     head = "gravity: 9.81\nsprings: [{between: [a, [0, 2]], stiffness: 3, length: 0}]\n"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
-from typing import NamedTuple
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
@@ -39,18 +38,18 @@ def python(equations: CodeEquations) -> str:
         lines.append(f"{parameter.name} = {parameter.value!r}  # {_meaning(parameter)}")
     for block in equations.blocks:
         lines += ["", "", *_python_function(block, equations.mechanism.n)]
-    torques = _torques(equations)
-    blocks = [*torques.terms, *torques.others]
+    function, told, terms, others = _torques(equations)
+    blocks = [*terms, *others]
     values = [f"{x.name}({', '.join(x.head.inputs)})" for x in blocks]
     products = [
         f"sum(a*b for a, b in zip({x.name}_i, {x.head.rate}))" if x.head.rate else f"{x.name}_i"
-        for x in torques.terms
+        for x in terms
     ]
     source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
-    lines += ["", "", f"def {torques.name}(q, qd, qdd):", f'{TAB}"""{torques.told}."""']
+    lines += ["", "", f"def {function}(q, qd, qdd):", f'{TAB}"""{told}."""']
     lines += [f"{TAB}return [", f"{TAB}{TAB}{products[0]}"]
     lines += [f"{TAB}{TAB}+ {product}" for product in products[1:]]
-    lines += [f"{TAB}{TAB}- {block.name}_i" for block in torques.others]
+    lines += [f"{TAB}{TAB}- {block.name}_i" for block in others]
     lines += [f"{TAB}{TAB}for {', '.join(f'{x.name}_i' for x in blocks)} in {source}", f"{TAB}]"]
     return "\n".join(lines) + "\n"
 
@@ -89,7 +88,7 @@ def c99(equations: CodeEquations) -> str:
         lines.append(f"static const double {value}; /* {_comment(_meaning(parameter))} */")
     for block in equations.blocks:
         lines += ["", *_c_function(block, n)]
-    lines += ["", *_c_torques(_torques(equations), n)]
+    lines += ["", *_c_torques(equations)]
     return "\n".join(lines) + "\n"
 
 
@@ -126,45 +125,37 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
     yield "}"
 
 
-class _Torques(NamedTuple):
-    """The function that sums up the joint torques: the terms, less the others beside tau."""
+def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[CodeBlock]]:
+    """The function that sums up tau, or tau + Psi^T lambda: its name, what it is, terms, others.
 
-    name: str
-    told: str
-    terms: Sequence[CodeBlock]
-    others: Sequence[CodeBlock]
-
-
-def _torques(equations: CodeEquations) -> _Torques:
-    """That of tau, or of tau + Psi^T lambda."""
+    The others, which stand beside tau, are taken off.
+    """
     left, others = equations.side("left"), equations.others
     closed = bool(equations.side("closures"))
     what = "tau + Psi^T lambda" if closed else "tau"
     right = "".join(f" - {block.name}" for block in others)
-    return _Torques(
-        name="joint_torques" if closed else "inverse_dynamics",
-        told=f"{what} = {equations.told()[0].split(' = ')[0]}{right}, N m",
-        terms=[block for block in left if not block.zero] or [left[0]],
-        others=others,
-    )
+    told = f"{what} = {equations.told()[0].split(' = ')[0]}{right}, N m"
+    terms = [block for block in left if not block.zero] or [left[0]]
+    return "joint_torques" if closed else "inverse_dynamics", told, terms, others
 
 
-def _c_torques(torques: _Torques, n: int) -> Iterator[str]:
-    blocks = [*torques.terms, *torques.others]
+def _c_torques(equations: CodeEquations) -> Iterator[str]:
+    n, (function, told, terms, others) = equations.mechanism.n, _torques(equations)
+    blocks = [*terms, *others]
     used = {name for block in blocks for name in (block.head.rate, *block.head.inputs)}
-    yield f"/* {torques.told} */"
+    yield f"/* {told} */"
     arguments = ", ".join(f"const double {name}[{n}]" for name in ("q", "qd", "qdd"))
-    yield f"void {torques.name}({arguments}, double out[{n}])"
+    yield f"void {function}({arguments}, double out[{n}])"
     yield "{"
     yield from (f"{TAB}(void){name};" for name in ("q", "qd", "qdd") if name not in used)
     yield from (f"{TAB}double {block.name}_{_size(block)};" for block in blocks)
     for block in blocks:
         yield f"{TAB}{block.name}({', '.join([*block.head.inputs, f'{block.name}_'])});"
     yield f"{TAB}for (int i = 0; i < {n}; i++) {{"
-    vectors = [f"{block.name}_[i]" for block in torques.terms if not block.head.rate]
-    less = "".join(f" - {block.name}_[i]" for block in torques.others)
+    vectors = [f"{block.name}_[i]" for block in terms if not block.head.rate]
+    less = "".join(f" - {block.name}_[i]" for block in others)
     yield f"{TAB}{TAB}out[i] = {' + '.join(vectors) or '0.0'}{less};"
-    products = [f"{x.name}_[i][j]*{x.head.rate}[j]" for x in torques.terms if x.head.rate]
+    products = [f"{x.name}_[i][j]*{x.head.rate}[j]" for x in terms if x.head.rate]
     if products:
         yield f"{TAB}{TAB}for (int j = 0; j < {n}; j++)"
         yield f"{TAB}{TAB}{TAB}out[i] += {' + '.join(products)};"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import chain
 
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
@@ -77,11 +77,6 @@ def _number(number: Number | float) -> str:
     return rf"{mantissa}\cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
 
-def _angle(joints: Sequence[int]) -> str:
-    names = [f"q_{{{k + 1}}}" for k in joints]
-    return GLUE + names[0] if len(names) == 1 else f"({added(names)})"
-
-
 def _bracketed(text: str) -> str:
     """Round brackets, square ones around these, curly ones around those."""
     if "(" not in text or r"\{" in text:
@@ -92,11 +87,13 @@ def _bracketed(text: str) -> str:
 LATEX = Notation(
     number=_number,
     symbol=subscripted,
-    rate=lambda k: rf"\dot{{q}}_{{{k + 1}}}",
-    angle=lambda k: f"q_{{{k + 1}}}",
-    call=lambda function, joints: rf"\{function}{_angle(joints)}",
-    power=lambda base, power: f"{base}^{{{power}}}",
+    call=lambda function, angles: (
+        rf"\{function}" + (f"({added(angles)})" if len(angles) > 1 else GLUE + angles[0])
+    ),
+    power="{}^{{{}}}".format,
     times=GLUE,
+    rate=r"\dot{{q}}_{{{}}}",
+    angle="q_{{{}}}",
     root=r"\sqrt{{{}}}".format,
     applied=r"\{}({})".format,
     bracketed=_bracketed,

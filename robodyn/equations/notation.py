@@ -7,7 +7,7 @@ Where a long line may be broken, before + and -, a blank stands; other blanks ar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum
 
@@ -22,11 +22,11 @@ class Notation:
 
     number: Callable[[Number], str]
     symbol: Callable[[str], str]
-    rate: Callable[[int], str]  # of one joint
-    angle: Callable[[int], str]
-    call: Callable[[str, Sequence[int]], str]  # a function of the sum of these joints' angles
+    call: Callable[[str, list[str]], str]  # a function of the sum of these angles
     power: Callable[[str, int], str]
     times: str
+    rate: str = "qd{}"  # of one joint
+    angle: str = "q{}"
     root: Callable[[str], str] = "sqrt({})".format
     applied: Callable[[str, str], str] = "{}({})".format
     bracketed: Callable[[str], str] = "({})".format
@@ -63,18 +63,19 @@ class Notation:
         return text if power == 1 else self.power(text, int(power))
 
     def _atom(self, atom: Atom) -> str:
-        if atom.role == Role.rate:
-            names = added([self.rate(k) for k in atom.place])
-            return names if len(atom.place) == 1 else f"({names})"
+        if atom.role < Role.angle:
+            return self.symbol(atom.name)
+        angles = [self.angle.format(k + 1) for k in atom.place]
+        rates = [self.rate.format(k + 1) for k in atom.place]
         if atom.role == Role.angle:
-            return self.angle(*atom.place)
-        if atom.speed is not None:
-            speed = atom.speed
-            limit = self.symbol(speed.name) if isinstance(speed, Atom) else self.number(speed)
-            return self.applied(atom.name, f"{self.rate(*atom.place)}/{limit}")
-        if atom.role == Role.function:
-            return self.call(atom.name, atom.place)
-        return self.symbol(atom.name)
+            return angles[0]
+        if atom.role == Role.rate:
+            return rates[0] if len(rates) == 1 else f"({added(rates)})"
+        speed = atom.speed
+        if speed is None:
+            return self.call(atom.name, angles)
+        limit = self.symbol(speed.name) if isinstance(speed, Atom) else self.number(speed)
+        return self.applied(atom.name, f"{rates[0]}/{limit}")
 
 
 def added(names: Sequence[str]) -> str:
@@ -98,21 +99,11 @@ def in_full(number: Number) -> str:
 PLAIN = Notation(
     number=six_digits,
     symbol=str,
-    rate=lambda k: f"qd{k + 1}",
-    angle=lambda k: f"q{k + 1}",
-    call=lambda function, joints: f"{function}({added([f'q{k + 1}' for k in joints])})",
+    call=lambda function, angles: f"{function}({added(angles)})",
     power=lambda base, power: base + str(power).translate(SUPERSCRIPTS),
     times=GLUE,
 )
-PYTHON = Notation(
-    number=in_full,
-    symbol=str,
-    rate=PLAIN.rate,
-    angle=PLAIN.angle,
-    call=PLAIN.call,
-    power=lambda base, power: f"{base}**{power}",
-    times="*",
-)
+PYTHON = replace(PLAIN, number=in_full, power="{}**{}".format, times="*")
 
 
 def one_line(text: str) -> str:

@@ -1,24 +1,15 @@
 """The parameters of a scene as symbols with the names that a person would give them.
 
-    m1, l1, I1         mass, length, moment of inertia about the centre of gravity
-    r1 (or r1x, r1y)   centre of gravity from the link's own joint
-    mp1, d1            payload at the tip, damping of the joint
+Letters and meaning of plain numbers come from the grammar: m1, l1, I1, r1 (or r1x, r1y), k1, ...
+
     x3, y3             ground pivot of link 3
     p4x, p4y           where link 4 hangs from its link, if not from the tip
-    a1x, a1y, b1x, ..  points that closure 1 joins, if no tips
+    a1x, b1x, ..       points that closure 1 joins; ends e1x, h1x of spring 1; c1x of load 1
     n1x, n1y           normal of the line of closure 1
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
-    g (or gx, gy)      gravity
-    tf1, wf1           Coulomb friction of a joint: torque and speed
-    k1, ds1            stiffness and damping of spring 1
-    S01 (or phi1)      its free length (or angle)
-    e1x, .., h1x, ..   its ends, if no tips
-    F1x, F1y (or T1)   load 1, a force (or torque)
-    c1x, c1y           where it acts, if not at a tip
 
-Numbers at the end of a name count links, closures, springs and loads from 1; letters and meaning of
-plain numbers come from the grammar.  What is zero in the scene is no symbol: it drops out, and
-`zero` tells its name.
+Numbers at the end of a name count links, closures, springs and loads from 1.  What is zero in the
+scene is no symbol: it drops out, and `zero` tells its name.
 """
 
 from __future__ import annotations

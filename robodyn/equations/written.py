@@ -223,10 +223,13 @@ class _Springs:
     """
 
     def __init__(self, scene: Any) -> None:
-        self.springs: dict[int, Any] = {
-            i: x for i, x in enumerate(scene.springs) if isinstance(x, Spring)
-        }
         self.tree = Tree(scene.links)
+        self.springs: dict[int, Any] = {  # but for those whose ends never move
+            i: spring
+            for i, spring in enumerate(scene.springs)
+            if isinstance(spring, Spring)
+            and self.tree.difference(spring.first, spring.second).terms
+        }
         pulls, drags = [], []
         left = [x for x in scene.springs if not isinstance(x, Spring)]
         for i, spring in self.springs.items():
