@@ -8,7 +8,20 @@ import pytest
 
 from robodyn.equations.factoring import by_angle, by_function, by_role, written
 from robodyn.equations.notation import GLUE, PLAIN, PYTHON, broken, one_line
-from robodyn.equations.symbolic import ONE, ZERO, Call, Planar, Rates, Role, Sum, Symbol, of, total
+from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of, total
+
+
+def Symbol(name: str, role: int, place: tuple[int, str]) -> Atom:
+    return Atom(role, place, name)
+
+
+def Call(function: str, joints: tuple[int, ...]) -> Atom:
+    return Atom(Role.function, joints, function)
+
+
+def Rates(joints: tuple[int, ...]) -> Atom:
+    return Atom(Role.rate, joints)
+
 
 M1, M2, M3 = (of(Symbol(f"m{k}", Role.mass, (k, "m"))) for k in (1, 2, 3))
 L1, L2 = (of(Symbol(f"l{k}", Role.length, (k, "l"))) for k in (1, 2))

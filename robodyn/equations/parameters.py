@@ -19,7 +19,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from robodyn.equations.symbolic import ONE, ZERO, Planar, Role, Sum, Symbol, of
+from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import printable
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.grammar import FORMS, NUMBERS
@@ -221,7 +221,8 @@ class Parameters:
             self.zero[name] = None
             return ZERO
         self.known[name] = Parameter(name, value, unit, printable(meaning))
-        return of(Symbol(name, ROLES.get(unit, Role.force) if role is None else role, place))
+        role = ROLES.get(unit, Role.force) if role is None else role
+        return of(Atom(role, place, name))
 
     def _on(self, point: Point) -> str:
         if point.link is None:

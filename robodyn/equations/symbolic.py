@@ -51,21 +51,6 @@ class Atom(NamedTuple):
         return self.role < Role.angle
 
 
-def Symbol(name: str, role: int, place: tuple[int, str]) -> Atom:
-    """A parameter of the scene."""
-    return Atom(role, place, name)
-
-
-def Rates(joints: tuple[int, ...]) -> Atom:
-    """A sum of joint rates, rad/s: qd1 + qd2."""
-    return Atom(Role.rate, joints)
-
-
-def Call(function: str, joints: tuple[int, ...]) -> Atom:
-    """A function of a sum of joint angles: cos(q1 + q2)."""
-    return Atom(Role.function, joints, function)
-
-
 # Atoms with their powers, sorted; as they are written, sums in brackets too, under a root by 1/2.
 Monomial = tuple[tuple[Any, Any], ...]
 

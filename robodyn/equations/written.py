@@ -36,14 +36,11 @@ from robodyn.equations.symbolic import (
     ONE,
     ZERO,
     Atom,
-    Call,
     Monomial,
     Number,
     Planar,
-    Rates,
     Role,
     Sum,
-    Symbol,
     merged,
     of,
     summed,
@@ -122,13 +119,13 @@ class _Symbolic(Recorded):
         joints = range(mechanism.n)
         self.relative: dict[str, Any] = {
             "q": [of(Atom(Role.angle, (k,))) for k in joints],
-            "qd": [of(Rates((k,))) for k in joints],
+            "qd": [of(Atom(Role.rate, (k,))) for k in joints],
         }
 
     def absolute(self, name: str) -> list[Any]:
         """Angles of links as sums, their rates as one atom each."""
         angles: list[Any] = super().absolute("q")
-        return angles if name == "q" else [of(Rates(_joints(angle))) for angle in angles]
+        return angles if name == "q" else [of(Atom(Role.rate, _joints(angle))) for angle in angles]
 
 
 def _joints(angle: Any) -> tuple[int, ...]:
@@ -142,8 +139,8 @@ def _smooth(ratio: Sum) -> Sum:
 
 
 SYMBOLIC = Arithmetic(
-    cos=lambda angle: of(Call("cos", _joints(angle))),
-    sin=lambda angle: of(Call("sin", _joints(angle))),
+    cos=lambda angle: of(Atom(Role.function, _joints(angle), "cos")),
+    sin=lambda angle: of(Atom(Role.function, _joints(angle), "sin")),
     power=pow,
     functions={"tanh": _smooth},
 )
@@ -171,8 +168,8 @@ def _gathered(entry: Sum) -> dict[Monomial, Number]:
     gathered = {}
     for rest, joints in found.items():
         for number in set(joints.values()) - {0}:
-            rate = Rates(tuple(sorted(k for k, x in joints.items() if x == number)))
-            gathered[merged(rest, ((rate, 1),))] = number
+            moved = tuple(sorted(k for k, x in joints.items() if x == number))
+            gathered[merged(rest, ((Atom(Role.rate, moved), 1),))] = number
     return gathered
 
 
@@ -263,7 +260,7 @@ class _Springs:
             if not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
                 continue
             told, S = f"spring {i + 1}", _components(i)
-            size = Symbol(f"S{i + 1}", Role.stretch, (i, ""))
+            size = Atom(Role.stretch, (i, ""), f"S{i + 1}")
             for x, (value, _) in zip(S, self.gaps[i], strict=True):
                 meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
                 yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
@@ -271,7 +268,7 @@ class _Springs:
                 root = of(total(of(x, 2) for x in S), 0.5)
                 yield Definition(size.name, root, "m", f"length of {told}")
             if block == "Q":
-                V = [Symbol(f"V{i + 1}{axis}", Role.stretch, (i, f"V{axis}")) for axis in "xy"]
+                V = [Atom(Role.stretch, (i, f"V{axis}"), f"V{i + 1}{axis}") for axis in "xy"]
                 for x, v, (_, rate) in zip(S, V, self.gaps[i], strict=True):
                     written_rate = write(_in_order(rate, "S"))
                     yield Definition(v.name, written_rate, "m/s", f"rate of {x.name}")
@@ -287,11 +284,11 @@ class _Springs:
 
 
 def _components(i: int) -> list[Atom]:
-    return [Symbol(f"S{i + 1}{axis}", Role.stretch, (i, axis)) for axis in "xy"]
+    return [Atom(Role.stretch, (i, axis), f"S{i + 1}{axis}") for axis in "xy"]
 
 
 def _pull(letter: str, i: int) -> Atom:
-    return Symbol(f"{letter}{i + 1}", Role.force, (i, ""))
+    return Atom(Role.force, (i, ""), f"{letter}{i + 1}")
 
 
 def _loads(spring: Spring, pull: Any) -> list[Load]:
