@@ -17,13 +17,11 @@ from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
-from robodyn.sweeps import lanes, lanes_compiled
-from robodyn.sweeps.lane_motion import LaneMotion
-from robodyn.sweeps.lane_program import LaneProgram
+from robodyn.sweeps import lanes
 from robodyn.sweeps.lane_single import single
-from robodyn.sweeps.lanes import Aims, Ends
+from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
 from robodyn.sweeps.scene_values import SceneValues
-from robodyn.taylor import Status, best_order
+from robodyn.taylor import Status
 
 ENGINES = ["python"]
 if machine.available():
@@ -36,22 +34,12 @@ def run(engine: str, mechanism: Mechanism, y, t_end: float, tau=None, angle=None
     options = {"rtol": 1e-12, "atol": 1e-12, **aims}
     suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
     angle = np.zeros(len(y)) if angle is None else angle
-    if engine == "compiled":
-        chosen = Aims(suspect=suspect, work=True, **options)
-        motions = lanes_compiled.Motions(mechanism, np.array(y), tau, angle)
-        (found,) = lanes_compiled.integrate([motions], t_end, chosen, [True] * mechanism.n)
-        assert found is not None
-        return found
-    work = bool(tau.any()) or any(mechanism.damping)
-    order, given = best_order(1e-12), Aims(suspect=suspect, work=work, **options)
-    return lanes.integrate(together([mechanism], tau, order), y, t_end, angle, given)
-
-
-def together(made: list[Mechanism], tau, order: int) -> LaneMotion:
-    """Lanes of mechanisms, as many of each, under torques tau (L, n)."""
-    programs = [LaneProgram(mechanism, np.any(tau, axis=0), order) for mechanism in made]
-    which = np.repeat(np.arange(len(made)), len(tau) // len(made))
-    return LaneMotion(programs, which, tau)
+    chosen = Aims(suspect=suspect, work=True, **options)
+    motions = Motions(mechanism, np.array(y), tau, angle)
+    driven = [True] * mechanism.n
+    (found,) = integrate([motions], t_end, chosen, driven, engine == "compiled")
+    assert found is not None
+    return found
 
 
 @cache
@@ -122,11 +110,7 @@ class TestForces:
         assert not mechanism.friction
         n = mechanism.n
         y = np.hstack([plain.q, plain.qd])[None]
-        still = np.zeros(1)
-        suspect = suspect_quality(mechanism) if mechanism.rows else 0.0
-        aims = Aims(1e-12, 1e-12, suspect=suspect, work=True)
-        series = together([mechanism], np.zeros((1, n)), best_order(1e-12))
-        found = lanes.integrate(series, y, 0.3, still, aims)
+        found = run("python", mechanism, y, 0.3)
         motion = simulate(mechanism, y[0, :n], y[0, n:], 0.3, rtol=1e-12, atol=1e-12)
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert found.status == Status.REACHED
@@ -169,30 +153,34 @@ class TestForces:
             assert found.y[k] == pytest.approx(expected, rel=1e-8, abs=1e-8)
             assert found.drift[k] < 1e-9
 
+    @pytest.mark.parametrize("engine", ENGINES)
     @pytest.mark.parametrize("name", ["2r", "geared-five-bar", "spring-slider-crank"])
-    def test_row_by_row_as_in_code(self, name, monkeypatch) -> None:
+    def test_orders_one_by_one_as_in_a_loop(self, name, engine, monkeypatch) -> None:
         mechanism = scene(name)
         y = turning(mechanism, 3) if mechanism.rows else swings(3)
-        found = run("python", mechanism, y, 0.3)
-        monkeypatch.setattr("robodyn.sweeps.lane_program.STRAIGHT", 0)
-        other = run("python", mechanism, y, 0.3)
-        for each in ("t", "y", "low", "high", "energy"):
-            assert getattr(other, each) == pytest.approx(getattr(found, each), rel=1e-9, abs=1e-9)
+        options = {"rtol": 1e-13, "atol": 1e-13, "link": 1}
+        found = run(engine, mechanism, y, 0.3, **options)
+        monkeypatch.setattr("robodyn.sweeps.lanes.UNROLLED", 0)
+        lanes._scene.cache_clear()
+        other = run(ENGINES[-1], mechanism, y, 0.3, **options)
+        lanes._scene.cache_clear()
+        for each in ("t", "y", "low", "high", "energy", "flip"):
+            expected = pytest.approx(getattr(found, each), rel=1e-9, abs=1e-9, nan_ok=True)
+            assert getattr(other, each) == expected
 
-    @pytest.mark.parametrize("straight", [0, 1000])
+    @pytest.mark.parametrize("engine", ENGINES)
     @pytest.mark.parametrize("name", ["pendulum", "2r", "four-bar", "spring-slider-crank"])
-    def test_lanes_are_the_same_to_the_last_bit(self, name, straight, monkeypatch) -> None:
+    def test_lanes_are_the_same_to_the_last_bit(self, name, engine) -> None:
         """However many go together."""
-        monkeypatch.setattr("robodyn.sweeps.lane_program.STRAIGHT", straight)
         mechanism, n = scene(name), scene(name).n
         rng = np.random.default_rng(5)
         y = turning(mechanism, 9) if mechanism.rows else rng.normal(size=(9, 2 * n))
         tau = np.zeros((9, n))
         tau[:, mechanism.actuated[0]] = rng.normal(size=9)
         options = {"rtol": 1e-9, "atol": 1e-9, "link": n - 1}
-        together = run("python", mechanism, y, 1.0, tau, **options)
+        together = run(engine, mechanism, y, 1.0, tau, **options)
         for some in (slice(0, 1), slice(1, 3), slice(3, 8), slice(8, 9)):
-            alone = run("python", mechanism, y[some], 1.0, tau[some], **options)
+            alone = run(engine, mechanism, y[some], 1.0, tau[some], **options)
             for each in Ends.__slots__:
                 expected = getattr(together, each)[some]
                 assert np.array_equal(getattr(alone, each), expected, equal_nan=True), each
@@ -204,14 +192,15 @@ class TestForces:
         names = ("springs[0].stiffness", "springs[0].damping")
         made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
         y = np.concatenate([np.hstack([assemble(m, [1.0]), np.zeros(2)])[None] for m in made])
-        y = np.repeat(y, 2, axis=0)
         aims = Aims(1e-11, 1e-11, suspect=suspect_quality(made[0]), work=True)
-        series = together(made, np.zeros((6, 2)), best_order(1e-11))
-        found = lanes.integrate(series, y, 0.4, np.zeros(6), aims)
+        two = [Motions(m, y[[i, i]], np.zeros((2, 2)), np.zeros(2)) for i, m in enumerate(made)]
+        found = integrate(two, 0.4, aims, [False, False], compiled=False)
         for k in range(6):
             m = made[k // 2]
-            motion = simulate(m, y[k, :2], y[k, 2:], 0.4, rtol=1e-11, atol=1e-11)
-            assert found.y[k, :2] == pytest.approx(motion.q[-1], abs=1e-8)
+            motion = simulate(m, y[k // 2, :2], y[k // 2, 2:], 0.4, rtol=1e-11, atol=1e-11)
+            ends = found[k // 2]
+            assert ends is not None
+            assert ends.y[k % 2, :2] == pytest.approx(motion.q[-1], abs=1e-8)
 
 
 @pytest.mark.skipif("compiled" not in ENGINES, reason="needs llvmlite")
@@ -246,15 +235,15 @@ class TestForcesCompiled:
         given = [(100.0, 0.2), (350.0, 0.0), (700.0, 0.4)]
         made = [build(values.replaced(dict(zip(names, x, strict=True)))) for x in given]
         members = [
-            lanes_compiled.Motions(
+            Motions(
                 m, np.hstack([assemble(m, [1.0]), np.zeros(2)])[None], np.zeros((1, 2)), np.zeros(1)
             )
             for m in made
         ]
         aims = Aims(1e-11, 1e-11, suspect=1e-3, work=True)
-        together = lanes_compiled.integrate(members, 1.0, aims, [False, False])
+        together = integrate(members, 1.0, aims, [False, False])
         for mechanism, member, ends in zip(made, members, together, strict=True):
-            (alone,) = lanes_compiled.integrate([member], 1.0, aims, [False, False])
+            (alone,) = integrate([member], 1.0, aims, [False, False])
             assert all((getattr(alone, x) == getattr(ends, x)).all() for x in ("y", "low", "drift"))
             state = member.y[0]
             motion = simulate(mechanism, state[:2], state[2:], 1.0, rtol=1e-12, atol=1e-12)
@@ -393,6 +382,12 @@ def test_flips_are_where_events_find_them(engine) -> None:
     assert found.flip == pytest.approx(expected, abs=1e-8, nan_ok=True)
 
 
+def alone(mechanism: Mechanism, y, t_end, aims, ends, lane=0, angle=0.0) -> str:
+    """A single motion without torques."""
+    given = Motions(mechanism, y[None], np.zeros((1, mechanism.n)), np.array([angle]))
+    return single(given, 0, t_end, aims, ends, lane)
+
+
 class TestSingle:
     def test_is_what_lanes_find(self) -> None:
         y, expected = flips()
@@ -402,7 +397,7 @@ class TestSingle:
         aims = Aims(1e-12, 1e-12, link=1)
         for k, state in enumerate(y):
             angle = float(from_hanging(y)[k])
-            outcome = single(scene("2r"), state, np.zeros(2), 2.0, angle, aims, ends, k)
+            outcome = alone(scene("2r"), state, 2.0, aims, ends, k, angle)
             assert outcome == "finished"
         for name in ("t", "y", "low", "high", "energy", "flip"):
             wanted = getattr(together, name)
@@ -416,7 +411,7 @@ class TestSingle:
         stopped = run("python", mechanism, y, 3.0).status == Status.SINGULAR
         (k,) = np.flatnonzero(stopped)[:1]
         ends = Ends.room(1, 3)
-        outcome = single(mechanism, y[k], np.zeros(3), 3.0, 0.0, Aims(1e-9, 1e-9), ends, 0)
+        outcome = alone(mechanism, y[k], 3.0, Aims(1e-9, 1e-9), ends)
         motion = simulate(mechanism, y[k, :3], y[k, 3:], 3.0, rtol=1e-11, atol=1e-11)
         assert outcome == "finished"
         assert ends.y[0, :3] == pytest.approx(motion.q[-1], abs=1e-5)
@@ -427,7 +422,7 @@ class TestSingle:
         rubbing = build(from_text(f"{text}friction: {{torque: 0.5, speed: {speed}}}}}]\n", "x"))
         ends = Ends.room(1, 1)
         y = np.array([0.3, 0.0])
-        assert single(rubbing, y, np.zeros(1), 2.0, 0.0, Aims(1e-9, 1e-9), ends, 0) == "finished"
+        assert alone(rubbing, y, 2.0, Aims(1e-9, 1e-9), ends) == "finished"
         motion = simulate(rubbing, [0.3], [0], 2.0, method="Radau", rtol=1e-9, atol=1e-9)
         assert ends.y[0] == pytest.approx([motion.q[-1, 0], motion.qd[-1, 0]], abs=1e-6)
 
@@ -435,8 +430,8 @@ class TestSingle:
         ends = Ends.room(2, 2)
         aims = Aims(1e-9, 1e-9, most=5)
         y = np.array([0.3, 0.2, 0.0, 0.0])
-        outcome = single(scene("2r"), y, np.zeros(2), 10.0, 0.0, aims, ends, 0)
+        outcome = alone(scene("2r"), y, 10.0, aims, ends)
         assert outcome == "too many evaluations"
         assert 0.0 < ends.t[0] < 10.0
         broken = np.array([math.nan, 0.0, 0.0, 0.0])
-        assert single(scene("2r"), broken, np.zeros(2), 1.0, 0.0, aims, ends, 1) == "cannot start"
+        assert alone(scene("2r"), broken, 1.0, aims, ends, 1) == "cannot start"

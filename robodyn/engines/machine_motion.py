@@ -59,11 +59,11 @@ def compile(
 ) -> Loaded | None:
     """The machine code of a scene; None where there is none."""
 
-    def text(processor: Processor) -> str:
-        return _text(scene, observer, processor)
+    def write(processor: Processor) -> str:
+        return text(scene, observer, processor)
 
     key = f"{observer.key} {scene.key}"
-    code = machine.make(text, key=key, lanes=lanes, family=family, level=level)
+    code = machine.make(write, key=key, lanes=lanes, family=family, level=level)
     if code is None:
         return None
     return Loaded(
@@ -76,7 +76,7 @@ def compile(
     )
 
 
-def _text(scene: Scene, observer: Observer, processor: Processor) -> str:
+def text(scene: Scene, observer: Observer, processor: Processor) -> str:
     module = Module(processor.lanes, scene.short)
     scene.write(module)
     observer.declare(scene, module)

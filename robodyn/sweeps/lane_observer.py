@@ -64,7 +64,7 @@ class LaneObserver(Observer):
                 k.line(f"call void @widen({block}, {j})")
         if self.scene.link >= 0:
             k.line(f"call void @cross({block})")
-        k.line(f"call void @weigh({block})")
+        k.line(f"call void @energies({block})")
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
         for name, value in (("PE_low", PE), ("E_low", E)):
@@ -133,7 +133,7 @@ class LaneObserver(Observer):
 
     def _weigh(self, module: Module) -> None:
         """KE and PE of the state there, into items that a step has done with."""
-        k, block = self.scene.kernel(module, "weigh")
+        k, block = self.scene.kernel(module, "energies")
         mechanism, graph, count = self.scene.mechanism, Graph(), [0]
 
         def number(value: float) -> Value:
@@ -164,7 +164,7 @@ class LaneObserver(Observer):
         for m, name in enumerate(scene.state[: 2 * n]):
             for side in ("low", "high"):
                 put(f"{side}{m}", get(name))
-        k.line(f"call void @weigh({block})")
+        k.line(f"call void @energies({block})")
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
         for name in ("start", "E_low", "E_high"):

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
-from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
 from robodyn.simulation.simulation import SCIPY_RTOL, Motion, simulate
-from robodyn.sweeps.lanes import Aims, Ends
+from robodyn.sweeps.lanes import Aims, Ends, Motions
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, extremes
 
 Array = NDArray[np.float64]
@@ -27,18 +26,9 @@ Array = NDArray[np.float64]
 CANNOT_START = "cannot start"
 
 
-def single(
-    mechanism: Mechanism,
-    y: Array,
-    tau: Array,
-    t_end: float,
-    angle: float,
-    aims: Aims,
-    ends: Ends,
-    lane: int,
-) -> str:
-    """The motion from y (2n,) under torques tau (n,), into lane `lane` of `ends`; its outcome."""
-    n = mechanism.n
+def single(given: Motions, k: int, t_end: float, aims: Aims, ends: Ends, lane: int) -> str:
+    """Motion k of those given, into lane `lane` of `ends`; its outcome."""
+    mechanism, y, n = given.mechanism, given.y[k], given.mechanism.n
 
     def run(times: Array | None) -> Motion:
         return simulate(
@@ -46,7 +36,7 @@ def single(
             y[:n],
             y[n:],
             t_end,
-            tau=tau.tolist(),
+            tau=given.tau[k].tolist(),
             method="DOP853" if mechanism.has_state_forces else "taylor",
             engine="auto" if mechanism.has_state_forces else "python",
             rtol=max(aims.rtol, SCIPY_RTOL),
@@ -55,60 +45,43 @@ def single(
             t_eval=times,
         )
 
+    inner = aims.extremes or aims.link >= 0
     try:
         motion = run(None)
-        report, outcome = motion.report, motion.outcome.label
-        t = motion.t
-        if len(t) > 1 and (aims.extremes or aims.link >= 0):
+        report, t = motion.report, motion.t
+        inner &= len(t) > 1
+        if inner:
             parts = np.arange(QUARTERS) / QUARTERS
             finer = np.append((t[:-1, None] + np.diff(t)[:, None] * parts).ravel(), t[-1])
-            finer = finer[np.append(True, np.diff(finer) != 0.0)]
-            motion = _between(run(finer), motion)
+            between = run(finer[np.append(True, np.diff(finer) != 0.0)])
+            if len(between.t) and between.t[-1] == t[-1]:  # else it did not get as far
+                motion = between
     except SingularError:
         return Outcome.SINGULAR.label
     except RobodynError:
         return CANNOT_START
-    state = np.concatenate([motion.q, motion.qd], axis=1)
+    states = np.concatenate([motion.q, motion.qd], axis=1)
     energy = np.sum(closed_form.energies(mechanism, motion.q, motion.qd), axis=0)
     energy -= mechanism.energy_offset
-    ends.t[lane], ends.y[lane], ends.steps[lane] = motion.t[-1], state[-1], report.steps
+    ends.t[lane], ends.y[lane], ends.steps[lane] = t[-1], states[-1], report.steps
     ends.energy[lane] = energy.min(), energy.max()
     ends.drift[lane], ends.flip[lane] = report.energy_drift, math.nan
-    ends.low[lane], ends.high[lane] = state.min(axis=0), state.max(axis=0)
-    if len(motion.t) > 1 and (aims.extremes or aims.link >= 0):
-        _inner(mechanism, motion, angle, aims, ends, lane)
-    return outcome
-
-
-def _between(finer: Motion, whole: Motion) -> Motion:
-    """The finer motion; where it did not get as far as the whole one, that."""
-    return finer if len(finer.t) and finer.t[-1] == whole.t[-1] else whole
-
-
-def _inner(
-    mechanism: Mechanism, motion: Motion, angle: float, aims: Aims, ends: Ends, lane: int
-) -> None:
-    """What q does between the rows of a motion."""
-    n, h = mechanism.n, np.diff(motion.t)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # remarks belong to single motions
-        rates = _pieces(motion.q, motion.qd, motion.qdd, h)
-    low, high, rate_low, rate_high = extremes(rates, h)
-    begin = motion.q[:-1].T
-    for to, inner, choose in (
-        (ends.low, np.concatenate([begin + low, rate_low]), np.minimum),
-        (ends.high, np.concatenate([begin + high, rate_high]), np.maximum),
-    ):
-        ends_of = inner.min(axis=1) if choose is np.minimum else inner.max(axis=1)
-        to[lane] = choose(to[lane, : 2 * n], ends_of)
-    if aims.link < 0:
-        return
-    path = mechanism.arrays.J[aims.link]
-    alpha = motion.q @ path
-    x = crossings(angle + alpha[:-1] - alpha[0], np.einsum("kjb,j->kb", rates, path), h, math.pi)
-    (found,) = np.nonzero(~np.isnan(x))
-    if len(found):
-        ends.flip[lane] = motion.t[found[0]] + x[found[0]]
+    if inner:
+        h, begin = np.diff(motion.t), motion.q[:-1]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # remarks belong to single motions
+            rates = _pieces(motion.q, motion.qd, motion.qdd, h)
+        low, high, rate_low, rate_high = (x.T for x in extremes(rates, h))
+        beyond = [[begin + low, rate_low], [begin + high, rate_high]]
+        states = np.concatenate([states, *(np.hstack(pair) for pair in beyond)])
+    ends.low[lane], ends.high[lane] = states.min(axis=0), states.max(axis=0)
+    if inner and aims.link >= 0:
+        path = mechanism.arrays.J[aims.link]
+        angles = given.angle[k] + (begin - begin[0]) @ path
+        x = crossings(angles, np.einsum("kjb,j->kb", rates, path), h, math.pi)
+        flips = motion.t[:-1] + x
+        ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
+    return motion.outcome.label
 
 
 def _pieces(q: Array, v: Array, a: Array, h: Array) -> Array:

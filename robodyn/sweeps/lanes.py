@@ -1,28 +1,43 @@
-"""Many motions of one structure at once, in numpy: each lane with its own time and step.
+"""Many motions of one structure at once, one in each lane: in machine code, or in numpy.
 
-Lanes that have ended leave the arrays, so that the last ones cost little more than their own.  What
-a lane leaves behind is gathered along the way, from the states at the steps' ends and from the
-series between them (`step_extremes.py`).  `lanes_compiled.py` does the same in machine code.
+Both follow the text of `engines/machine_motion.py` and `lane_observer.py`, for every scene that
+machine code serves: numbers of the scene and torques may differ from lane to lane.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.misses import SLOWEST, TURN
-from robodyn.sweeps.lane_motion import Expanded, LaneMotion
-from robodyn.sweeps.step_extremes import crossings, extremes, values
-from robodyn.taylor import PARTS, Status
+from robodyn.engines import machine_motion
+from robodyn.engines.machine import Processor
+from robodyn.engines.machine_loop import LoopScene
+from robodyn.engines.machine_motion import RUNNING, Loaded
+from robodyn.engines.machine_steps import Scene
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.sweeps.array_machine import LANES, ArrayMachine
+from robodyn.sweeps.lane_observer import LaneObserver, kept
+from robodyn.sweeps.step_extremes import crossings, extremes
+from robodyn.taylor import Status, best_order, default_order
+from robodyn.taylor.compiled import scene_kind, serves
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
-SMALLEST_TIME = 1e-6  # s, whose spacing steps at the start may have
+KEPT = 64  # codes in a process
+UNROLLED = 1000  # as in `taylor/compiled.py`: where lanes fill vectors, calls gain less
+PIECE = 128  # lanes of one call of machine code, and
+BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
+STEPS = 4  # of numpy's, after which lanes that have ended leave the arrays
+CROWDED = 0.9  # part of the lanes that stay, from which on they do not
 
 
 class Aims(NamedTuple):
@@ -35,6 +50,18 @@ class Aims(NamedTuple):
     extremes: bool = True
     link: int = -1  # whose flip is wanted; -1: none's
     work: bool = False  # whether torques or dampers change the energy
+
+
+class Motions(NamedTuple):
+    """Of one mechanism: starts y (k, 2n), torques tau (k, n), angles (k,) from hanging.
+
+    The angle is that of the link whose flip is wanted: it flips where |angle| exceeds pi.
+    """
+
+    mechanism: Mechanism
+    y: Array
+    tau: Array
+    angle: Array
 
 
 @dataclass(slots=True)
@@ -53,8 +80,8 @@ class Ends:
     energy: Array
     drift: Array
     flip: Array
-    status: Integers  # a Status
-    steps: Integers
+    status: NDArray[np.int64]  # a Status
+    steps: NDArray[np.int64]
 
     @classmethod
     def room(cls, L: int, n: int) -> Ends:
@@ -64,212 +91,203 @@ class Ends:
         return cls(np.zeros(L), wide[0], wide[1], wide[2], energy, *long, *whole)
 
 
-def integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
-    """The motions from y (L, 2n) at t = 0 to t_end.
+class _Shape(NamedTuple):
+    """What serves scenes of one shape: where items stand, and what runs columns of them."""
 
-    `angle` (L,) is that of the link whose flip is wanted, from hanging: it flips where |angle|
-    exceeds pi.  A lane that cannot go on stops; its status tells why.
-    """
-    with np.errstate(all="ignore"):  # what leaves the floats is told by its status
-        return _integrate(series, y, t_end, angle, aims)
+    scene: Scene
+    run: Callable[[Array], None]
 
 
-def _integrate(series: LaneMotion, y: Array, t_end: float, angle: Array, aims: Aims) -> Ends:
-    L, n = len(y), series.n
-    ends = Ends.room(L, n)
-    q, qd = np.ascontiguousarray(y[:, :n].T), np.ascontiguousarray(y[:, n:].T)
-    quality = series.close(q, qd)
-    if aims.link >= 0:
-        angle = angle - series.absolute(q)[aims.link]
-    now = _Running.begin(q, qd, quality, angle, *series.energies(q, qd))
-    direction = math.copysign(1.0, t_end)
-    while True:
-        now.status[~(now.quality >= aims.suspect)] = Status.SINGULAR
-        now.status[now.steps >= aims.most] = Status.FULL
-        now.status[now.t == t_end] = Status.REACHED
-        stay = now.status < 0
-        if not stay.all():
-            now.leave(~stay, ends)
-            if not stay.any():
-                return ends
-            now.keep(stay)
-            series = series.kept(stay)
-        expanded = series.expand(now.q, now.qd)
-        W = expanded.rates
-        own = series.relative(W)
-        longest = series.longest(W, aims.rtol, aims.atol)
-        if series.r:
-            longest = np.minimum(longest, TURN / np.maximum(np.abs(now.qd).max(axis=0), SLOWEST))
-        now.status[np.isnan(longest)] = Status.NOT_FINITE
-        longest = np.nan_to_num(longest, nan=0.0)
-        left = np.abs(t_end - now.t)
-        h, q, qd, now.quality = _landed(series, expanded, own, now, longest, left, direction, aims)
-        end = np.where(np.abs(h) >= left, t_end, now.t + h)
-        now.status[(end == now.t) & (now.status < 0)] = Status.STUCK
-        h = end - now.t
-        if aims.extremes:
-            low, high, rate_low, rate_high = extremes(own, h)
-            now.widen(np.concatenate([now.q + low, rate_low]))
-            now.widen(np.concatenate([now.q + high, rate_high]))
-        if aims.link >= 0:
-            (b,) = np.nonzero(np.isnan(now.flip))
-            if len(b):
-                begun = now.angle[b] + series.absolute(now.q[:, b])[aims.link]
-                now.flip[b] = now.t[b] + crossings(begun, W[:, aims.link, b], h[b], math.pi)
-        if expanded.power is not None:
-            now.work = now.work + values(expanded.power[:, None], h)[0][0]
-        now.t, now.q, now.qd, now.steps = end, q, qd, now.steps + 1
-        now.weigh(*series.energies(q, qd))
-        if aims.extremes:  # the states at the ends are closed, the series are so to the tolerance
-            now.widen(np.concatenate([q, qd]))
+_shapes: dict[str, _Shape | None] = {}
+_making = threading.Lock()
 
 
-@dataclass(slots=True)
-class _Running:
-    """The lanes under way, B of them, along the last axis of each array."""
-
-    lanes: Integers
-    t: Array
-    q: Array  # (n, B)
-    qd: Array
-    quality: Array
-    status: Integers  # -1: goes on
-    steps: Integers
-    angle: Array  # what the flipping link's angle is from hanging, less alpha
-    flip: Array
-    low: Array  # (2n, B)
-    high: Array
-    work: Array
-    start: Array  # the energy there, J
-    off: Array  # how far the energy less work was from that, J
-    KE: Array  # the largest
-    PE: Array  # (2, B) least and largest
-    energy: Array  # (2, B)
-
-    @classmethod
-    def begin(
-        cls, q: Array, qd: Array, quality: Array, angle: Array, KE: Array, PE: Array
-    ) -> _Running:
-        B = q.shape[1]
-        state, energy = np.concatenate([q, qd]), KE + PE
-        return cls(
-            lanes=np.arange(B),
-            t=np.zeros(B),
-            q=q,
-            qd=qd,
-            quality=quality,
-            status=np.full(B, -1),
-            steps=np.zeros(B, np.int64),
-            angle=angle,
-            flip=np.full(B, math.nan),
-            low=state,
-            high=state.copy(),
-            work=np.zeros(B),
-            start=energy,
-            off=np.zeros(B),
-            KE=KE,
-            PE=np.stack([PE, PE]),
-            energy=np.stack([energy, energy]),
-        )
-
-    def widen(self, state: Array) -> None:
-        """Take q and qd (2n, B) into the extremes."""
-        np.fmin(self.low, state, out=self.low)
-        np.fmax(self.high, state, out=self.high)
-
-    def weigh(self, KE: Array, PE: Array) -> None:
-        """Take energies (B,) into what is known of them."""
-        energy = KE + PE
-        self.off = np.fmax(self.off, np.abs(energy - self.work - self.start))
-        self.KE = np.fmax(self.KE, KE)
-        self.PE = np.stack([np.fmin(self.PE[0], PE), np.fmax(self.PE[1], PE)])
-        self.energy = np.stack([np.fmin(self.energy[0], energy), np.fmax(self.energy[1], energy)])
-
-    def leave(self, out: NDArray[np.bool_], ends: Ends) -> None:
-        """Hand over the lanes that have ended."""
-        gone = self.lanes[out]
-        ends.t[gone], ends.status[gone], ends.steps[gone] = (
-            x[out] for x in (self.t, self.status, self.steps)
-        )
-        ends.y[gone] = np.concatenate([self.q[:, out], self.qd[:, out]]).T
-        ends.low[gone], ends.high[gone] = self.low[:, out].T, self.high[:, out].T
-        ends.energy[gone], ends.flip[gone] = self.energy[:, out].T, self.flip[out]
-        moving = np.maximum(self.KE, self.PE[1] - self.PE[0])[out]
-        ends.drift[gone] = np.divide(self.off[out], moving, out=moving * 0.0, where=moving > 0.0)
-
-    def keep(self, stay: NDArray[np.bool_]) -> None:
-        """Go on with these lanes alone."""
-        for name in _Running.__slots__:
-            setattr(self, name, getattr(self, name)[..., stay])
-
-
-def _landed(
-    series: LaneMotion,
-    expanded: Expanded,
-    own: Array,
-    now: _Running,
-    longest: Array,
-    left: Array,
-    direction: float,
+def integrate(
+    members: Sequence[Motions],
+    t_end: float,
     aims: Aims,
-) -> tuple[Array, Array, Array, Array]:
-    """Steps h (B,), closed states there, and their qualities: where the next step starts well."""
-    q, qd, t = now.q, now.qd, now.t
-    if expanded.watched.shape[1]:
-        longest = _held(series, expanded, own, now, np.minimum(longest, left), direction, aims)
-    h = np.minimum(longest, left) * direction
-    x = np.where(longest >= left, left * direction, (t + h) - t)  # the bound is met exactly
-    new_q, new_qd, quality = _closed(series, own, q, qd, x)
-    poor = ~(quality >= aims.suspect)
-    for part in PARTS[1:]:
-        if not poor.any():
-            break
-        (b,) = np.nonzero(poor)
-        shorter = np.minimum(part * longest[b], left[b]) * direction
-        there_q, there_qd, there = _closed(series.kept(b), own[:, :, b], q[:, b], qd[:, b], shorter)
-        better = there > quality[b]
-        to = b[better]
-        x[to], quality[to] = shorter[better], there[better]
-        new_q[:, to], new_qd[:, to] = there_q[:, better], there_qd[:, better]
-        poor = ~(quality >= aims.suspect)
-    return x, new_q, new_qd, quality
+    driven: Sequence[bool],
+    compiled: bool = True,
+) -> list[Ends | None]:
+    """The motions of each member from t = 0 to t_end; None where its mechanism is not served.
 
-
-def _held(
-    series: LaneMotion,
-    expanded: Expanded,
-    own: Array,
-    now: _Running,
-    h: Array,
-    direction: float,
-    aims: Aims,
-) -> Array:
-    """Steps (B,) halved until the torques at their ends are those of the series.
-
-    And in their middles, where friction may turn over and back.  Zero where no step serves.
+    `driven` (n) tells which joints may have a torque at all.  Neither which members come together
+    nor their order changes a digit.  A lane that cannot go on stops; its status tells why.
     """
-    h = h.copy()
-    (b,) = np.nonzero(h > 0.0)
-    while len(b):
-        some, part = series.kept(b), expanded.some(b)
-        agrees = np.ones(len(b), bool)
-        for where in (1.0, 0.5) if series.rubs else (1.0,):
-            x = where * h[b] * direction
-            turn, rate, _ = values(own[:, :, b], x)
-            agrees &= some.agrees(part, x, now.q[:, b] + turn, rate, aims.rtol, aims.atol)
-        b = b[~agrees]
-        h[b] *= 0.5
-        lost = h[b] < 4.0 * np.spacing(np.maximum(np.abs(now.t[b]), SMALLEST_TIME))
-        h[b[lost]] = 0.0
-        b = b[~lost]
-    return h
+    found: list[Ends | None] = [None] * len(members)
+    alike: dict[str, list[int]] = {}
+    scenes = [_scene(x.mechanism, tuple(driven), aims, compiled) for x in members]
+    for i, scene in enumerate(scenes):
+        if scene is not None:
+            alike.setdefault(f"{compiled} {scene.key}", []).append(i)
+    for key, indices in alike.items():
+        shape = _shape(key, scenes[indices[0]], aims, compiled)
+        if shape is None:
+            continue
+        parts = [_columns(scenes[i], members[i], t_end, aims) for i in indices]
+        columns = np.concatenate(parts, axis=1)
+        shape.run(columns)
+        ends = _ends(shape.scene, columns)
+        begin = 0
+        for i, part in zip(indices, parts, strict=True):
+            stop = begin + part.shape[1]
+            found[i] = Ends(*(getattr(ends, name)[begin:stop] for name in Ends.__slots__))
+            begin = stop
+    return found
 
 
-def _closed(
-    series: LaneMotion, own: Array, q: Array, qd: Array, x: Array
-) -> tuple[Array, Array, Array]:
-    """The closed states at x (B,) after q, qd, and their qualities."""
-    turn, rate, _ = values(own, x)
-    new_q, new_qd = q + turn, rate
-    quality = series.close(new_q, new_qd)
-    return new_q, new_qd, np.where(series.leaps(q, new_q), -1.0, quality)
+@lru_cache(maxsize=8)
+def _scene(
+    mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, compiled: bool
+) -> Scene | None:
+    if not serves(mechanism):
+        return None
+    order = default_order(aims.rtol) if compiled else best_order(aims.rtol)
+    kind = scene_kind(mechanism, order, UNROLLED) if compiled else LoopScene
+    try:
+        return kind(
+            mechanism,
+            Actuation(tuple(map(float, driven))),
+            order,
+            work=aims.work,
+            rate_series=aims.extremes,
+            link=aims.link,
+            kept=kept(mechanism),
+        )
+    except ZeroDivisionError:  # no state has a series: the others say why
+        return None
+
+
+def _shape(key: str, scene: Scene | None, aims: Aims, compiled: bool) -> _Shape | None:
+    with _making:  # all threads get the same
+        if key not in _shapes:
+            while len(_shapes) >= KEPT:
+                _shapes.pop(next(iter(_shapes)))
+            _shapes[key] = _made(scene, aims, compiled)
+        return _shapes[key]
+
+
+def _made(scene: Scene | None, aims: Aims, compiled: bool) -> _Shape | None:
+    assert scene is not None
+    observer = LaneObserver(scene, aims.extremes)
+    try:
+        if not compiled:
+            assert isinstance(scene, LoopScene)
+            return _Shape(scene, _ArrayLanes(scene, observer).run)
+        loaded = machine_motion.compile(scene, observer, 0)
+        return None if loaded is None else _Shape(scene, _MachineLanes(scene, loaded).run)
+    except ZeroDivisionError:  # no state has a series
+        return None
+
+
+def _columns(scene: Scene | None, motions: Motions, t_end: float, aims: Aims) -> Array:
+    """The items that Python fills, (items, lanes)."""
+    assert scene is not None
+    place, n = scene.place, scene.mechanism.n
+    column = np.zeros(len(place))
+    scene.fill(column, aims.rtol, aims.atol)
+    given = {"bound": t_end, "direction": 1.0 if t_end >= 0.0 else -1.0, "most_steps": aims.most}
+    given |= {"status": RUNNING if t_end else Status.REACHED, "suspect": aims.suspect}
+    for name, value in given.items():
+        column[place[name]] = value
+    columns = np.repeat(column[:, None], len(motions.y), axis=1)
+    columns[place["to_q0"] : place["to_q0"] + 2 * n] = motions.y.T
+    columns[place["u0"] : place["u0"] + n] = motions.tau.T
+    columns[place["angle"]] = motions.angle
+    return columns
+
+
+def _ends(scene: Scene, columns: Array) -> Ends:
+    """What columns (items, L) of lanes that have ended hold."""
+    place, n = scene.place, scene.mechanism.n
+    rows = {name: columns[i] for name, i in place.items()}
+    moving = np.maximum(rows["KE"], rows["PE_high"] - rows["PE_low"])
+    drift = np.divide(rows["off"], moving, out=moving * 0.0, where=moving > 0.0)
+    return Ends(
+        t=rows["t"],
+        y=columns[: 2 * n].T,
+        low=columns[place["low0"] : place["low0"] + 2 * n].T,
+        high=columns[place["high0"] : place["high0"] + 2 * n].T,
+        energy=np.stack([rows["E_low"], rows["E_high"]], axis=1),
+        drift=drift,
+        flip=rows["flip"],
+        status=rows["status"].astype(np.int64),
+        steps=rows["steps"].astype(np.int64),
+    )
+
+
+class _MachineLanes:
+    """Lanes in machine code."""
+
+    def __init__(self, scene: Scene, loaded: Loaded) -> None:
+        types = [ctypes.c_void_p] * 2 + [ctypes.c_int64] * 4
+        self.idle, self.loaded = scene.place["status"], loaded
+        self.call = loaded.code.function("run", *types)
+
+    def run(self, columns: Array) -> None:
+        """Take columns (items, L) to their ends, in place."""
+        lanes, (count, L) = self.loaded.lanes, columns.shape
+        held = np.empty((count, -(-L // lanes) * lanes))
+        held[:, :L] = columns
+        held[:, L:] = columns[:, -1:]  # what pads the last lanes idles
+        held[self.idle, L:] = float(Status.REACHED)
+        block, wide = np.zeros(self.loaded.items * lanes), held.shape[1]
+        for first in range(0, wide, PIECE):
+            stop = min(first + PIECE, wide)
+            while self.call(block.ctypes.data, held.ctypes.data, wide, first, stop, BUDGET):
+                pass
+        columns[:] = held[:, :L]
+
+
+class _ArrayLanes(ArrayMachine):
+    """Lanes in numpy; those that have ended leave the arrays, so that the last ones cost little."""
+
+    def __init__(self, scene: LoopScene, observer: LaneObserver) -> None:
+        processor = Processor("", "", LANES, False)
+        text = machine_motion.text(scene, observer, processor)
+        super().__init__(text, len(scene.loop.columns))
+        self.scene = scene
+
+    def run(self, columns: Array) -> None:
+        """Take columns (items, L) to their ends, in place."""
+        count, L = columns.shape
+        lanes, M = np.arange(L), np.zeros((self.scene.items, L))
+        M[:count] = columns
+        with np.errstate(all="ignore"):  # what leaves the floats is told by its status
+            self.prepare(M, 0)
+            self.begin(M, 0)
+            while True:
+                running = M[self.scene.place["status"]] == RUNNING
+                if running.mean() < CROWDED:
+                    columns[:, lanes] = M[:count]
+                    if not running.any():
+                        return
+                    lanes, M = lanes[running], np.ascontiguousarray(M[:, running])
+                self.advance(M, 0, STEPS, 0)
+
+    def widen(self, M: Array, block: int, j: int) -> None:
+        """Of all joints at once, with the first."""
+        if j == 0:
+            place, n, count = self.scene.whole, self.scene.mechanism.n, self.scene.order + 1
+            (b,) = np.nonzero(M[place["x"]])
+            first = place["rate0_0"]
+            rates = M[first : first + n * count, b].reshape(n, count, -1).swapaxes(0, 1)
+            low, high, rate_low, rate_high = extremes(rates, M[place["x"], b])
+            q = M[:n, b]
+            for name, choose, found in (
+                ("low0", np.fmin, (q + low, rate_low)),
+                ("high0", np.fmax, (q + high, rate_high)),
+            ):
+                rows = M[place[name] : place[name] + 2 * n]
+                rows[:, b] = choose(rows[:, b], np.concatenate(found))
+
+    def cross(self, M: Array, block: int) -> None:
+        scene, place = self.scene, self.scene.whole
+        x, flip, first = M[place["x"]], M[place["flip"]], place["link0_0"]
+        (b,) = np.nonzero((x != 0.0) & np.isnan(flip))
+        if len(b):
+            angle = M[place["angle"], b]
+            for j in scene.mechanism.path(scene.link):
+                angle = angle + M[j, b]
+            rates = M[first : first + scene.order + 1, b]
+            flip[b] = M[place["t"], b] + crossings(angle, rates, x[b], math.pi)

@@ -21,11 +21,6 @@ Array = NDArray[np.float64]
 
 TINY = 1e-290  # in place of a coefficient that vanishes
 
-# of numpy over many lanes
-PASSES = 3  # Newton steps that close a state
-HOPELESS = 1e-8  # quality below which a projection would add more noise than it takes away
-PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
-
 
 class Status(IntEnum):
     """Why an engine stopped."""
