@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.trajectories.splines import hermite
 
 Array = NDArray[np.float64]
 
@@ -99,20 +100,7 @@ def _coefficients(times: Array, given: list[Array]) -> Array:
         from scipy.interpolate import CubicSpline
 
         return np.moveaxis(CubicSpline(times, given[0]).c[::-1], 0, -1).copy()
-    q, qd = given[:2]
-    h = np.diff(times)[:, None]
-    # what the first derivatives at the row before leave for the higher powers
-    slope = qd[:-1] * h
-    if len(given) == 2:
-        D, V = q[1:] - q[:-1] - slope, (qd[1:] - qd[:-1]) * h
-        return np.stack([q[:-1], qd[:-1], (3 * D - V) / h**2, (V - 2 * D) / h**3], axis=-1)
-    bend = given[2][:-1] * h**2
-    D = q[1:] - q[:-1] - slope - bend / 2
-    V = (qd[1:] - qd[:-1]) * h - bend
-    A = given[2][1:] * h**2 - bend
-    higher = [10 * D - 4 * V + A / 2, -15 * D + 7 * V - A, 6 * D - 3 * V + A / 2]
-    powers = [value / h**d for d, value in enumerate(higher, 3)]
-    return np.stack([q[:-1], qd[:-1], given[2][:-1] / 2, *powers], axis=-1)
+    return np.moveaxis(hermite(times, *given), 1, -1).copy()
 
 
 def _kinks(times: Array, c: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -19,7 +19,8 @@ from robodyn.errors import RobodynError, SingularError
 from robodyn.simulation.recording import Outcome
 from robodyn.simulation.simulation import SCIPY_RTOL, Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends, Motions
-from robodyn.sweeps.step_extremes import QUARTERS, crossings, extremes
+from robodyn.sweeps.step_extremes import QUARTERS, crossings, derivative, extremes
+from robodyn.trajectories.splines import hermite
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,8 @@ def single(given: Motions, k: int, t_end: float, aims: Aims, ends: Ends, lane: i
         h, begin = np.diff(motion.t), motion.q[:-1]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # remarks belong to single motions
-            rates = _pieces(motion.q, motion.qd, motion.qdd, h)
+            pieces = hermite(motion.t, motion.q, motion.qd, motion.qdd)
+        rates = derivative(pieces.swapaxes(0, 1)).swapaxes(1, 2)
         low, high, rate_low, rate_high = (x.T for x in extremes(rates, h))
         beyond = [[begin + low, rate_low], [begin + high, rate_high]]
         states = np.concatenate([states, *(np.hstack(pair) for pair in beyond)])
@@ -82,16 +84,3 @@ def single(given: Motions, k: int, t_end: float, aims: Aims, ends: Ends, lane: i
         flips = motion.t[:-1] + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
     return motion.outcome.label
-
-
-def _pieces(q: Array, v: Array, a: Array, h: Array) -> Array:
-    """The coefficients (5, n, B) of qd between rows (B + 1, n) h (B,) apart."""
-    h = h[:, None]
-    d = q[1:] - q[:-1] - h * (v[:-1] + 0.5 * h * a[:-1])
-    e = v[1:] - v[:-1] - h * a[:-1]
-    f = a[1:] - a[:-1]
-    third = (10.0 * d - 4.0 * e * h + 0.5 * f * h**2) / h**3
-    fourth = (-15.0 * d + 7.0 * e * h - f * h**2) / h**4
-    fifth = (6.0 * d - 3.0 * e * h + 0.5 * f * h**2) / h**5
-    parts = [v[:-1], a[:-1], 3.0 * third, 4.0 * fourth, 5.0 * fifth]
-    return np.stack([part.T for part in parts])

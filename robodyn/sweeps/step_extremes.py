@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 QUARTERS = 4
 NEWTON = 40  # steps at most: a bracket shrinks by each, and the last few double the digits
@@ -24,38 +23,29 @@ def extremes(rates: Array, h: Array) -> tuple[Array, Array, Array, Array]:
 
     `rates` (K, n, B), K > 1, are the coefficients v_k.
     """
-    edges = h * (np.arange(QUARTERS + 1)[:, None] / QUARTERS)
-    turn, rate, slope = np.zeros((3, QUARTERS + 1, *rates.shape[1:]))
-    rate[0], slope[0] = rates[0], rates[1]
-    scaled = rates * powers(h, len(rates))[:, None]
-    orders = np.arange(len(rates), dtype=float)
-    for p in range(1, QUARTERS + 1):
-        u = (p / QUARTERS) ** orders
-        turn[p] = edges[p] * sums((u / (orders + 1.0))[:, None, None], scaled)
-        rate[p] = sums(u[:, None, None], scaled)
-        slope[p] = sums((u[1:] * orders[1:])[:, None, None], scaled[1:])
-        slope[p] /= edges[p]
-    turn_low, turn_high = turn.min(axis=0), turn.max(axis=0)
-    rate_low, rate_high = rate.min(axis=0), rate.max(axis=0)
-    found = []
-    for first, series in ((rate, rates), (slope, derivative(rates))):
-        part, i, b = np.nonzero(first[:-1] * first[1:] < 0.0)
-        gathered = series[:, i, b]
-        if len(gathered) < len(rates):  # both kinds in one array: what is missing is zero
-            gathered = np.concatenate([gathered, np.zeros((1, len(b)))])
-        found.append((i, b, gathered, edges[part, b], edges[part + 1, b], first[part, i, b]))
-    turns, bends = found
-    if not len(turns[0]) + len(bends[0]):
-        return turn_low, turn_high, rate_low, rate_high
-    x = roots(*(np.concatenate(pair, axis=-1) for pair in zip(turns[2:], bends[2:], strict=True)))
-    for (i, b, *_), x_there, low, high, which in (
-        (turns, x[: len(turns[0])], turn_low, turn_high, 0),
-        (bends, x[len(turns[0]) :], rate_low, rate_high, 1),
-    ):
-        there = values(rates[:, None, i, b], x_there)[which][0]
-        np.minimum.at(low, (i, b), there)
-        np.maximum.at(high, (i, b), there)
-    return turn_low, turn_high, rate_low, rate_high
+    begin, before, changes = np.zeros(len(h)), (rates[0], rates[1]), []
+    found = [np.zeros_like(rates[0])] * 2 + [rates[0]] * 2
+    scaled, orders = rates * powers(h, len(rates))[:, None], np.arange(float(len(rates)))
+    for part in range(1, QUARTERS + 1):
+        end, u = h * (part / QUARTERS), ((part / QUARTERS) ** orders)[:, None, None]
+        turn = end * sums(u / (orders + 1.0)[:, None, None], scaled)
+        rate, slope = sums(u, scaled), sums(u * orders[:, None, None], scaled) / end
+        for k, value in ((0, turn), (2, rate)):
+            found[k : k + 2] = np.minimum(found[k], value), np.maximum(found[k + 1], value)
+        for k, (first, last) in enumerate(zip(before, (rate, slope), strict=True)):
+            i, b = np.nonzero(first * last < 0.0)
+            changes.append((np.full(len(b), k), i, b, begin[b], end[b], first[i, b]))
+        begin, before = end, (rate, slope)
+    kind, i, b, begin, end, first = (np.concatenate(x) for x in zip(*changes, strict=True))
+    series = rates[:, i, b]
+    bends = np.concatenate([derivative(series), np.zeros((1, len(b)))])
+    x = roots(np.where(kind, bends, series), begin, end, first)
+    there = values(series[:, None], x)
+    for k in range(2):
+        place, value = (i[kind == k], b[kind == k]), there[k][0, kind == k]
+        np.minimum.at(found[2 * k], place, value)
+        np.maximum.at(found[2 * k + 1], place, value)
+    return found[0], found[1], found[2], found[3]
 
 
 def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
@@ -65,48 +55,39 @@ def crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
     """
     # a bound of the turn tells most steps that they cannot reach so far
     most = (np.abs(rates) * powers(np.abs(h), len(rates))).sum(axis=0) * np.abs(h)
-    (near,) = np.nonzero(~(np.abs(angle) + most <= limit))
-    found = np.full(len(h), np.nan)
-    if len(near):
-        found[near] = _crossings(angle[near], rates[:, near], h[near], limit)
-    return found
-
-
-def _crossings(angle: Array, rates: Array, h: Array, limit: float) -> Array:
-    B = len(h)
-    found = np.full(B, np.nan)
-    begin, before = np.zeros(B), rates[0]
-    found[np.abs(angle) > limit] = 0.0
+    found, left = np.full(len(h), np.nan), ~(np.abs(angle) + most <= limit)
+    found[left & (np.abs(angle) > limit)] = 0.0
+    begin, before = np.zeros(len(h)), rates[0]
     for part in range(1, QUARTERS + 1):
-        end = h * (part / QUARTERS)
-        turn, rate, _ = (value[0] for value in values(rates[:, None], end))
-        outside = np.abs(angle + turn) > limit
-        reach, side = np.where(outside, end, np.nan), np.sign(angle + turn)
-        (b,) = np.nonzero((before * rate < 0.0) & np.isnan(found))
+        (here,) = np.nonzero(left & np.isnan(found))
+        if not len(here):
+            break
+        end, series, from_here = h * (part / QUARTERS), rates[:, here], angle[here]
+        turn, rate, _ = (value[0] for value in values(series[:, None], end[here]))
+        reach, there = end[here], from_here + turn
+        (b,) = np.nonzero(before[here] * rate < 0.0)
         if len(b):  # it may go beyond and come back within the part
-            x = roots(rates[:, b], begin[b], end[b], before[b])
-            there = angle[b] + values(rates[:, None, b], x)[0][0]
-            over = np.abs(there) > limit
-            reach[b[over]], side[b[over]] = x[over], np.sign(there[over])
-        (b,) = np.nonzero(~np.isnan(reach) & np.isnan(found))
+            x = roots(series[:, b], begin[here[b]], end[here[b]], before[here[b]])
+            furthest = from_here[b] + values(series[:, None, b], x)[0][0]
+            over = np.abs(furthest) > limit
+            reach[b[over]], there[b[over]] = x[over], furthest[over]
+        (b,) = np.nonzero(np.abs(there) > limit)
         if len(b):
-            goal = side[b] * limit - angle[b]
-            series = np.concatenate([-goal[None], integral(rates[:, b])])
-            at_begin = values(rates[:, None, b], begin[b])[0][0] - goal
-            found[b] = roots(series, begin[b], reach[b], at_begin)
-        begin, before = end, rate
+            goal, place = np.sign(there[b]) * limit - from_here[b], begin[here[b]]
+            ahead = np.concatenate([-goal[None], integral(series[:, b])])
+            at_begin = values(series[:, None, b], place)[0][0] - goal
+            found[here[b]] = roots(ahead, place, reach[b], at_begin)
+        begin, before = end, before.copy()
+        before[here] = rate
     return found
 
 
 def values(rates: Array, x: Array) -> tuple[Array, Array, Array]:
     """The turn, the rate and its derivative at x (B,) of rates (K, n, B), each (n, B)."""
-    K = len(rates)
-    power = powers(x, K)
-    orders = np.arange(K, dtype=float)[:, None]
-    turn = sums((power * x / (orders + 1.0))[:, None], rates)
+    power, orders = powers(x, len(rates)), np.arange(1.0, len(rates) + 1.0)[:, None]
+    turn = sums((power * x / orders)[:, None], rates)
     rate = sums(power[:, None], rates)
-    slope = sums((power[:-1] * orders[1:])[:, None], rates[1:])
-    return turn, rate, slope
+    return turn, rate, sums((power[:-1] * orders[:-1])[:, None], rates[1:])
 
 
 def sums(a: Array, b: Array) -> Array:
@@ -142,14 +123,12 @@ def roots(series: Array, begin: Array, end: Array, at_begin: Array) -> Array:
 
     `at_begin` (B,) are its values there.
     """
-    low, high = begin.copy(), end.copy()
-    sign = np.sign(at_begin)
-    x = 0.5 * (low + high)
+    low, high, x = begin, end, 0.5 * (begin + end)
     found = np.zeros(len(x), bool)  # each by itself: what is found does not depend on the others
     with np.errstate(all="ignore"):
         for _ in range(NEWTON):
             value, steep = horner(series, x)
-            same = value * sign > 0.0
+            same = value * np.sign(at_begin) > 0.0
             low, high = np.where(same, x, low), np.where(same, high, x)
             newton = x - value / steep
             inside = (newton - low) * (newton - high) <= 0.0
@@ -163,10 +142,7 @@ def roots(series: Array, begin: Array, end: Array, at_begin: Array) -> Array:
 
 def horner(series: Array, x: Array) -> tuple[Array, Array]:
     """The values of polynomials (K, B) at x (B,), and their derivatives."""
-    total, slope = series[-1].copy(), np.zeros_like(x)
+    total, slope = series[-1], np.zeros_like(x)
     for coefficient in series[-2::-1]:
-        slope *= x
-        slope += total
-        total *= x
-        total += coefficient
+        total, slope = total * x + coefficient, slope * x + total
     return total, slope

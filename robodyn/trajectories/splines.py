@@ -39,10 +39,7 @@ def cubic_spline(knots: Array, points: Array, natural: bool = False) -> Array:
     right[:-1, 0] += 6 * D / h**2
     right[1:, 0] += 6 * D / h**2
     v = _solve(diagonal, beside, right, ends_at_rest=not natural)[:, 0]
-    v0, v1 = v[:-1], v[1:]
-    return np.stack(
-        [points[:-1], v0, (3 * D / h - 2 * v0 - v1) / h, (v0 + v1 - 2 * D / h) / h**2], axis=1
-    )
+    return hermite(knots, points, v)
 
 
 def quintic_spline(knots: Array, points: Array) -> Array:
@@ -64,12 +61,22 @@ def quintic_spline(knots: Array, points: Array) -> Array:
     right[:-1] += np.stack([360 * quartics, 60 * cubics], axis=1)
     right[1:] += np.stack([360 * quartics, -60 * cubics], axis=1)
     solution = _solve(diagonal, beside, right, ends_at_rest=True)
-    v, a = solution[:, 0], solution[:, 1]
-    v0, v1, a0, a1, h = v[:-1], v[1:], a[:-1], a[1:], h[:, None]
-    cubic = (20 * D - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3)
-    quartic = (-30 * D + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4)
-    quintic = (12 * D - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5)
-    return np.stack([points[:-1], v0, a0 / 2, cubic, quartic, quintic], axis=1)
+    return hermite(knots, points, solution[:, 0], solution[:, 1])
+
+
+def hermite(knots: Array, q: Array, v: Array, a: Array | None = None) -> Array:
+    """Coefficients (pieces, 4 or 6, m), as above, from q, q' and, where given, q'' (K, m)."""
+    h = np.diff(knots)[:, None]
+    if a is None:
+        D, V = np.diff(q, axis=0) - v[:-1] * h, np.diff(v, axis=0) * h
+        powers = [q[:-1], v[:-1], (3 * D - V) / h**2, (V - 2 * D) / h**3]
+    else:
+        bend = a[:-1] * h**2
+        D = np.diff(q, axis=0) - v[:-1] * h - bend / 2
+        V, A = np.diff(v, axis=0) * h - bend, a[1:] * h**2 - bend
+        powers = [q[:-1], v[:-1], a[:-1] / 2, (10 * D - 4 * V + A / 2) / h**3]
+        powers += [(7 * V - 15 * D - A) / h**4, (6 * D - 3 * V + A / 2) / h**5]
+    return np.stack(powers, axis=1)
 
 
 def evaluate(coefficients: Array, piece: NDArray[np.int64], x: Array, order: int) -> Array:
