@@ -126,9 +126,8 @@ def test_loops_stay_closed(shape):
             assert float(np.abs(rate).max()) < 1e-16
 
 
-def test_a_large_mechanism_takes_a_second_series(monkeypatch):
-    monkeypatch.setattr(extended, "_Extrapolation", None)
-    scene = seeded_tree(4, extended.LARGE + 1)
+def test_a_large_mechanism():
+    scene = seeded_tree(4, 13)
     state = np.concatenate([scene.q, scene.qd])
     found = reference(scene.mechanism, state, np.array([0.02]), at_rest(scene.n))
     assert EPS <= found.uncertainty < 1e-13

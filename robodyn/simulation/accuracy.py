@@ -20,7 +20,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import SCIPY_RTOL, SMALLEST_RTOL, Settings, run
+from robodyn.simulation.simulation import Settings, run
 from robodyn.taylor.run import stepping_engine
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def settings_for(
         stabilizes = settings.stabilize != "baumgarte"
         method = best_method(mechanism, over) if stabilizes else "DOP853"
         settings = replace(settings, method=method)
-    first = max(accuracy / TIGHTER, TIGHTER * _smallest(settings))
+    first = max(accuracy / TIGHTER, TIGHTER * settings.smallest_rtol)
     loose = replace(settings, rtol=first, atol=first)
     motion = _Motion(mechanism, state, t_end, actuation, loose)
     before = motion.sampled(loose)
@@ -113,7 +113,7 @@ def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
 
 def tighter(settings: Settings) -> Settings | None:
     """Settings a hundred times as tight; None where the method takes none three times as tight."""
-    least = _smallest(settings)
+    least = settings.smallest_rtol
     rtol, atol = (max(x / TIGHTER, least) for x in (settings.rtol, settings.atol))
     if rtol * 3.0 > settings.rtol and atol * 3.0 > settings.atol:
         return None
@@ -179,7 +179,3 @@ def difference(first: Sampled | None, second: Sampled | None) -> float:
     if first is None or second is None:
         return np.nan
     return max(float(np.abs(first.y - second.y).max()), second.missed)
-
-
-def _smallest(settings: Settings) -> float:
-    return SMALLEST_RTOL.get(settings.method, SCIPY_RTOL)

@@ -19,7 +19,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.extended import Reference, reference
 from robodyn.simulation.recording import Outcome, Report
-from robodyn.simulation.simulation import METHODS, SCIPY_RTOL, SMALLEST_RTOL, Settings, run
+from robodyn.simulation.simulation import METHODS, Settings, run
 from robodyn.taylor.run import compiled_engine, stepping_engine
 
 Array = NDArray[np.float64]
@@ -79,39 +79,52 @@ def benchmark(
     if not np.isfinite(exact.y).all():
         raise RobodynError("bench", where=mechanism.source, limit="the motion is not finite")
     watch(0.1)
+
+    def timed(settings: Settings, at: Array = times) -> tuple[float, Outcome, Report, Array]:
+        rows: list[Array] = []
+        begun = time.perf_counter()
+        outcome, report = run(
+            mechanism, state, at[-1], actuation, settings, lambda t, y: rows.append(y), at
+        )
+        took = time.perf_counter() - begun
+        return took, outcome, report, np.concatenate(rows or [np.zeros((0, len(state)))])
+
     names, left_out = _methods(mechanism, actuation)
     found: list[Measurement] = []
-    problem = _Problem(mechanism, state, t_end, actuation, times, exact)
     runs: list[tuple[Measurement, Settings]] = []
-    brief = replace(problem, t_end=t_end / 1000, times=np.array([t_end / 1000]))
     for i, (name, settings) in enumerate(names):
-        brief.run(settings)  # what is loaded and compiled once is no part of a run
+        timed(settings, times[-1:] / 1000)  # what is loaded and made once is no part of a run
         for tolerance in tolerances:
-            if tolerance < SMALLEST_RTOL.get(settings.method, SCIPY_RTOL):
+            if tolerance < settings.smallest_rtol:
                 continue
-            each = Settings(
-                settings.method,
-                tolerance,
-                tolerance,
-                max_evaluations=MAX_EVALUATIONS,
-                engine=settings.engine,
+            each = replace(
+                settings, rtol=tolerance, atol=tolerance, max_evaluations=MAX_EVALUATIONS
             )
-            begun = time.perf_counter()
-            measured = problem.measure(name, each)
-            took = time.perf_counter() - begun
+            took, outcome, report, y = timed(each)
+            measured = Measurement(
+                name,
+                tolerance,
+                outcome.label,
+                drift=report.energy_drift,
+                gap=report.largest_gap,
+                evaluations=report.evaluations,
+                steps=report.steps,
+            )
             found.append(measured)
-            if measured.outcome == Outcome.FINISHED.label:
+            finished = outcome is Outcome.FINISHED
+            if finished:
+                off = np.maximum(np.abs(y - exact.y).max(axis=1), exact.uncertainty)
+                measured.error, measured.error_end = float(off.max()), float(off[-1])
                 runs.append((measured, each))
-            if took > patience or measured.outcome != Outcome.FINISHED.label:
-                rest = [x for x in tolerances if x < tolerance]
-                if rest:
+            if took > patience or not finished:
+                if any(x < tolerance for x in tolerances):
                     why = measured.outcome if took <= patience else f"took {took:.2g} s"
                     left_out.append(f"{name} below {tolerance:g}: {why} there")
                 break
         watch(0.1 + 0.4 * (i + 1) / len(names))
     for i in range(repeats):
         for measured, each in runs:
-            measured.seconds.append(problem.seconds(each))
+            measured.seconds.append(timed(each)[0])
         watch(0.5 + 0.5 * (i + 1) / repeats)
     for measured, _ in runs:
         measured.median, measured.least = median(measured.seconds), min(measured.seconds)
@@ -136,48 +149,6 @@ def _methods(
         needs = "pip install 'robodyn[fast]', a torque that has a series, and a small mechanism"
         left_out.append(f"taylor compiled: needs {needs}")
     return names, left_out
-
-
-@dataclass(frozen=True, slots=True)
-class _Problem:
-    """A motion, and the times at which it is compared."""
-
-    mechanism: Mechanism
-    state: Array
-    t_end: float
-    actuation: Actuation
-    times: Array
-    exact: Reference
-
-    def run(self, settings: Settings) -> tuple[Outcome, Report, Array]:
-        rows: list[Array] = []
-        outcome, report = run(
-            self.mechanism,
-            self.state,
-            self.t_end,
-            self.actuation,
-            settings,
-            lambda t, y: rows.append(y),
-            self.times,
-        )
-        y = np.concatenate(rows) if rows else np.zeros((0, len(self.state)))
-        return outcome, report, y
-
-    def measure(self, name: str, settings: Settings) -> Measurement:
-        outcome, report, y = self.run(settings)
-        measured = Measurement(name, settings.rtol, outcome.label)
-        measured.evaluations, measured.steps = report.evaluations, report.steps
-        measured.drift, measured.gap = report.energy_drift, report.largest_gap
-        if outcome is Outcome.FINISHED:
-            off = np.abs(y - self.exact.y).max(axis=1)
-            measured.error = max(float(off.max()), self.exact.uncertainty)
-            measured.error_end = max(float(off[-1]), self.exact.uncertainty)
-        return measured
-
-    def seconds(self, settings: Settings) -> float:
-        begun = time.perf_counter()
-        self.run(settings)
-        return time.perf_counter() - begun
 
 
 def _mark_front(found: list[Measurement], uncertainty: float) -> None:

@@ -1,10 +1,10 @@
 """Motions in extended precision: what errors are measured against.
 
-Two computations that share the mechanism's constants and torques, and nothing else, run in numpy's
-longdouble (64 bits of mantissa where the platform has them): the Taylor series of the program's
-rows, and extrapolation of the midpoint rule on (33).  What the two differ by is the uncertainty of
-the reference: no error below it can be claimed.  Rounding of the constants themselves, which every
-run shares, is no part of it.
+Two computations of the program's rows run in numpy's longdouble (64 bits of mantissa where the
+platform has them): Taylor series of two orders and steps, or, of torques without a series, two
+extrapolations of the midpoint rule.  What the two differ by is the uncertainty of the reference: no
+error below it can be claimed.  Rounding of the constants themselves, which every run shares, is no
+part of it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics import forces
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import InputError, RobodynError
@@ -43,7 +42,6 @@ LARGEST_STEP = 0.25  # s, of the extrapolation
 ROUNDING = 100.0 * float(np.finfo(np.longdouble).eps)  # part of a rate
 AGREE = 1e-9  # part of a torque's terms by which its series may miss it, where it does not bend
 TOO_NEAR = 1e-8  # s/L below which nothing is closed
-LARGE = 12  # links, up to which the second computation is worth its time
 
 
 class Reference(NamedTuple):
@@ -56,9 +54,7 @@ class Reference(NamedTuple):
 def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actuation) -> Reference:
     """The motion from `state` (2n,) at t = 0, at increasing `times` > 0.
 
-    For mechanisms of many links the second computation is another series, of other order and step.
-    Where the torques have no series, both are extrapolations.  Raises RobodynError where the
-    motion cannot be followed.
+    Raises RobodynError where the motion cannot be followed.
     """
     actuation = over_a_run(actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
@@ -72,7 +68,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
 
 
 class _Task(NamedTuple):
-    """What is to be computed, see `reference`."""
+    """See `reference`."""
 
     mechanism: Mechanism
     state: Array
@@ -82,13 +78,15 @@ class _Task(NamedTuple):
 
 def _by_two(task: _Task) -> tuple[Long, Long]:
     try:
-        first = _followed(task, _Series(task, ORDER, TOLERANCE))
+        both: list[_Series | _Extrapolation] = [
+            _Series(task, ORDER, TOLERANCE),
+            _Series(task, ORDER - 9, 100.0 * TOLERANCE),
+        ]
     except InputError:  # a torque without a series
-        first = _followed(task, _Extrapolation(task, SUBSTEPS, EXTRAPOLATED))
-        return first, _followed(task, _Extrapolation(task, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED))
-    if task.mechanism.n <= LARGE:
-        return first, _followed(task, _Extrapolation(task, SUBSTEPS, EXTRAPOLATED))
-    return first, _followed(task, _Series(task, ORDER - 9, 100.0 * TOLERANCE))
+        fewer = _Extrapolation(task, SUBSTEPS[:-1], 10.0 * EXTRAPOLATED)
+        both = [_Extrapolation(task, SUBSTEPS, EXTRAPOLATED), fewer]
+    first, second = (_followed(task, each) for each in both)
+    return first, second
 
 
 def _followed(task: _Task, step: Callable[[Any, Long, Any], tuple[Any, Long] | None]) -> Long:
@@ -252,32 +250,20 @@ def _extrapolated(
     return table[-1], float(np.abs(table[-1] - table[-2]).max())
 
 
-def _rates(mechanism: Mechanism, actuation: Actuation) -> Any:
-    """dy/dt by (33), from the closed forms of M, C, G and Psi in joint coordinates."""
-    n, x = mechanism.n, _constants(mechanism)
-    torques = actuation.function(n)
+def _rates(mechanism: Mechanism, actuation: Actuation) -> Callable[[Any, Long], Long]:
+    """dy/dt by the first orders of the series, the torques held."""
+    n, torques = mechanism.n, actuation.function(mechanism.n)
+    motion = MotionProgram(mechanism, Actuation(None, linear=True), False)
+    numbers, relative = [LONG(x) for x in motion.program.numbers], relative_matrix(mechanism)
 
     def rates(t: Any, y: Long) -> Long:
-        q, qd = y[:n], y[n:]
-        E, w = np.exp(1j * (x.J @ q)), x.J @ qd
-        W = E.conj()[:, None] * x.A * E
         try:
-            tau: Any = np.asarray(torques(float(t), y.astype(float).tolist()), LONG)
+            tau = [LONG(x) for x in torques(float(t), y.astype(float).tolist())]
         except (ArithmeticError, ValueError):  # outside the domain: a shorter step may not leave it
-            tau = np.full(n, LONG(np.nan))
-        if mechanism.has_state_forces:
-            tau = tau + forces.potential_torques(mechanism, q, E)
-            tau = tau + forces.other_torques(mechanism, qd, E, w)
-        force = tau - x.damping * qd + x.J.T @ (W.imag @ w**2 - (x.weights * E).imag + x.moments)
-        M = x.J.T @ W.real @ x.J
-        if not len(x.P):
-            return np.concatenate([qd, solve_columns(M, force[:, None])[:, 0]])
-        Psi = (x.angles - (x.P * E).imag) @ x.J
-        bend = (x.P * E).real @ w**2  # -Psidot qd
-        inverse = solve_columns(M, np.concatenate([force[:, None], Psi.T], axis=1))
-        free, X = inverse[:, 0], inverse[:, 1:]
-        multipliers = solve_columns(Psi @ X, (bend - Psi @ free)[:, None])[:, 0]
-        return np.concatenate([qd, free + X @ multipliers])
+            return np.full(2 * n, LONG(np.nan))
+        start = motion.state(LONGS, t, list(y), (tau, [0.0] * n))
+        theta = motion.expand(LONGS, numbers, 1, start).theta
+        return np.concatenate([y[n:], relative @ np.array([2 * each[2] for each in theta])])
 
     return rates
 

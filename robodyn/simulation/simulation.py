@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 Array = NDArray[np.float64]
 
 MAX_EVALUATIONS = 2_000_000
+BAUMGARTE = 20.0  # 1/s
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
 Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
 Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
@@ -40,7 +41,6 @@ METHODS: tuple[str, ...] = get_args(Method)
 ORDERS = (4, 60)  # of the Taylor series
 CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
-SMALLEST_RTOL = {"taylor": 1e-16}  # of the methods that do
 
 
 @dataclass
@@ -69,20 +69,25 @@ class Settings:
     rtol: float = 1e-9
     atol: float = 1e-9
     stabilize: str = "projection"
-    baumgarte: float = 20.0  # 1/s
+    baumgarte: float = BAUMGARTE
     max_evaluations: int = MAX_EVALUATIONS
     order: int | None = None  # of the Taylor series; None: by the tolerance
     engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
     max_step: float = np.inf  # s
+
+    @property
+    def smallest_rtol(self) -> float:
+        """That the method takes."""
+        return 1e-16 if self.method == "taylor" else SCIPY_RTOL
 
     def check(self) -> None:
         """Raise InputError for a setting that is none."""
         for name, words in CHOICES.items():
             if (value := getattr(self, name)) not in words:
                 raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")
-        least = SMALLEST_RTOL.get(self.method, SCIPY_RTOL)
-        if not least <= self.rtol < 1.0:
-            raise InputError("rtol", value=self.rtol, limit=f"must be in [{least:g}, 1)")
+        if not self.smallest_rtol <= self.rtol < 1.0:
+            limit = f"must be in [{self.smallest_rtol:g}, 1)"
+            raise InputError("rtol", value=self.rtol, limit=limit)
         for name, value in (("atol", self.atol), ("baumgarte_rate", self.baumgarte)):
             if not 0.0 < value < np.inf:
                 raise InputError(name, value=value, limit="must be > 0 and finite")
@@ -144,16 +149,7 @@ def simulate(
         np.concatenate([q, qd]),
         float(t_end),
         actuation,
-        Settings(
-            method,
-            rtol,
-            atol,
-            stabilize,
-            max_evaluations=max_evals,
-            order=order,
-            engine=engine,
-            max_step=max_step,
-        ),
+        Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
         lambda t, y: rows.append((t, y)),
         times,
     )
@@ -201,15 +197,16 @@ def run(
     small = harmless_torque(mechanism, settings.atol, t_end)
     given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
     work = actuation.active or mechanism.changes_energy
+    stabilize = settings.stabilize if mechanism.rows else "none"
     report = Report(
         method=settings.method,
         rtol=settings.rtol,
         atol=settings.atol,
-        stabilize=settings.stabilize if mechanism.rows else "none",
+        stabilize=stabilize,
         t_end=t_end,
     )
-    projects = settings.stabilize == "projection" and bool(mechanism.rows)
-    baumgarte = settings.baumgarte if settings.stabilize == "baumgarte" and mechanism.rows else 0.0
+    projects = stabilize == "projection"
+    baumgarte = settings.baumgarte if stabilize == "baumgarte" else 0.0
     y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
     taylor = settings.method == "taylor"
 
@@ -239,9 +236,26 @@ def run(
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
     if t_end != 0.0:
-        integrate = _by_series if taylor else _by_scipy
         try:
-            outcome = integrate(_Run(side, y0, t_end, actuation, settings, recorder, projects))
+            if taylor:
+                from robodyn.taylor.run import taylor_run
+
+                outcome = taylor_run(
+                    mechanism,
+                    actuation,
+                    y0,
+                    t_end,
+                    recorder,
+                    rtol=float(settings.rtol),
+                    atol=float(settings.atol),
+                    order=settings.order,
+                    engine=settings.engine,
+                    project=projects,
+                    max_step=float(settings.max_step),
+                    side=side,
+                )
+            else:
+                outcome = _by_scipy(side(), y0, t_end, actuation, settings, recorder, projects)
         except SingularError:
             outcome = Outcome.SINGULAR
         except StopRun as stop:
@@ -252,66 +266,36 @@ def run(
     return outcome, report
 
 
-class _Run(NamedTuple):
-    """What is integrated, and how."""
+def _by_scipy(
+    side: RightHandSide,
+    y: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    recorder: Recorder,
+    projects: bool,
+) -> Outcome:
+    from robodyn.simulation.solvers import StiffError, solver_of
 
-    side: Callable[[], RightHandSide]
-    y0: Array
-    t_end: float
-    actuation: Actuation
-    settings: Settings
-    recorder: Recorder
-    projects: bool
-
-
-def _by_series(run: _Run) -> Outcome:
-    from robodyn.taylor.run import taylor_run
-
-    settings = run.settings
-    return taylor_run(
-        run.recorder.mechanism,
-        run.actuation,
-        run.y0,
-        run.t_end,
-        run.recorder,
-        rtol=float(settings.rtol),
-        atol=float(settings.atol),
-        order=settings.order,
-        engine=settings.engine,
-        project=run.projects,
-        max_step=float(settings.max_step),
-        side=run.side,
-    )
-
-
-def _by_scipy(run: _Run) -> Outcome:
-    from scipy.integrate import solve_ivp
-
-    from robodyn.simulation.solvers import StiffError, projected
-
-    side, recorder, actuation = run.side(), run.recorder, run.actuation
-    atol = np.full(len(run.y0), run.settings.atol)
-    atol[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
-    options: dict[str, Any] = {
-        "method": projected(run.settings.method),
-        "t_eval": [run.t_end],  # the observer takes the rows; solve_ivp need not keep them
-        "rtol": run.settings.rtol,
-        "atol": atol,
-        "projection": side.projection if run.projects else None,
-        "near": side.near,
-        "observer": recorder.step,
-        "kinks": actuation.kinks,
-        "leaves": actuation.leaves,
-        "told": actuation.told,
-        "max_step": run.settings.max_step,
-    }
+    tolerances = settings.rtol, settings.atol
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # LSODA's; the outcome says it
+        solver = solver_of(
+            settings.method,
+            side,
+            (0.0, y, t_end),
+            tolerances,
+            recorder,
+            actuation,
+            projects,
+            settings.max_step,
+        )
         try:
-            solution = solve_ivp(side.rates, (0.0, run.t_end), run.y0, **options)
+            while solver.status == "running":
+                solver.step()
         except StiffError:
             return Outcome.STIFF
-    if solution.success:
+    if solver.status == "finished":
         return Outcome.FINISHED
     recorder.flush_steps()
     near = recorder.last_singular

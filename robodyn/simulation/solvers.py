@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
 from robodyn.loops.projection import Projection
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import NEAR, kink_at, next_stop
 from robodyn.mechanics.run_control import Steps
-from robodyn.simulation.right_hand_side import NearSingular
+from robodyn.simulation.recording import Recorder
+from robodyn.simulation.right_hand_side import NearSingular, RightHandSide
 
 Array = NDArray[np.float64]
 Observer = Callable[[Any], None]
@@ -236,6 +238,39 @@ def projected(method: str) -> type[OdeSolver]:
 
     Projected.__name__ = Projected.__qualname__ = f"Projected{method}"
     return Projected
+
+
+def solver_of(
+    method: str,
+    side: RightHandSide,
+    way: tuple[float, Array, float],
+    tolerances: tuple[float, float],
+    recorder: Recorder,
+    actuation: Actuation,
+    projects: bool = True,
+    max_step: float = np.inf,
+) -> OdeSolver:
+    """The solver of this name along a way (t, y, bound), which the recorder observes."""
+    (t, y, bound), (rtol, atol) = way, tolerances
+    each = np.full(len(y), atol)
+    each[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
+    kind: Any = projected(method)
+    solver: OdeSolver = kind(
+        side.rates,
+        t,
+        y,
+        bound,
+        rtol=rtol,
+        atol=each,
+        projection=side.projection if projects else None,
+        near=side.near,
+        observer=recorder.step,
+        kinks=actuation.kinks,
+        leaves=actuation.leaves,
+        told=actuation.told,
+        max_step=max_step,
+    )
+    return solver
 
 
 class _ProjectedOutput(DenseOutput):

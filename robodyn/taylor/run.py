@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,21 +294,10 @@ def _lead(
     actuation: Actuation,
 ) -> tuple[float, Array]:
     """DOP853 from (t, y), `least` steps and until the closures are regular, or the bound."""
-    from robodyn.simulation.solvers import projected
+    from robodyn.simulation.solvers import solver_of
 
-    tolerances = np.full(len(y), atol)
-    tolerances[2 * recorder.mechanism.n :] = 1e100  # the work chooses no step
-    options: dict[str, Any] = {
-        "rtol": max(rtol, SMALLEST_RTOL),
-        "atol": tolerances,
-        "projection": side.projection,
-        "near": side.near,
-        "observer": recorder.step,
-        "kinks": actuation.kinks,
-        "leaves": actuation.leaves,
-        "told": actuation.told,
-    }
-    solver = projected("DOP853")(side.rates, t, y, bound, **options)
+    tolerances = max(rtol, SMALLEST_RTOL), atol
+    solver = solver_of("DOP853", side, (t, y, bound), tolerances, recorder, actuation)
     while solver.status == "running":
         if solver.step() is not None:
             break
