@@ -104,7 +104,7 @@ class TestMotions:
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
     def test_springs_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweeps.sweep_motions.single", None)
+        monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
         axes = Axis("springs[0].stiffness", (100.0, 350.0)), Axis("q1", (1.0, 2.0))
         crank = plan("spring-slider-crank", *axes, t_end=0.5, engine=engine)
         rows = whole(crank)
@@ -114,7 +114,7 @@ class TestMotions:
             assert row[3:7] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
 
     def test_friction_and_gears_go_together(self, engine, monkeypatch) -> None:
-        monkeypatch.setattr("robodyn.sweeps.sweep_motions.single", None)
+        monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
         axes = Axis("links.crank.damping", (0.0, 0.1)), Axis("q1", (1.0,))
         crank = plan("spring-slider-crank", *axes, t_end=0.3, engine=engine)
         rubbing = crank.scene.replace(

@@ -39,6 +39,24 @@ def kept(mechanism: Mechanism) -> dict[str, float]:
     return found | {f"e{i}": value for i, value in enumerate(numbers) if value}
 
 
+class _Items:
+    """The items of a block, in a kernel."""
+
+    def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
+        self.scene, self.k, self.block = scene, k, block
+
+    def get(self, name: str) -> Word:
+        return self.scene.get(self.k, self.block, name)
+
+    def put(self, name: str, value: Word) -> None:
+        self.scene.put(self.k, self.block, name, value)
+
+    def widen(self, low: str, high: str, value: Word, mask: Word) -> None:
+        """Take a value into its extremes."""
+        for name, how in ((low, "olt"), (high, "ogt")):
+            _widened(self.k, self.scene.at(self.k, self.block, name), value, mask, how)
+
+
 class LaneObserver(Observer):
     """Its kernels `begin` and `run` are what Python calls."""
 
@@ -55,9 +73,9 @@ class LaneObserver(Observer):
             self._cross(module)
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
-        get, put, least, most = self._items(k, block)
-        length = k.subtract(end, get("t"))
-        put("x", k.select(take, length, k.number(0.0)))
+        items = _Items(self.scene, k, block)
+        get, length = items.get, k.subtract(end, items.get("t"))
+        items.put("x", k.select(take, length, k.number(0.0)))
         n = self.scene.mechanism.n
         if self.extremes:
             with k.loop(k.whole(n)) as j:
@@ -67,17 +85,15 @@ class LaneObserver(Observer):
         k.line(f"call void @energies({block})")
         KE, PE = get("longest"), get("miss")
         E = k.add(KE, PE)
-        for name, value in (("PE_low", PE), ("E_low", E)):
-            least(name, value, take)
-        for name, value in (("KE", KE), ("PE_high", PE), ("E_high", E)):
-            most(name, value, take)
+        items.widen("PE_low", "PE_high", PE, take)
+        items.widen("E_low", "E_high", E, take)
         work = get("to_work") if self.scene.work else k.number(0.0)
-        off = k.subtract(k.subtract(E, work), get("start"))
-        most("off", k.intrinsic("fabs", off), take)
+        off = k.intrinsic("fabs", k.subtract(k.subtract(E, work), get("start")))
+        for name, value in (("KE", KE), ("off", off)):
+            _widened(k, self.scene.at(k, block, name), value, take, "ogt")
         if self.extremes:  # the states at the ends are closed, the series so to the tolerance
             for m, name in enumerate(self.scene.state[: 2 * n]):
-                least(f"low{m}", get(f"to_{name}"), take)
-                most(f"high{m}", get(f"to_{name}"), take)
+                items.widen(f"low{m}", f"high{m}", get(f"to_{name}"), take)
 
     def finish(self, scene: Scene, module: Module) -> None:
         """run(block, columns, stride, first, stop, budget): steps of lanes first to stop.
@@ -105,30 +121,6 @@ class LaneObserver(Observer):
                 k.store(item, k.at(columns, k.add(k.multiply(i, stride), lane)))
         k.done(k.get(waiting, WHOLE))
 
-    def _items(
-        self, k: Kernel, block: Word
-    ) -> tuple[
-        Callable[[str], Word],
-        Callable[[str, Word], None],
-        Callable[[str, Word, Word], None],
-        Callable[[str, Word, Word], None],
-    ]:
-        scene = self.scene
-
-        def get(name: str) -> Word:
-            return scene.get(k, block, name)
-
-        def put(name: str, value: Word) -> None:
-            scene.put(k, block, name, value)
-
-        def least(name: str, value: Word, mask: Word) -> None:
-            _widened(k, scene.at(k, block, name), value, mask, "olt")
-
-        def most(name: str, value: Word, mask: Word) -> None:
-            _widened(k, scene.at(k, block, name), value, mask, "ogt")
-
-        return get, put, least, most
-
     # -- energies ----------------------------------------------------------------------------------
 
     def _weigh(self, module: Module) -> None:
@@ -153,7 +145,8 @@ class LaneObserver(Observer):
         """From the state at to_q0, ..., closed here: what is kept of the start."""
         scene, n = self.scene, self.scene.mechanism.n
         k, block = scene.kernel(module, "begin")
-        get, put, *_ = self._items(k, block)
+        items = _Items(scene, k, block)
+        get, put = items.get, items.put
         if scene.closes:
             k.line(f"call void @close({block})")
             running = k.compare("oeq", get("status"), k.number(RUNNING))
@@ -278,7 +271,8 @@ class LaneObserver(Observer):
         """When |angle| of the link first exceeds pi, within the step x, where it has not yet."""
         scene = self.scene
         k, block = scene.kernel(module, "cross")
-        get, put, *_ = self._items(k, block)
+        items = _Items(scene, k, block)
+        get, put = items.get, items.put
         x, flip, pi, zero = get("x"), get("flip"), k.number(math.pi), k.number(0.0)
         series = scene.at(k, block, "link0_0")
         angle = k.add(get("angle"), self._alpha(k, block))
