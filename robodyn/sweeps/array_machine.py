@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 LANES = 2  # of the text, in place of any number
 _CONSTANT = re.compile(r"<(double|i64|i1) ([^,>]+), \1 \2>")
 _TYPES = {"<2 x double>": "vector", "<2 x i64>": "wholes", "<2 x i1>": "mask"}
-_NAME = re.compile(r"%([avsi]\d+)\b")
+_NAME = re.compile(r"%([avsic]\d+)\b")
 _SYMBOLS = {
     "fadd": "+", "fsub": "-", "fmul": "*", "add": "+", "sub": "-", "mul": "*", "and": "&",
     "or": "|", "lshr": ">>", "shl": "<<",
