@@ -79,8 +79,8 @@ class ArrayMachine:
     def sine_cosine(self, M: Array, angle: Array) -> tuple[Array, Array]:
         return np.sin(angle), np.cos(angle)
 
-    def arctangent(self, M: Array, y: Array, x: Array) -> tuple[Array]:
-        return (np.arctan2(y, x),)
+    def arctangent(self, M: Array, y: Array, x: Array) -> tuple[Array, Array]:
+        return (np.arctan2(y, x),) * 2  # functions of angles give two words
 
     def weigh(
         self, M: Array, x: int, y: int, out: int, terms: int, wide: int, level: Any, slope: float

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
@@ -29,10 +29,6 @@ AHEAD = 2  # chunks under way for each worker
 PATIENCE = 60.0  # s without a worker of the cluster
 POLL = 1.0  # s between looks whether there is one
 ANSWER = 5.0  # s in which a scheduler must answer
-
-
-class _Future(Protocol):
-    def result(self) -> Any: ...
 
 
 def results(
@@ -62,7 +58,7 @@ def results(
     executor, before = _executor(plan, count), set(multiprocessing.active_children())
     try:
 
-        def submit(*work: Any) -> _Future:
+        def submit(*work: Any) -> Any:
             with _deaf_children():
                 return executor.submit(*work)
 
@@ -84,8 +80,8 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
-def _ordered(submit: Callable[..., _Future], plan: Plan, begin: int, ahead: int) -> Iterator[Rows]:
-    waiting: deque[_Future] = deque()
+def _ordered(submit: Callable[..., Any], plan: Plan, begin: int, ahead: int) -> Iterator[Rows]:
+    waiting: deque[Any] = deque()
     for number in range(begin, plan.chunks):
         waiting.append(submit(run_chunk, plan, number))
         if len(waiting) >= ahead:
@@ -142,7 +138,7 @@ def _begin_worker() -> None:
 @contextmanager
 def _cluster(
     address: str, patience: float, tell: Callable[[str], object]
-) -> Iterator[tuple[Callable[..., _Future], int]]:
+) -> Iterator[tuple[Callable[..., Any], int]]:
     """A function that submits to the cluster, and how many chunks it computes at once."""
     try:
         import distributed
@@ -163,7 +159,7 @@ def _cluster(
             raise RobodynError("scheduler", value=address, limit="it has no workers")
         watch = _Watch(client, address, patience, tell)
 
-        def submit(function: Callable[..., Rows], *arguments: Any) -> _Future:
+        def submit(function: Callable[..., Rows], *arguments: Any) -> Any:
             return _Remote(client.submit(function, *arguments, pure=False), watch)
 
         yield submit, threads
