@@ -9,8 +9,7 @@ import pytest
 from conftest import ROOT
 
 import robodyn
-from robodyn.pictures.character_drawing import LINES, drawing_lines
-from robodyn.pictures.character_plot import Canvas, chart_lines
+from robodyn.pictures.character_plot import LINES, Canvas, chart_lines, drawing_lines
 from robodyn.pictures.chart import Chart, chart
 from robodyn.pictures.drawing import drawing
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Optional
 import numpy as np
 import typer
 
+from robodyn.cli.characters import write_characters
 from robodyn.cli.figures import parse_size, picture_format, save
 from robodyn.cli.options import (
     Ascii,
@@ -124,9 +125,12 @@ def draw(
             drawn = drawing(mechanism, pose)
     texts = _texts(mechanism, labels)
     if chosen == "text":
-        from robodyn.cli.characters import write_drawing
+        from robodyn.pictures.character_plot import drawing_lines
 
-        write_drawing(drawn, texts, ascii, out)
+        def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
+            return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours))
+
+        write_characters(lines, ascii, out)
         return
     _figure(drawn, texts, found, extent, out, chosen)
 

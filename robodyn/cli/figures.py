@@ -8,7 +8,9 @@ import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from robodyn.cli.options import PictureFormat
 from robodyn.errors import InputError, RobodynError
@@ -20,7 +22,7 @@ from robodyn.tables.output_file import on_terminal, open_output
 if TYPE_CHECKING:
     from robodyn.simulation.benchmark import Benchmark
 
-SUFFIXES = (".png", ".svg", ".pdf")
+KINDS: dict[str, PictureFormat] = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 MARKS = "osD^vP*X"
 LINE_STYLES = ("-", "--", ":", "-.")
 DOTS = 150  # an inch
@@ -29,10 +31,16 @@ LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
 
 def check_plot(path: str) -> None:
     """Raise before the work where the figure could not be made."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise InputError("--plot", value=path, limit=f"must end in {', '.join(SUFFIXES)}")
+    if Path(path).suffix.lower() not in KINDS:
+        raise InputError("--plot", value=path, limit=f"must end in {', '.join(KINDS)}")
     check_directory(path)
     check_matplotlib("--plot")
+
+
+def check_directory(path: str) -> None:
+    """Raise before the work where a file's directory does not exist."""
+    if not Path(path).resolve().parent.is_dir():
+        raise InputError("cannot be written", where=path, limit="no such directory")
 
 
 def check_matplotlib(what: str) -> None:
@@ -46,20 +54,18 @@ def picture_format(format: PictureFormat | None, out: str | None) -> PictureForm
 
     Raises before the work where it could not be made.
     """
-    if format is None and out not in (None, "-"):
-        suffix = Path(out or "").suffix.lower()
-        if suffix not in (*SUFFIXES, ".txt"):
-            limit = f"must end in {', '.join(SUFFIXES)} or .txt; or give --format"
+    file = "" if out in (None, "-") else str(out)
+    if format is None:
+        suffix = Path(file).suffix.lower()
+        if file and suffix not in (*KINDS, ".txt"):
+            limit = f"must end in {', '.join(KINDS)} or .txt; or give --format"
             raise InputError("--out", value=out, limit=limit)
-        of_suffix: dict[str, PictureFormat] = {f".{x}": x for x in get_args(PictureFormat)}
-        format = of_suffix.get(suffix, "text")
-    elif format is None:
-        if not sys.stdout.isatty():
+        if not file and not sys.stdout.isatty():
             limit = "give a file (.png, .svg, .pdf), or --format text for a picture of characters"
             raise InputError("--out", limit=limit)
-        format = "text"
-    if out not in (None, "-"):
-        check_directory(out or "")
+        format = KINDS.get(suffix, "text")
+    if file:
+        check_directory(file)
     elif format != "text" and on_terminal(out):
         raise InputError("--format", value=format, limit="is not for a terminal: give --out")
     if format != "text":
@@ -78,50 +84,33 @@ def parse_size(size: str | None) -> tuple[float, float] | None:
     return sides[0], sides[1]
 
 
-def check_directory(path: str) -> None:
-    """Raise before the work where a file's directory does not exist."""
-    if not Path(path).resolve().parent.is_dir():
-        raise InputError("cannot be written", where=path, limit="no such directory")
-
-
 def work_precision(result: Benchmark, title: str, path: str) -> None:
     """Milliseconds against error, log-log, each method's line labelled at its end."""
-    import numpy as np
-
     figure = new_figure((8.0, 5.5), formulas=True, layout="constrained")
-    axes = figure.add_subplot()
+    axes = figure.add_subplot(
+        xlabel="largest error of q (rad) and qd (rad/s)", ylabel="time of a run, ms"
+    )
     labelled: list[tuple[float, float]] = []
     names = list(dict.fromkeys(x.method for x in result.measurements))
     for i, name in enumerate(names):
         runs = [x for x in result.measurements if x.method == name and np.isfinite(x.least)]
         if not runs:
             continue
-        error = [x.error for x in runs]
-        least = [1e3 * x.least for x in runs]
-        shade = 0.0 if name.startswith("taylor") else 0.25 + 0.4 * i / len(names)
-        width = 2.0 if name.startswith("taylor") else 1.2
-        axes.plot(
-            error, least, color=str(shade), lw=width, marker=MARKS[i % len(MARKS)], ms=5, label=name
-        )
-        best = int(np.argmin(error))
-        place = float(np.log10(error[best])), float(np.log10(least[best]))
+        error, least = [x.error for x in runs], [1e3 * x.least for x in runs]
+        own = name.startswith("taylor")
+        colour = str(0.0 if own else 0.25 + 0.4 * i / len(names))
+        style = {"color": colour, "lw": 2.0 if own else 1.2, "marker": MARKS[i % len(MARKS)]}
+        axes.plot(error, least, ms=5, label=name, **style)
+        end = min(zip(error, least, strict=True))
+        place = float(np.log10(end[0])), float(np.log10(end[1]))
         close = any(abs(place[0] - x) < 2.0 and abs(place[1] - y) < 0.15 for x, y in labelled)
         labelled.append(place)
-        axes.annotate(
-            name,
-            (error[best], least[best]),
-            xytext=(-6, 14 if close else 3),
-            textcoords="offset points",
-            ha="right",
-            color=str(shade),
-        )
+        offset = {"xytext": (-6, 14 if close else 3), "textcoords": "offset points"}
+        axes.annotate(name, end, ha="right", color=colour, **offset)
     axes.axvline(result.reference.uncertainty, color="0.8", lw=1.0, ls=":")
     axes.margins(y=0.1)
     if labelled:  # matplotlib has no logarithms of nothing
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-    axes.set_xlabel("largest error of q (rad) and qd (rad/s)")
-    axes.set_ylabel("time of a run, ms")
+        axes.set(xscale="log", yscale="log")
     axes.set_title(shown(title), parse_math=False)
     axes.grid(True, which="major", color="0.9")
     low, high = axes.get_xlim()
@@ -140,71 +129,55 @@ def chart_figure(content: Chart, size: tuple[float, float] | None) -> Any:
     figure.get_layout_engine().set(h_pad=0.06, w_pad=0.06)
     stacked = figure.subplots(len(panels), sharex=True, squeeze=False)[:, 0]
     x_limits = limits([curve.x for curve in content.curves])
+    inches = figure.get_size_inches()[1] / len(panels) - 0.5
     for axes, panel in zip(stacked, panels, strict=True):
         columns = list(dict.fromkeys(curve.column for curve in panel.curves))
+        rises = all((np.diff(curve.x) >= 0.0).all() for curve in panel.curves)  # as against time
         for curve in panel.curves:
             shade = columns.index(curve.column) if len(columns) > 1 else curve.file
-            colour = COLOURS[shade % len(COLOURS)]
-            style = LINE_STYLES[curve.file % len(LINE_STYLES)]
-            single = {"marker": "o", "ms": 4} if len(curve.x) == 1 else {}
-            axes.plot(curve.x, curve.y, color=colour, ls=style, lw=1.4, label=curve.label, **single)
-        if panel is panels[0] or not content.to_scale:
-            axes.margins(x=0.0 if _rises(panel) else 0.04, y=0.06)
+            style = {
+                "color": COLOURS[shade % len(COLOURS)],
+                "ls": LINE_STYLES[curve.file % len(LINE_STYLES)],
+                "marker": "o" if len(curve.x) == 1 else "",
+            }
+            axes.plot(curve.x, curve.y, lw=1.4, ms=4, label=curve.label, **style)
         axes.set_ylabel(panel.label)
         axes.grid(True, color="0.9", lw=0.7)
         axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.0 if rises else 0.04, y=0.06)
         if content.to_scale:
             axes.set_aspect("equal", adjustable="datalim")
-        elif _rises(panel):
-            axes.set_xlim(*x_limits)
-        y_limits = limits([curve.y for curve in panel.curves])
-        margin = 0.06 * (y_limits[1] - y_limits[0])
-        if not content.to_scale:
-            axes.set_ylim(y_limits[0] - margin, y_limits[1] + margin)
+        else:
+            low, high = limits([curve.y for curve in panel.curves])
+            margin = 0.06 * (high - low)
+            axes.set_ylim(low - margin, high + margin)
+            if rises:
+                axes.set_xlim(*x_limits)
+        _name_curves(axes, panel, rises, inches)
     stacked[-1].set_xlabel(content.x_label)
     figure.align_ylabels(stacked)
-    inches = figure.get_size_inches()[1] / len(panels) - 0.5
-    for axes, panel in zip(stacked, panels, strict=True):
-        _name_curves(axes, panel, inches)
     return figure
 
 
-def _name_curves(axes: Any, panel: Panel, inches: float) -> None:
+def _name_curves(axes: Any, panel: Panel, rises: bool, inches: float) -> None:
     """Names at the curves' ends, one below another where they would overlap."""
     lines = axes.get_lines()
-    ends = [int(curve.x.argmax()) if _rises(panel) else -1 for curve in panel.curves]
+    ends = [int(curve.x.argmax()) if rises else -1 for curve in panel.curves]
     low, high = axes.get_ylim()
     gap = 0.17 / max(inches, 0.3) * (high - low)
     heights = [float(curve.y[end]) for curve, end in zip(panel.curves, ends, strict=True)]
     places = spread(heights, gap, low, high)
     if places is None:
-        columns = 1 + len(lines) * gap // (high - low)
-        axes.legend(
-            *(lines, [curve.label for curve in panel.curves]),
-            loc="center left",
-            bbox_to_anchor=(1.0, 0.5),
-            ncols=int(columns),
-            frameon=False,
-        )
+        columns = int(1 + len(lines) * gap // (high - low))
+        beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "ncols": columns}
+        axes.legend(lines, [curve.label for curve in panel.curves], frameon=False, **beside)
         return
+    beside = {"xytext": (5, 0), "textcoords": "offset points", "ha": "left", "va": "center"}
     for line, curve, end, place in zip(lines, panel.curves, ends, places, strict=True):
-        if not _rises(panel):
+        style = {"color": line.get_color(), "fontsize": 9, "annotation_clip": False}
+        axes.annotate(curve.label, (curve.x[end], place), **beside, **style)
+        if not rises:
             axes.plot(curve.x[-1], curve.y[-1], "o", ms=4, color=line.get_color())
-        axes.annotate(
-            *(curve.label, (curve.x[end], place)),
-            xytext=(5, 0),
-            textcoords="offset points",
-            ha="left",
-            va="center",
-            color=line.get_color(),
-            fontsize=9,
-            annotation_clip=False,
-        )
-
-
-def _rises(panel: Panel) -> bool:
-    """Whether all curves go to the right, as those against time do."""
-    return all((curve.x[1:] >= curve.x[:-1]).all() for curve in panel.curves)
 
 
 def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any) -> Any:

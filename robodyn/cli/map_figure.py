@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from robodyn.cli.figures import DOTS, new_figure
-from robodyn.cli.output import with_unit
 from robodyn.pictures.colour_scale import (
     COLOURS,
     LEVELS,
@@ -21,7 +20,7 @@ from robodyn.pictures.colour_scale import (
     viridis,
     word_colours,
 )
-from robodyn.pictures.column_units import unit_of
+from robodyn.pictures.column_units import unit_of, with_unit
 from robodyn.pictures.value_map import ValueMap
 from robodyn.tables.csv_fields import shown
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
 from robodyn.cli.options import Format, StructuredFormat
 from robodyn.errors import printable, printable_lines
-from robodyn.pictures.column_units import unit_of
+from robodyn.pictures.column_units import with_unit
 from robodyn.tables.csv_fields import finite
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS
@@ -179,12 +179,6 @@ def _rich_table(grid: Grid, fit: Callable[[str], str]) -> Table:
     for row in grid.rows:
         table.add_row(*(Text(fit(text)) for text in row))
     return table
-
-
-def with_unit(name: str) -> str:
-    """A column's name with its unit, `tau1 [N m]`."""
-    unit = unit_of(name)
-    return f"{name} [{unit}]" if unit else name
 
 
 def note(text: str) -> None:

@@ -7,13 +7,15 @@ from typing import Annotated, Optional
 import numpy as np
 import typer
 
-from robodyn.cli.figures import parse_size, picture_format
+from robodyn.cli import figures
+from robodyn.cli.characters import write_characters
+from robodyn.cli.figures import parse_size, picture_format, save
 from robodyn.cli.files import input_argument
 from robodyn.cli.options import Ascii, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
 from robodyn.errors import InputError
-from robodyn.pictures.chart import Array, Chart, chart, choose_columns, choose_x, place_of
+from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of
 from robodyn.pictures.colour_column import ColourColumn
 from robodyn.pictures.value_map import ValueMap, value_map
 from robodyn.tables.csv_fields import shown
@@ -90,24 +92,26 @@ def plot(
     if colour is not None:
         mapped = _read_map(files, x or "", patterns or [], colour, log)
         if chosen == "text":
-            from robodyn.cli.characters import write_map
+            from robodyn.pictures.character_map import map_lines
 
-            write_map(mapped, ascii, out)
+            write_characters(lambda w, h, *how: map_lines(mapped, w, h - 1, *how), ascii, out)
             return
-        from robodyn.cli.figures import save
         from robodyn.cli.map_figure import map_figure, map_palette
 
         save(map_figure(mapped, extent), out, chosen, map_palette())
         return
     content = _read(files, x, patterns)
     if chosen == "text":
-        from robodyn.cli.characters import write_chart
+        from robodyn.pictures.character_plot import chart_lines
 
-        write_chart(content, ascii, out)
+        def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
+            panels = len(content.panels)
+            rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
+            return chart_lines(content, width, rows, plain, bool(colours))
+
+        write_characters(lines, ascii, out)
         return
-    from robodyn.cli.figures import chart_figure, save
-
-    save(chart_figure(content, extent), out, chosen)
+    save(figures.chart_figure(content, extent), out, chosen)
 
 
 def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
@@ -118,19 +122,18 @@ def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
             own = choose_x(reader.header, x, name)
             columns = choose_columns(reader.header, patterns, own, name)
             columns = list(dict.fromkeys([*columns, *([own] if own else [])]))
-            blocks = [chunk.values for chunk in reader.chunks(columns)]
-        values = np.concatenate(blocks) if blocks else np.zeros((0, len(columns)))
-        table: dict[str, Array] = dict(zip(columns, values.T, strict=True))
+            blocks = [np.zeros((0, len(columns)))]
+            blocks += [chunk.values for chunk in reader.chunks(columns)]
         names.append(name)
         along.append(own)
-        tables.append(table)
+        tables.append(dict(zip(columns, np.concatenate(blocks).T, strict=True)))
     return chart(names, along, tables)
 
 
 def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: bool) -> ValueMap:
     """The rows of all files as one map."""
     column = ColourColumn(colour, positive=log)
-    blocks, ys = [], []
+    blocks, ys = [np.zeros((0, 2))], []
     for file in files:
         with open_input(file) as (stream, source):
             reader = Reader(stream, source)
@@ -142,13 +145,11 @@ def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: b
             for chunk in reader.chunks([x, ys[0]]):
                 column.add(chunk, place, source)
                 blocks.append(chunk.values)
-    values = np.concatenate(blocks) if blocks else np.zeros((0, 2))
     if log and column.words:
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
-    mapped = value_map(
-        (x, ys[0], colour), values[:, 0], values[:, 1], column.values, column.words, log
-    )
+    along, up = np.concatenate(blocks).T
+    mapped = value_map((x, ys[0], colour), along, up, column.values, column.words, log)
     if mapped.grid is not None and mapped.grid.hidden:
         note(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
     return mapped

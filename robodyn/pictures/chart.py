@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import quantity_of, unit_of
+from robodyn.pictures.column_units import quantity_of, unit_of, with_unit
 from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
@@ -26,8 +26,7 @@ BINS = 4_000
 LARGEST = 1e290
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
+class Curve(NamedTuple):
     """One column of one file against x, (T,) each."""
 
     column: str
@@ -37,16 +36,14 @@ class Curve:
     y: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(NamedTuple):
     """The curves of one unit, and what stands at their axis."""
 
     label: str
     curves: tuple[Curve, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Chart:
+class Chart(NamedTuple):
     """Panels over one x."""
 
     x_label: str
@@ -62,15 +59,14 @@ def choose_x(header: Sequence[str], wanted: str | None, source: str) -> str | No
     """The column along x: the one wanted, else t, else None for the number of the row."""
     if wanted is None:
         return "t" if "t" in header else None
-    if wanted not in header:
-        raise _unknown(wanted, "--x", header, source)
-    return wanted
+    return header[place_of(wanted, "--x", header, source)]
 
 
 def place_of(name: str, option: str, header: Sequence[str], source: str) -> int:
     """Where in the header a column is; InputError, with those that are there, where it is not."""
     if name not in header:
-        raise _unknown(name, option, header, source)
+        limit = f"is no column; there are {shown(', '.join(header))}"
+        raise InputError(option, where=source, value=shown(name), limit=limit)
     return header.index(name)
 
 
@@ -92,10 +88,8 @@ def choose_columns(
     found: list[str] = []
     for pattern in patterns:
         names = _matching(header, pattern, r"\d+") or _matching(header, pattern, ".*")
-        if not names:
-            raise _unknown(pattern, "--y", header, source)
-        found += [name for name in names if name not in found]
-    return found
+        found += names or [header[place_of(pattern, "--y", header, source)]]  # which raises
+    return list(dict.fromkeys(found))
 
 
 def _matching(header: Sequence[str], pattern: str, star: str) -> list[str]:
@@ -104,11 +98,6 @@ def _matching(header: Sequence[str], pattern: str, star: str) -> list[str]:
     parts = [f"(?>{star}?{part})" for part in parts[:-1]] + [star + part for part in parts[-1:]]
     expression = re.compile("".join([first, *parts]))
     return [name for name in header if expression.fullmatch(name)]
-
-
-def _unknown(name: str, option: str, header: Sequence[str], source: str) -> InputError:
-    limit = f"is no column; there are {shown(', '.join(header))}"
-    return InputError(option, where=source, value=shown(name), limit=limit)
 
 
 def chart(
@@ -136,10 +125,8 @@ def chart(
             curve = Curve(name, file, label, *thinned(along, y))
             grouped.setdefault(unit_of(name), []).append(curve)
     x_name = xs[0] or ROW
-    unit = unit_of(x_name)
     panels = tuple(Panel(_label(unit, curves), tuple(curves)) for unit, curves in grouped.items())
-    to_scale = unit == "m" and len(panels) == 1 and "m" in grouped
-    return Chart(shown(f"{x_name} [{unit}]" if unit else x_name), panels, to_scale)
+    return Chart(shown(with_unit(x_name)), panels, {unit_of(x_name)} == grouped.keys() == {"m"})
 
 
 def _label(unit: str, curves: Sequence[Curve]) -> str:
@@ -195,6 +182,12 @@ def limits(values: Sequence[Array]) -> tuple[float, float]:
     return low, high
 
 
+def multiples(low: float, high: float, apart: float) -> range:
+    """The whole numbers k with k apart in [low, high], to rounding."""
+    rounding = 1e-9 + 1e-15 * max(abs(low), abs(high)) / apart
+    return range(math.ceil(low / apart - rounding), math.floor(high / apart + rounding) + 1)
+
+
 def ticks(low: float, high: float, most: int) -> list[float]:
     """At most `most` round numbers in [low, high], 1, 2 or 5 times a power of ten apart.
 
@@ -202,11 +195,9 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     """
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     found: list[float] = []
-    for apart in (factor * power for factor in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)):
-        finer = found
-        rounding = 1e-9 + 1e-15 * max(abs(low), abs(high)) / apart
-        first, last = math.ceil(low / apart - rounding), math.floor(high / apart + rounding)
-        found = [k * apart for k in range(first, last + 1)]
+    for factor in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0):
+        apart, finer = factor * power, found
+        found = [k * apart for k in multiples(low, high, apart)]
         if len(found) <= most:
             break
     return found if len(found) > 1 or len(finer) < 2 else [finer[0], finer[-1]]

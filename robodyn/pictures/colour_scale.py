@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.pictures.chart import limits, tick_texts, ticks
+from robodyn.pictures.chart import limits, multiples, tick_texts, ticks
+from robodyn.pictures.column_units import unit_of
 
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
@@ -26,8 +27,7 @@ VIRIDIS = (
 LEVELS = 160  # shades of a scale; with words and greys a picture has 256 colours at most
 
 
-@dataclass(frozen=True, slots=True)
-class ColourScale:
+class ColourScale(NamedTuple):
     """The values from `low` to `high`, linear or logarithmic, over [0, 1]."""
 
     low: float
@@ -70,12 +70,11 @@ def colour_scale(values: Array, log: bool) -> ColourScale | None:
 def log_ticks(low: float, high: float, most: int) -> list[float]:
     """At most `most` of 1, 2 and 5, or 1, times powers of ten (or of 100, ...) in [low, high]."""
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
-    room = 1e-9
     found: list[float] = []
-    for factors, apart in [((1, 2, 5), 1), ((1, 3), 1), *(((1,), k) for k in range(1, 700))]:
+    for factors, apart in [("125", 1), ("13", 1), *(("1", k) for k in range(1, 700))]:
         powers = range(math.ceil(first / apart) * apart, last + 1, apart)
         marks = [float(f"{factor}e{power}") for power in powers for factor in factors]
-        found = [m for m in marks if low * (1.0 - room) <= m <= high * (1.0 + room)]
+        found = [mark for mark in marks if low * (1 - 1e-9) <= mark <= high * (1 + 1e-9)]
         if len(found) <= most:
             break
     return found
@@ -85,13 +84,12 @@ def angle_ticks(low: float, high: float, most: int) -> tuple[list[float], list[s
     """Ticks of an axis in radians: multiples of pi/4, pi/2 or pi where there are three or more."""
     for parts, factor in ((4, 1), (2, 1), (1, 1), (1, 2), (1, 5), (1, 10)):
         apart = math.pi * factor / parts
-        first, last = math.ceil(low / apart - 1e-9), math.floor(high / apart + 1e-9)
-        if last - first < most:
+        numbers = multiples(low, high, apart)
+        if len(numbers) <= most:
             break
-    if not 3 <= last - first + 1 <= most:
+    if not 3 <= len(numbers) <= most:
         values = ticks(low, high, most)
         return values, tick_texts(values)
-    numbers = range(first, last + 1)
     return [k * apart for k in numbers], [_multiple_of_pi(k * factor, parts) for k in numbers]
 
 
@@ -100,6 +98,17 @@ def _multiple_of_pi(number: int, parts: int) -> str:
     number, parts = number // shared, parts // shared
     text = {0: "0", 1: "π", -1: "-π"}.get(number, f"{number}π")
     return f"{text}/{parts}" if parts > 1 and number else text
+
+
+def axis_ticks(
+    name: str, low: float, high: float, most: int, ascii: bool = False
+) -> tuple[list[float], list[str]]:
+    """At most `most` ticks of a column's axis, and their texts."""
+    if unit_of(name) == "rad":
+        values, texts = angle_ticks(low, high, most)
+        return values, [text.replace("π", "pi") for text in texts] if ascii else texts
+    values = ticks(low, high, most)
+    return values, tick_texts(values)
 
 
 def rgb(colour: str) -> Rgb:
@@ -119,20 +128,16 @@ def word_colours(count: int) -> list[Rgb]:
     """A colour for each of so many words: those that differ most while they last."""
     if count <= len(COLOURS):
         return [rgb(colour) for colour in COLOURS[:count]]
-    red, green, blue = viridis(np.linspace(0.0, 1.0, count)).T.tolist()
-    return list(zip(red, green, blue, strict=True))
+    return [(r, g, b) for r, g, b in viridis(np.linspace(0.0, 1.0, count)).tolist()]
 
 
 def painted(values: Array, scale: ColourScale | None, words: Sequence[str]) -> NDArray[np.uint8]:
     """Colours (..., 3) of values (...): numbers on the scale, or places in `words`; nan is NONE."""
-    none = np.isnan(values)
-    if words:
-        table = np.array(word_colours(len(words)), np.uint8)
-        shades: NDArray[np.uint8] = table[np.where(none, 0.0, values).astype(int)]
-    elif scale is not None:
-        far = scale.fraction(np.where(none, scale.low, values))
-        shades = viridis(np.linspace(0.0, 1.0, LEVELS))[np.rint(far * (LEVELS - 1)).astype(int)]
+    if scale is None:
+        table, places = np.array([*word_colours(len(words)), rgb(NONE)], np.uint8), values
     else:
-        shades = np.zeros((*values.shape, 3), np.uint8)
-    shades[none] = rgb(NONE)
+        table, places = viridis(np.linspace(0.0, 1.0, LEVELS)), scale.fraction(values)
+        places = np.rint(places * (LEVELS - 1))
+    shades: NDArray[np.uint8] = table[np.nan_to_num(places).astype(int)]
+    shades[np.isnan(values)] = rgb(NONE)
     return shades

@@ -4,30 +4,18 @@ from __future__ import annotations
 
 import re
 
-UNITS = {
-    "t": "s",
-    "q": "rad",
-    "qd": "rad/s",
-    "qdd": "rad/s²",
-    "tau": "N m",
-    "fx": "N",
-    "fy": "N",
-    "tc": "N m",
-    "rx": "N",
-    "ry": "N",
-    "shake_fx": "N",
-    "shake_fy": "N",
-    "shake_m": "N m",
-    "KE": "J",
-    "PE": "J",
-    "energy": "J",
-    "gap": "m",
-    "flip": "s",
-    "flip_time": "s",
-    "e": "rad",
-    **{f"{part}_{axis}": "m" for part in ("joint", "tip", "centre") for axis in "xy"},
-    **{f"{part}_v{axis}": "m/s" for part in ("joint", "tip", "centre") for axis in "xy"},
+_COLUMNS = {
+    "s": "t flip flip_time",
+    "rad": "q e",
+    "rad/s": "qd",
+    "rad/s²": "qdd",
+    "N m": "tau tc shake_m",
+    "N": "fx fy rx ry shake_fx shake_fy",
+    "J": "KE PE energy",
+    "m": "gap joint_x joint_y tip_x tip_y centre_x centre_y",
+    "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
+UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
 
 
 def quantity_of(name: str) -> str:
@@ -38,3 +26,9 @@ def quantity_of(name: str) -> str:
 def unit_of(name: str) -> str:
     """The unit of a column, also of its end, least or largest value; "" where none is known."""
     return UNITS.get(quantity_of(re.sub("_(end|min|max)$", "", name)), "")
+
+
+def with_unit(name: str) -> str:
+    """A column's name with its unit, `tau1 [N m]`."""
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else name

@@ -47,6 +47,10 @@ class Drawing(NamedTuple):
                 place, turn = self.place[pose, b], self.turn[pose, b]
                 yield b, shape, _moved(shape.points, place, turn)
 
+    def body_of(self, link: int) -> int:
+        """Which of the bodies a link is."""
+        return next(b for b, body in enumerate(self.bodies) if body.link == link and body.turns)
+
     def box(self) -> tuple[float, float, float, float]:
         """x and y of the least, x and y of the largest of all points at all poses, m."""
         corners = []

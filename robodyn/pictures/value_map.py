@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ LEAST_FILLED = 0.5  # of the cells of a grid have more than this share a row
 MOST_FLAT = 5.0  # width to height, or height to width, of a map to scale
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
+class Grid(NamedTuple):
     """Cells with edges x (nx + 1,) and y (ny + 1,), rising.
 
     `row` (ny, nx) is the row of the table that each cell shows, -1 where there is none; `hidden`
@@ -37,8 +36,7 @@ class Grid:
     hidden: int
 
 
-@dataclass(frozen=True, slots=True)
-class ValueMap:
+class ValueMap(NamedTuple):
     """Values (T,) at points x, y (T,).
 
     Values are numbers on a scale, or places in `words`; nan is a point without a value.
@@ -68,12 +66,16 @@ class ValueMap:
         return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
     @property
+    def flat(self) -> float:
+        """Its extent along x to that along y."""
+        left, right, bottom, top = self.box
+        return (right - left) / (top - bottom)
+
+    @property
     def to_scale(self) -> bool:
         """Whether x and y have one unit, and extents that can be drawn to one scale."""
-        left, right, bottom, top = self.box
-        flat = (right - left) / (top - bottom)
         alike = unit_of(self.x_name) == unit_of(self.y_name) != ""
-        return alike and 1.0 / MOST_FLAT <= flat <= MOST_FLAT
+        return alike and 1.0 / MOST_FLAT <= self.flat <= MOST_FLAT
 
     def rows_at(self, columns: int, rows: int) -> Rows:
         """The row of the table (rows, columns) at each dot of a raster over the box, -1 for none.
