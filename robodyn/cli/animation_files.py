@@ -25,33 +25,34 @@ APART = 8  # of 255, the least difference of two of them
 Watch = Callable[[float], object]  # the part that is done
 
 
-class Film:
-    """A picture that is moved from frame to frame, with the paths of traced points behind it."""
+class Film(Picture):
+    """A picture that is moved from frame to frame, with the paths of traced points behind it.
+
+    t (T,) are the times of the frames, s; each of the traces has FINER points from frame to frame.
+    """
 
     def __init__(
         self,
         drawn: Drawing,
         t: np.ndarray,
-        traces: Sequence[np.ndarray],  # (FINER T - FINER + 1,) each
+        traces: Sequence[np.ndarray],
         size: tuple[float, float] | None,
     ) -> None:
-        self.count = len(drawn.q)
-        self._picture = Picture(drawn, size)
-        self.figure = self._picture.figure
+        super().__init__(drawn, size)
         self.figure.set_dpi(DOTS)
-        self._t, self._traces = t, traces
-        axes, shown = self._picture.axes, self._picture.frame
+        self.count, self._t, self._traces = len(drawn.q), t, traces
         self._lines = [
-            axes.plot([], [], color=COLOURS[(k + 1) % len(COLOURS)], lw=1.3, zorder=2.5)[0]
+            self.axes.plot([], [], color=COLOURS[(k + 1) % len(COLOURS)], lw=1.3, zorder=2.5)[0]
             for k in range(len(traces))
         ]
-        place = shown.right - 0.12 * shown.scale, shown.bottom + 0.1 * shown.scale
-        self._time = axes.text(*place, "", ha="right", fontsize=FONT, color="#555555")
+        inch = self.frame.scale
+        place = self.frame.right - 0.12 * inch, self.frame.bottom + 0.1 * inch
+        self._time = self.axes.text(*place, "", ha="right", fontsize=FONT, color="#555555")
         self._decimals = time_decimals(t)
 
     def show(self, pose: int) -> None:
         """Move to a frame."""
-        self._picture.show(pose)
+        super().show(pose)
         for line, z in zip(self._lines, self._traces, strict=True):
             end = FINER * pose + 1
             line.set_data(z.real[:end], z.imag[:end])
@@ -62,9 +63,8 @@ class Film:
         from PIL import Image
 
         self.show(pose)
-        canvas = self.figure.canvas
-        canvas.draw()
-        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        self.figure.canvas.draw()
+        return Image.fromarray(np.asarray(self.figure.canvas.buffer_rgba())[..., :3])
 
 
 def durations(count: int, rate: float) -> list[int]:
@@ -84,14 +84,8 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
 
     each, drawn = images(), BytesIO()  # Pillow's own writing tells no reason where it fails
     with open_output(out) as stream:
-        next(each).save(
-            drawn,
-            format="GIF",
-            save_all=True,
-            append_images=each,
-            duration=durations(film.count, rate),
-            loop=0,
-        )
+        times = {"duration": durations(film.count, rate), "loop": 0}
+        next(each).save(drawn, format="GIF", save_all=True, append_images=each, **times)
         stream.write(drawn.getbuffer())
 
 
@@ -100,10 +94,9 @@ def _palette(film: Film) -> Any:
     from PIL import Image
 
     counts: Counter[tuple[int, int, int]] = Counter()
-    for pose in sorted({0, film.count // 2, film.count - 1}):
-        image = film.image(pose)
-        for count, colour in image.getcolors(image.width * image.height):
-            counts[colour] += count
+    for image in map(film.image, sorted({0, film.count // 2, film.count - 1})):
+        found = image.getcolors(image.width * image.height)
+        counts.update({colour: count for count, colour in found})
     chosen: list[tuple[int, int, int]] = []
     for colour, _ in counts.most_common():
         # Pillow finds the nearest colour in coarse steps: those too near would be mixed up

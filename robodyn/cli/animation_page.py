@@ -10,17 +10,17 @@ from itertools import groupby
 
 import numpy as np
 
-from robodyn.cli.pictures import LINK_COLOURS, LONGEST, STYLES
+from robodyn.cli.pictures import FOOT, LONGEST, STYLES, style_of
+from robodyn.pictures.bodies import Shape
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
-from robodyn.pictures.outlines import Shape
-from robodyn.pictures.picture_plan import Frame, frame, scale_bar
+from robodyn.pictures.picture_plan import frame, scale_bar, scale_bar_line
 from robodyn.tables.output_file import open_output
 
 DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
 PIXELS = 100  # an inch
-LINKS = STYLES["link"]["zorder"]  # traces lie behind what is as high as this
+BEHIND = 2.9  # the height of traces, below that of links
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -90,28 +90,26 @@ def write_page(
     out: str,
 ) -> None:
     """Shapes as svg, each body moved by a matrix a frame."""
-    view = frame(drawn.box(), LONGEST, size, 0.3)
-    step = speed / shown.rate
-    decimals = DIGITS - math.floor(math.log10(view.right - view.left))
-    lines = [
-        f'<polyline fill="none" stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"/>'
-        for k in range(len(traces))
-    ]
-    ordered = sorted(
-        (STYLES[shape.kind]["zorder"] + 0.01 * b, b, _path(drawn, b, shape))
+    view = frame(drawn.box(), LONGEST, size, FOOT)
+    wide, high = view.right - view.left, view.top - view.bottom
+    decimals = DIGITS - math.floor(math.log10(wide))
+    parts = [
+        (STYLES[shape.kind]["zorder"] + 0.01 * b, b, _path(shape, drawn.bodies[b].link))
         for b, body in enumerate(drawn.bodies)
         for shape in body.shapes
-    )
-    moving = [b for b, body in enumerate(drawn.bodies) if body.moves]
+    ]
+    for k in range(len(traces)):
+        stroke = f'stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"'
+        parts.append((BEHIND, -1, f'<polyline fill="none" {stroke}/>'))
     groups = []
-    for (b, in_front), paths in groupby(ordered, lambda item: (item[1], item[0] >= LINKS)):
-        content = "".join(path for _, _, path in paths)
-        still = b not in moving
-        groups.append(
-            (in_front, f"<g>{content}</g>" if still else f'<g data-b="{b}">{content}</g>')
-        )
-    behind = [text for in_front, text in groups if not in_front]
-    front = [text for in_front, text in groups if in_front]
+    moving = [b for b, body in enumerate(drawn.bodies) if body.moves]
+    ordered = sorted(parts, key=lambda part: part[:2])
+    for b, paths in groupby(ordered, lambda part: part[1]):
+        data = f' data-b="{b}"' if b in moving else ""
+        groups.append(f"<g{data}>{''.join(path for _, _, path in paths)}</g>")
+    bar, text = Shape("scale bar", scale_bar_line(view), False), scale_bar(view)[1]
+    z, tall = bar.points[2] + 0.06 * view.scale, 0.12 * view.scale
+    place = f'transform="matrix(1 0 0 -1 {z.real:.6g} {z.imag:.6g})" font-size="{tall:.6g}"'
     poses = {
         str(b): [
             [round(x, decimals) for x in (z.real, z.imag)] + [round(x, 5) for x in (e.real, e.imag)]
@@ -119,13 +117,11 @@ def write_page(
         ]
         for b in moving
     }
-    scale = _scale_bar(view)
     page = PAGE.format(
         title=escape(drawn.mechanism.name),
         width=round(view.width * PIXELS),
-        view=f"{view.left:.6g} {-view.top:.6g} {view.right - view.left:.6g} "
-        f"{view.top - view.bottom:.6g}",
-        shapes="\n".join([*behind, *lines, *front, scale]),
+        view=f"{view.left:.6g} {-view.top:.6g} {wide:.6g} {high:.6g}",
+        shapes="\n".join([*groups, _path(bar, None), f'<text {place} fill="#555">{text}</text>']),
         last=len(shown.t) - 1,
         count=len(shown.t),
         poses=json.dumps(poses, separators=(",", ":")),
@@ -133,41 +129,23 @@ def write_page(
         finer=FINER,
         rate=repr(shown.rate),
         begin=repr(float(shown.t[0])),
-        step=repr(step),
+        step=repr(speed / shown.rate),
         decimals=time_decimals(shown.t),
     )
     with open_output(out) as stream:
         stream.write(page.encode())
 
 
-def _scale_bar(view: Frame) -> str:
-    length, text = scale_bar(view)
-    inch = view.scale
-    x, y, tick = view.left + 0.14 * inch, view.bottom + 0.14 * inch, 0.06 * inch
-    return (
-        f'<path d="M{x:.6g} {y + tick:.6g}v{-tick:.6g}h{length:.6g}v{tick:.6g}" fill="none"'
-        ' stroke="#555" stroke-width="1"/>'
-        f'<text transform="matrix(1 0 0 -1 {x + length + tick:.6g} {y:.6g})"'
-        f' font-size="{2 * tick:.6g}" fill="#555">{text}</text>'
-    )
-
-
 def _pair(point: complex, decimals: int) -> str:
     return f"{round(point.real, decimals):.10g},{round(point.imag, decimals):.10g}"
 
 
-def _path(drawn: Drawing, b: int, shape: Shape) -> str:
+def _path(shape: Shape, link: int | None) -> str:
     """A shape in the frame of its body."""
-    style = STYLES[shape.kind]
-    link = drawn.bodies[b].link or 0
-    fill = style.get("facecolor", "none")
-    if shape.kind in ("link", "block"):
-        fill = LINK_COLOURS[link % len(LINK_COLOURS)]
-    if not shape.closed:
-        fill = "none"
+    style = style_of(shape.kind, shape.closed, link)
     points = "L".join(f"{z.real:.6g} {z.imag:.6g}" for z in shape.points.tolist())
     dashes = ' stroke-dasharray="8 3 1 3"' if "linestyle" in style else ""
     return (
-        f'<path d="M{points}{"Z" if shape.closed else ""}" fill="{fill}"'
+        f'<path d="M{points}{"Z" if shape.closed else ""}" fill="{style["facecolor"]}"'
         f' stroke="{style["edgecolor"]}" stroke-width="{1.3 * style["linewidth"]:.3g}"{dashes}/>'
     )

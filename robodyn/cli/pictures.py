@@ -9,7 +9,14 @@ import numpy as np
 
 from robodyn.cli.figures import new_figure
 from robodyn.pictures.drawing import Drawing
-from robodyn.pictures.picture_plan import frame, head_places, label_places, obstacles, scale_bar
+from robodyn.pictures.picture_plan import (
+    frame,
+    head_places,
+    label_places,
+    obstacles,
+    scale_bar,
+    scale_bar_line,
+)
 
 if TYPE_CHECKING:
     from robodyn.pictures.force_arrows import Force
@@ -31,6 +38,7 @@ STYLES: dict[str, dict[str, Any]] = {
     "spring": {"edgecolor": "#0b5a8a", "linewidth": 1.1, "zorder": 4},
     "tip": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5},
     "joint": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.9, "zorder": 6},
+    "scale bar": {"edgecolor": "#555555", "linewidth": 1.0, "zorder": 9},
 }
 ARROW = {"arrowstyle": "-|>", "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
 GHOSTS = ("link", "block", "joint")
@@ -39,8 +47,16 @@ FOOT = 0.3  # inches kept free for the scale bar
 FONT = 9.0  # points
 
 
+def style_of(kind: str, closed: bool, link: int | None) -> dict[str, Any]:
+    """How a shape is painted, in matplotlib's words."""
+    style = {"facecolor": "none"} | STYLES[kind]
+    if kind in ("link", "block"):
+        style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
+    return style if closed else style | {"facecolor": "none"}
+
+
 class Picture:
-    """A figure of a drawing; what moves is moved by `show`."""
+    """A figure of a drawing, with room for `further` points; what moves is moved by `show`."""
 
     def __init__(
         self,
@@ -49,11 +65,9 @@ class Picture:
         further: Sequence[complex] = (),
     ) -> None:
         self.drawn = drawn
-        box = drawn.box()
-        if len(further):
-            z = np.array(further)
-            low, high = (min(box[0], z.real.min()), min(box[1], z.imag.min())), box[2:]
-            box = (*low, max(high[0], z.real.max()), max(high[1], z.imag.max()))
+        left, bottom, right, top = drawn.box()
+        z = np.array([complex(left, bottom), complex(right, top), *further])
+        box = (z.real.min(), z.imag.min(), z.real.max(), z.imag.max())
         self.frame = frame(box, LONGEST, size, FOOT)
         self.figure = new_figure((self.frame.width, self.frame.height), facecolor="white")
         self.axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -66,7 +80,12 @@ class Picture:
                 patch = self._polygon(shape.kind, shape.points, shape.closed, body.link)
                 patch.set_zorder(patch.get_zorder() + 0.01 * b + 1e-4 * order)
                 self._patches.append((b, patch))
-        self._scale_bar()
+        bar = scale_bar_line(self.frame)
+        self._polygon("scale bar", bar, False, None)
+        z = bar[2] + (0.06 - 0.005j) * self.frame.scale
+        place = {"ha": "left", "va": "baseline", "zorder": 9}
+        text = scale_bar(self.frame)[1]
+        self.axes.text(z.real, z.imag, text, color="#555555", fontsize=FONT - 1.5, **place)
 
     def show(self, pose: int) -> None:
         """Move all bodies to a pose."""
@@ -100,21 +119,16 @@ class Picture:
         places = label_places(self.drawn, pose, boxes, self.frame, shafts)
         for text, z in zip(names, places, strict=True):
             self._text(z, text, INK, 8)
-        texts = [force_text(item) for item in found]
-        points = np.append(obstacles(self.drawn, pose, self.drawn.half_width)[0], shafts)
+        texts = [f"{item.name} = {abs(item.force):.3g} N" for item in found]
+        points = np.append(obstacles(self.drawn, pose)[0], shafts)
         heads = [self.extent(text) for text in texts]
         labels = list(zip(places, boxes, strict=True))
         around = head_places(arrows, heads, points, self.frame, labels)
         for item, text, z, (tail, head) in zip(found, texts, around, arrows, strict=True):
             colour = FORCE_COLOURS[item.kind]
             self._text(z, text, colour, 9)
-            self.axes.annotate(
-                "",
-                (head.real, head.imag),
-                (tail.real, tail.imag),
-                arrowprops=ARROW | {"color": colour},
-                zorder=7,
-            )
+            ends = (head.real, head.imag), (tail.real, tail.imag)
+            self.axes.annotate("", *ends, arrowprops=ARROW | {"color": colour}, zorder=7)
 
     def extent(self, text: str) -> complex:
         """The size of a text: width + i height, m."""
@@ -127,45 +141,14 @@ class Picture:
     def _text(self, z: complex, text: str, colour: str, zorder: float) -> None:
         from matplotlib.patheffects import withStroke
 
-        self.axes.text(
-            *(z.real, z.imag, text),
-            ha="center",
-            va="center",
-            color=colour,
-            fontsize=FONT,
-            zorder=zorder,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")],
-        )
+        style = {"color": colour, "fontsize": FONT, "zorder": zorder}
+        rim = [withStroke(linewidth=2.0, foreground="white")]
+        self.axes.text(z.real, z.imag, text, ha="center", va="center", path_effects=rim, **style)
 
     def _polygon(self, kind: str, z: Any, closed: bool, link: int | None) -> Any:
         from matplotlib.patches import Polygon
 
-        style = dict(STYLES[kind])
-        if kind in ("link", "block"):
-            style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
-        if not closed:
-            style["fill"] = False
-        points = np.column_stack([z.real, z.imag])
-        patch = Polygon(points, closed=closed, joinstyle="round", capstyle="round", **style)
-        self.axes.add_patch(patch)
-        return patch
-
-    def _scale_bar(self) -> None:
-        length, text = scale_bar(self.frame)
-        inch = self.frame.scale
-        x, y = self.frame.left + 0.14 * inch, self.frame.bottom + 0.14 * inch
-        ends = np.array([x, x, x + length, x + length])
-        ticks = y + np.array([0.04, -0.04, -0.04, 0.04]) * inch
-        self.axes.plot(ends, ticks, color="#555555", lw=1.0, solid_joinstyle="miter", zorder=9)
-        self.axes.text(
-            *(x + length + 0.06 * inch, y - 0.045 * inch, text),
-            ha="left",
-            va="baseline",
-            color="#555555",
-            fontsize=FONT - 1.5,
-            zorder=9,
+        style = style_of(kind, closed, link) | {"joinstyle": "round", "capstyle": "round"}
+        return self.axes.add_patch(
+            Polygon(np.column_stack([z.real, z.imag]), closed=closed, **style)
         )
-
-
-def force_text(force: Force) -> str:
-    return f"{force.name} = {abs(force.force):.3g} N"

@@ -8,7 +8,7 @@ same things.  Symbols are as large as a part of the mechanism's span.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -19,8 +19,7 @@ from robodyn.dynamics.closed_form import phases
 from robodyn.errors import AssemblyError, RobodynError
 from robodyn.loops.assembly import attempt
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.bodies import Body, at, bodies
-from robodyn.pictures.outlines import Shape
+from robodyn.pictures.bodies import Body, Shape, at, bodies
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -44,8 +43,7 @@ class Drawing(NamedTuple):
         """Each shape at a pose, with the index of its body and its points in the plane."""
         for b, body in enumerate(self.bodies):
             for shape in body.shapes:
-                place, turn = self.place[pose, b], self.turn[pose, b]
-                yield b, shape, _moved(shape.points, place, turn)
+                yield b, shape, _moved(shape.points, self.place[pose, b], self.turn[pose, b])
 
     def body_of(self, link: int) -> int:
         """Which of the bodies a link is."""
@@ -57,9 +55,9 @@ class Drawing(NamedTuple):
         for b, body in enumerate(self.bodies):
             points = np.concatenate([shape.points for shape in body.shapes])
             z = _moved(points, self.place[:, b, None], self.turn[:, b, None])
-            corners.append((z.real.min(), z.imag.min(), -z.real.max(), -z.imag.max()))
-        left, bottom, right, top = np.min(corners, axis=0).tolist()
-        return left, bottom, -right, -top
+            corners += [(z.real.min(), z.imag.min()), (z.real.max(), z.imag.max())]
+        (left, bottom), (right, top) = np.min(corners, axis=0), np.max(corners, axis=0)
+        return float(left), float(bottom), float(right), float(top)
 
 
 def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
@@ -78,8 +76,7 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
         if 1.0 / LARGEST <= half_width <= LARGEST:
             E = phases(mechanism, poses)
             found = tuple(bodies(mechanism, E, half_width))
-            place = np.stack([at(body.origin, E) for body in found], axis=-1)
-            turn = np.stack([_turn(body, E) for body in found], axis=-1)
+            place, turn = (np.stack(each, axis=-1) for each in zip(*_moves(found, E), strict=True))
             drawn = Drawing(mechanism, poses, half_width, found, place, turn)
             if all(abs(side) <= LARGEST for side in drawn.box()):
                 return drawn
@@ -87,13 +84,16 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
     raise RobodynError("cannot be drawn", where=mechanism.source, limit=limit)
 
 
-def _turn(body: Body, E: Complex) -> Complex:
-    if body.end is not None:
-        d: Complex = at(body.end, E) - at(body.origin, E)
-        return np.where(d == 0, SHORTEST, d)
-    if body.turns and body.link is not None:
-        return E[:, body.link]
-    return np.ones(len(E), complex)
+def _moves(found: Sequence[Body], E: Complex) -> Iterator[tuple[Complex, Complex]]:
+    """The place and the turn of each body, (T,) each."""
+    for body in found:
+        place, turn = at(body.origin, E), np.ones(len(E), complex)
+        if body.end is not None:
+            along = at(body.end, E) - place
+            turn = np.where(along == 0, SHORTEST, along)
+        elif body.turns and body.link is not None:
+            turn = E[:, body.link]
+        yield place, turn
 
 
 def span(mechanism: Mechanism, q: Array) -> float:

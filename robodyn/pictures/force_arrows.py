@@ -11,8 +11,8 @@ from robodyn.dynamics.closed_form import absolute_rates, phases
 from robodyn.dynamics.dynamics import pin_forces
 from robodyn.dynamics.forces import spring_forces
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.bodies import at, planar
+from robodyn.mechanics.mechanism import Mechanism, Tree
+from robodyn.pictures.bodies import at
 from robodyn.scene.scene import Load, Spring
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def forces(
         found.append(Force("pin", f"r{k + 1}", complex(at(mechanism.pivots[k], E)), force))
     pins = pin_forces(mechanism, multipliers) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
-        pin = planar(mechanism, mechanism.description.closures[c].first)
+        pin = Tree(mechanism.description.links).point(mechanism.description.closures[c].first)
         found.append(Force("pin", f"f{c + 1}", complex(at(pin, E)), force))
     between = [k for k, s in enumerate(mechanism.description.springs) if isinstance(s, Spring)]
     if between:

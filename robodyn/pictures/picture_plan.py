@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -84,24 +83,28 @@ def scale_bar(shown: Frame) -> tuple[float, str]:
     return length, f"{length:g} m"
 
 
-def obstacles(drawn: Drawing, pose: int, step: float) -> tuple[Complex, NDArray[np.int64]]:
-    """Points on the outlines at most `step` apart, m, and the link of each (-1: ground)."""
+def scale_bar_line(shown: Frame) -> Complex:
+    """A scale bar, with its ticks, in the lower left corner, m."""
+    begin = complex(shown.left, shown.bottom) + (0.14 + 0.14j) * shown.scale
+    end, tick = begin + scale_bar(shown)[0], 0.04j * shown.scale
+    return np.array([begin + tick, begin - tick, end - tick, end + tick])
+
+
+def obstacles(drawn: Drawing, pose: int) -> tuple[Complex, NDArray[np.int64]]:
+    """Points on the outlines at most half a link's width apart, m, and the link of each or -1."""
     points, links = [], []
     for b, shape, z in drawn.placed(pose):
         if shape.kind in OBSTACLES:
-            dense = _dense(np.append(z, z[0]) if shape.closed else z, step)
+            points.append(_dense(np.append(z, z[0]) if shape.closed else z, drawn.half_width))
             link = drawn.bodies[b].link
-            points.append(dense)
-            links.append(np.full(len(dense), -1 if link is None else link))
+            links.append(np.full(len(points[-1]), -1 if link is None else link))
     return np.concatenate(points), np.concatenate(links)
 
 
 def _dense(z: Complex, step: float) -> Complex:
-    pieces = []
-    for a, b in zip(z[:-1].tolist(), z[1:].tolist(), strict=True):
-        count = min(200, max(1, math.ceil(abs(b - a) / step)))
-        pieces.append(a + (b - a) * np.arange(count) / count)
-    return np.concatenate([*pieces, z[-1:]])
+    counts = np.ceil(np.abs(np.diff(z)) / step).astype(int).clip(1, 200).tolist()
+    places = [k + np.arange(count) / count for k, count in enumerate(counts)]
+    return np.asarray(np.interp(np.append(np.concatenate(places), len(counts)), range(len(z)), z))
 
 
 def label_places(
@@ -112,13 +115,12 @@ def label_places(
     A label stands beside its link, where the distance to other links, to labels before it, and to
     the `further` points (arrows) is largest.
     """
-    points, owners = obstacles(drawn, pose, drawn.half_width)
-    points = np.concatenate([points, further])
-    owners = np.concatenate([owners, np.full(len(further), -1)])
+    points, owners = obstacles(drawn, pose)
     taken: list[tuple[complex, complex]] = []
     for k, box in enumerate(boxes):
+        others = np.concatenate([points[owners != k], further])
         candidates = list(_beside(drawn, pose, k, box))
-        taken.append((free_place(candidates, box, points[owners != k], taken, shown), box))
+        taken.append((free_place(candidates, box, others, taken, shown), box))
     return [place for place, _ in taken]
 
 
@@ -134,18 +136,17 @@ def head_places(
     `labels` (centre, box) are there already.
     """
     taken = list(labels)
+    turns = [sign * part for part in np.linspace(0.0, np.pi, 13) for sign in (1, -1)][1:]
     for (tail, head), box in zip(arrows, boxes, strict=True):
         along = (head - tail) / (abs(head - tail) or 1.0)  # 0 where it is far off, and short
-        turns = [sign * part for part in np.linspace(0.0, np.pi, 13) for sign in (1, -1)]
-        candidates = []
-        for gap, turn in product((0.4, 1.5, 2.6), turns[1:]):
-            direction = along * np.exp(1j * turn)
-            reach = 0.5 * min(
-                box.real / max(abs(direction.real), 1e-9),
-                box.imag / max(abs(direction.imag), 1e-9),
-            )
-            candidates.append(complex(head + direction * (reach + gap * box.imag)))
-        taken.append((free_place(candidates, box, points, taken, shown), box))
+        out = along * np.exp(1j * np.array(turns))
+        reach = 0.5 * np.minimum(
+            box.real / np.maximum(np.abs(out.real), 1e-9),
+            box.imag / np.maximum(np.abs(out.imag), 1e-9),
+        )
+        candidates = [head + out * (reach + gap * box.imag) for gap in (0.4, 1.5, 2.6)]
+        place = free_place(np.concatenate(candidates).tolist(), box, points, taken, shown)
+        taken.append((place, box))
     return [place for place, _ in taken[len(labels) :]]
 
 
@@ -157,52 +158,35 @@ def free_place(
     shown: Frame,
 ) -> complex:
     """The candidate whose box has most room; earlier ones are better where room is enough."""
-    best, most = candidates[0], -math.inf
-    for order, centre in enumerate(candidates):
-        clear = float(_distance(centre, box, points).min(initial=math.inf))
-        for place, other in taken:
-            clear = min(clear, float(_distance(centre, box + other, np.array([place]))[0]))
-        score = min(clear / box.imag, 1.0) - 0.03 * order
-        if clear <= 0.0:
-            score -= 2.0
-        if not _inside(centre, box, shown):
-            score -= 10.0
-        if score > most + 1e-9:
-            best, most = centre, score
-    return best
+    centres = np.array(candidates)
+    clear = _gap(centres[:, None] - points, box).min(axis=1, initial=math.inf)
+    for place, other in taken:
+        clear = np.minimum(clear, _gap(centres - place, box + other))
+    score = np.minimum(clear / box.imag, 1.0) - 0.03 * np.arange(len(centres))
+    score -= 2.0 * (clear <= 0.0)
+    low, high = complex(shown.left, shown.bottom), complex(shown.right, shown.top)
+    room = high - low - box - 0.6 * box.imag * (1 + 1j)  # some to the edges
+    score -= 10.0 * (_gap(centres - 0.5 * (low + high), room) > 0.0)
+    return candidates[int(score.round(9).argmax())]
+
+
+def _gap(apart: Complex, box: complex) -> Array:
+    """From a box to points that are so far `apart` from its centre, m."""
+    across, up = np.abs(apart.real) - 0.5 * box.real, np.abs(apart.imag) - 0.5 * box.imag
+    return np.asarray(np.hypot(np.maximum(across, 0.0), np.maximum(up, 0.0)))
 
 
 def _beside(drawn: Drawing, pose: int, k: int, box: complex) -> Iterator[complex]:
     """Centres of a label on both sides of link k, from its middle outward."""
-    b = next(b for b, body in enumerate(drawn.bodies) if body.link == k and body.turns)
+    b = drawn.body_of(k)
     place, direction = complex(drawn.place[pose, b]), complex(drawn.turn[pose, b])
     outline = next(s.points for s in drawn.bodies[b].shapes if s.kind == "link")
     outline = _dense(np.append(outline, outline[0]), 0.2 * box.imag)
-    length = drawn.mechanism.description.links[k].l
     along = 0.5 * (abs(direction.real) * box.real + abs(direction.imag) * box.imag)
+    half = 0.5 * (abs(direction.imag) * box.real + abs(direction.real) * box.imag)
     for part in ALONG:
-        foot = part * length
-        for side in (1j, -1j):
-            normal = side * direction
-            near = outline[np.abs(outline.real - foot) <= along]
-            reach = float((near * side.conjugate()).real.max(initial=0.0))
-            half = 0.5 * (abs(normal.real) * box.real + abs(normal.imag) * box.imag)
-            yield place + foot * direction + normal * (reach + half + 0.2 * box.imag)
-
-
-def _distance(centre: complex, box: complex, points: Complex) -> Array:
-    """From a box to points, m."""
-    dx = np.maximum(np.abs(points.real - centre.real) - 0.5 * box.real, 0.0)
-    dy = np.maximum(np.abs(points.imag - centre.imag) - 0.5 * box.imag, 0.0)
-    distance: Array = np.hypot(dx, dy)
-    return distance
-
-
-def _inside(centre: complex, box: complex, shown: Frame) -> bool:
-    box += 0.6 * box.imag * (1 + 1j)  # some room to the edges
-    return (
-        shown.left <= centre.real - 0.5 * box.real
-        and centre.real + 0.5 * box.real <= shown.right
-        and shown.bottom <= centre.imag - 0.5 * box.imag
-        and centre.imag + 0.5 * box.imag <= shown.top
-    )
+        foot = part * drawn.mechanism.description.links[k].l
+        near = outline[np.abs(outline.real - foot) <= along].imag
+        for side in (1, -1):
+            reach = float((side * near).max(initial=0.0)) + half + 0.2 * box.imag
+            yield place + direction * (foot + 1j * side * reach)
