@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
-from robodyn.cli import characters, figures
+from robodyn.cli import figures
 
 Run = Callable[..., Outcome]
 FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".txt": b" "}
@@ -196,9 +196,9 @@ def test_on_a_terminal(motion: Path) -> None:
 
 def test_no_color(motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert characters._colour(None)
+    assert figures._colour(None)
     monkeypatch.setenv("NO_COLOR", "1")
-    assert not characters._colour(None)
+    assert not figures._colour(None)
 
 
 # Refused

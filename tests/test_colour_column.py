@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robodyn.errors import InputError
-from robodyn.pictures.colour_column import MOST_WORDS, ColourColumn
+from robodyn.pictures.value_map import MOST_WORDS, ColourColumn
 from robodyn.tables.table import Reader
 
 

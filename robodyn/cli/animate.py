@@ -83,13 +83,11 @@ def animate(
     drawn = drawing(mechanism, shown_frames.q)
     E = phases(mechanism, shown_frames.fine)
     traces = [at(points[k], E) for points, k in traced]
-    if suffix == ".html":
-        from robodyn.cli.animation_page import write_page
+    from robodyn.cli.animation_files import Film, write_gif, write_mp4, write_page
 
+    if suffix == ".html":
         write_page(drawn, shown_frames, speed, traces, extent, out)
         return
-    from robodyn.cli.animation_files import Film, write_gif, write_mp4
-
     film = Film(drawn, shown_frames.t, traces, extent)
     write = write_gif if suffix == ".gif" else write_mp4
     with progress("drawing", silent=0.0) as watch:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Optional
 import numpy as np
 import typer
 
-from robodyn.cli.characters import write_characters
-from robodyn.cli.figures import parse_size, picture_format, save
+from robodyn.cli.figures import parse_size, picture_format, save, write_characters
 from robodyn.cli.options import (
     Ascii,
     Model,

@@ -1,12 +1,15 @@
-"""Figures of the command line, by matplotlib (the extra `plot`)."""
+"""How pictures are asked for and written: as characters, or by matplotlib (the extra `plot`)."""
 
 from __future__ import annotations
 
 import logging
+import os
+import shutil
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +18,7 @@ import numpy as np
 from robodyn.cli.options import PictureFormat
 from robodyn.errors import InputError, RobodynError
 from robodyn.pictures.chart import Chart, Panel, limits, spread
-from robodyn.pictures.colour_scale import COLOURS, Rgb
+from robodyn.pictures.colour_scale import COLOURS
 from robodyn.tables.csv_fields import finite, shown
 from robodyn.tables.output_file import on_terminal, open_output
 
@@ -27,6 +30,8 @@ MARKS = "osD^vP*X"
 LINE_STYLES = ("-", "--", ":", "-.")
 DOTS = 150  # an inch
 LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
+WIDTH, HEIGHT = 80, 24  # characters, where there is no terminal
+WIDEST, HIGHEST = 2_000, 1_000  # whatever a terminal, or the environment, tells
 
 
 def check_plot(path: str) -> None:
@@ -82,6 +87,34 @@ def parse_size(size: str | None) -> tuple[float, float] | None:
         limit = f"must be two numbers from {LEAST_SIZE:g} to {MOST_SIZE:g}, inches, such as 8x5"
         raise InputError("--size", value=size, limit=limit)
     return sides[0], sides[1]
+
+
+def write_characters(
+    lines: Callable[[int, int, bool, str], list[str]], ascii: bool, out: str | None
+) -> None:
+    """The `lines` of a width and height, plain or not, and in colours: "", "palette" or "deep".
+
+    As wide as the terminal.  Files are UTF-8; plain is also what a terminal without braille gets.
+    """
+    size = shutil.get_terminal_size((WIDTH, HEIGHT))
+    width, height = max(30, min(size.columns, WIDEST)), max(10, min(size.lines, HIGHEST))
+    encoding = "utf-8" if out not in (None, "-") else sys.stdout.encoding or "ascii"
+    deep = os.environ.get("COLORTERM") in ("truecolor", "24bit")
+    colours = ("deep" if deep else "palette") if _colour(out) else ""
+    drawn = lines(width - 1, height, ascii or not _has_dots(encoding), colours)
+    with open_output(out, styled=True) as stream:
+        stream.write(("\n".join(drawn) + "\n").encode(encoding, "replace"))
+
+
+def _has_dots(encoding: str) -> bool:
+    try:
+        return bool("\u2801┤".encode(encoding))
+    except UnicodeEncodeError:
+        return False
+
+
+def _colour(out: str | None) -> bool:
+    return on_terminal(out) and not os.environ.get("NO_COLOR")
 
 
 def work_precision(result: Benchmark, title: str, path: str) -> None:
@@ -198,27 +231,22 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
     return figure
 
 
-def save(figure: Any, path: str | None, format: str, palette: Sequence[Rgb] = ()) -> None:
+def save(figure: Any, path: str | None, format: str) -> None:
     """Write the figure, all or nothing; the same figure makes the same bytes.
 
-    A .png, or an image inside of an .svg, has the colours of the `palette`, 256 at most; without
-    one a .png has those that suit it best.
+    A .png has the 256 colours that suit it best, in a third of the bytes.
     """
-    from io import BytesIO
-
     from matplotlib import rc_context
-
-    from robodyn.cli.fewer_colours import in_palette, with_images_in_palette
+    from PIL import Image
 
     dates = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}
-    drawn = BytesIO()
+    drawn, written = BytesIO(), BytesIO()
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
         with warnings.catch_warnings():  # long names may leave little room
             warnings.simplefilter("ignore", UserWarning)
             figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
         if format == "png":
-            stream.write(in_palette(drawn.getvalue(), palette))
-        elif format == "svg" and palette:
-            stream.write(with_images_in_palette(drawn.getvalue(), palette))
-        else:
-            stream.write(drawn.getvalue())
+            with Image.open(drawn) as image:
+                small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+                small.save(written, format="PNG", optimize=True, dpi=image.info["dpi"])
+        stream.write((written if format == "png" else drawn).getvalue())

@@ -8,16 +8,14 @@ import numpy as np
 import typer
 
 from robodyn.cli import figures
-from robodyn.cli.characters import write_characters
-from robodyn.cli.figures import parse_size, picture_format, save
+from robodyn.cli.figures import parse_size, picture_format, save, write_characters
 from robodyn.cli.files import input_argument
 from robodyn.cli.options import Ascii, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
 from robodyn.errors import InputError
 from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of
-from robodyn.pictures.colour_column import ColourColumn
-from robodyn.pictures.value_map import ValueMap, value_map
+from robodyn.pictures.value_map import ColourColumn, ValueMap, value_map
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
@@ -96,9 +94,9 @@ def plot(
 
             write_characters(lambda w, h, *how: map_lines(mapped, w, h - 1, *how), ascii, out)
             return
-        from robodyn.cli.map_figure import map_figure, map_palette
+        from robodyn.cli.map_figure import map_figure
 
-        save(map_figure(mapped, extent), out, chosen, map_palette())
+        save(map_figure(mapped, extent), out, chosen)
         return
     content = _read(files, x, patterns)
     if chosen == "text":

@@ -1,7 +1,11 @@
-"""A map: values over two columns, as the cells of a grid or as points, before it is drawn."""
+"""A map: values over two columns, as the cells of a grid or as points, before it is drawn.
+
+And the column that it is coloured by.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,10 +16,13 @@ from robodyn.errors import InputError
 from robodyn.pictures.chart import drawable, limits
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import unit_of
+from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
+from robodyn.tables.table import Chunk
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+MOST_WORDS = 20  # that colours can tell apart
 ALIKE = 1e-9  # of the span: values of x this close are one line of the grid
 EVEN = 0.1  # of a step, by which a line of an even grid may be off its place
 MOST_LINES = 1.25  # times those with points has an even grid
@@ -159,3 +166,65 @@ def _edges(lines: Array) -> Array:
     """Halfway between the lines, and as far beyond the first and the last."""
     middle = 0.5 * (lines[1:] + lines[:-1])
     return np.concatenate([[2.0 * lines[0] - middle[0]], middle, [2.0 * lines[-1] - middle[-1]]])
+
+
+class ColourColumn:
+    """One column of successive chunks; its first field that is not empty tells what it holds.
+
+    After all `add`, `values` (T,) are the numbers, or places in the sorted `words`; nan where
+    the field is empty.  With `positive`, numbers must be > 0.
+    """
+
+    def __init__(self, name: str, positive: bool = False) -> None:
+        self.name = name
+        self._positive = positive
+        self._of_words: bool | None = None  # nothing seen so far
+        self._places: dict[str, int] = {}  # of words as they came
+        self._values: list[float] = []
+
+    def add(self, chunk: Chunk, place: int, source: str) -> None:
+        """Take the fields at a place of a chunk's lines.
+
+        Raises InputError, with the line of `source`, where one is neither empty nor what the
+        column holds.
+        """
+        for line, number in zip(chunk.lines, chunk.line_numbers, strict=True):
+            text = unquoted(split_fields(line)[place]).strip()
+            if text and self._of_words is None:
+                self._of_words = _is_word(text)
+            if not text:
+                self._values.append(math.nan)
+            elif self._of_words:
+                self._values.append(self._places.setdefault(text, len(self._places)))
+            else:
+                value = finite(text)
+                if value is None or (self._positive and value <= 0.0):
+                    where, limit = f"{source}: line {number}", "must be > 0 for --log"
+                    limit = "must be a finite number or empty" if value is None else limit
+                    raise InputError(self.name, where=where, value=shown(text), limit=limit)
+                self._values.append(value)
+        if len(self._places) > MOST_WORDS:
+            limit = f"has more than {MOST_WORDS} different words: no colours for so many"
+            raise InputError("--colour", value=shown(self.name), limit=limit)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        return tuple(sorted(self._places))
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        values = np.array(self._values, float)
+        if self._places:
+            order = np.array([self.words.index(word) for word in self._places], float)
+            there = ~np.isnan(values)
+            values[there] = order[values[there].astype(int)]
+        return values
+
+
+def _is_word(text: str) -> bool:
+    """Whether a field is no number, not even nan or inf."""
+    try:
+        float(text)
+    except ValueError:
+        return True
+    return False
