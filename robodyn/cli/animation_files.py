@@ -87,9 +87,9 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
     from PIL import Image
 
     some = [np.asarray(film.image(pose)) for pose in {0, film.count // 2, film.count - 1}]
-    dots = sum(image.size for image in some)
+    sample: Any = Image.fromarray(np.concatenate(some))
     alike: dict[tuple[int, ...], tuple[int, ...]] = {}  # which Pillow would mix up
-    for _, colour in sorted(Image.fromarray(np.concatenate(some)).getcolors(dots), reverse=True):
+    for _, colour in sorted(sample.getcolors(sample.width * sample.height), reverse=True):
         alike.setdefault(tuple(part // APART for part in colour), colour)
     palette = Image.new("P", (1, 1))
     palette.putpalette([part for colour in [*alike.values()][:COLOURS_OF_GIF] for part in colour])
