@@ -11,7 +11,7 @@ import robodyn
 from robodyn.dynamics.closed_form import phases
 from robodyn.errors import InputError
 from robodyn.pictures.bodies import at
-from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point, unwrapped
+from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 FOUR = robodyn.load(ROOT / "robots/four-bar.yaml")
@@ -59,7 +59,7 @@ def test_a_motion_that_runs_backwards_is_shown_forwards() -> None:
 
 def test_loops_are_closed_between_rows() -> None:
     theta = np.linspace(0, 6, 13)
-    q = unwrapped(robodyn.assemble(FOUR, theta[:, None]))
+    q = np.unwrap(robodyn.assemble(FOUR, theta[:, None]), axis=0)
     assert np.abs(np.diff(q, axis=0)).max() < np.pi
     found = frames(FOUR, theta, q, None, 20.0, 1.0)
     assert np.abs(robodyn.closure_gap(FOUR, found.fine)).max() < 1e-12

@@ -19,7 +19,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.bodies import at
 from robodyn.pictures.drawing import drawing
-from robodyn.pictures.motion_frames import Frames, frames, traced_point, unwrapped
+from robodyn.pictures.motion_frames import Frames, frames, traced_point
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
@@ -103,22 +103,16 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
             raise InputError("column t is missing", where=name, limit=shown(limit))
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
         sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
-        if not sources[1].columns:
-            sources.pop()
+        sources = [source for source in sources if source.columns]
         columns = [column for source in sources for column in source.columns]
         blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]
-    values = np.concatenate(blocks) if blocks else np.zeros((0, 1 + len(columns)))
+    t, *rest = np.concatenate([np.zeros((0, 1 + len(columns))), *blocks]).T
     try:
-        if len(values) < 2:
-            raise InputError("rows", value=len(values), limit="a motion needs two or more")
-        given, begin = [], 1
-        for source in sources:
-            given.append(values[:, begin : begin + len(source.columns)])
-            begin += len(source.columns)
-        motion = complete(mechanism, sources, given)
-        q = motion[0] if sources[0].whole else unwrapped(motion[0])
-        qd = motion[1] if len(motion) > 1 else None
-        return frames(mechanism, values[:, 0], q, qd, fps, speed)
+        cut = len(sources[0].columns)
+        given = [np.transpose(rest[:cut]), np.transpose(rest[cut:])][: len(sources)]
+        q, *qd = complete(mechanism, sources, given)
+        q = q if sources[0].whole else np.unwrap(q, axis=0)  # assembled angles lie in one turn
+        return frames(mechanism, t, q, qd[0] if qd else None, fps, speed)
     except RobodynError as error:
         error.add_place(name)
         raise

@@ -12,7 +12,6 @@ from robodyn.cli.options import (
     Ascii,
     Model,
     OutputPicture,
-    PictureFormat,
     PictureOut,
     Q,
     Qd,
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
 
 DEFAULT_POSES = 8
 MOST_POSES = 200
-
-
 Labels = Literal["names", "numbers"]  # what is written beside the links
 
 
@@ -112,17 +109,20 @@ def draw(
     with remarks():
         if states is not None:
             drawn = drawing(mechanism, _chosen_rows(mechanism, states, poses))
-        elif q is None:
-            if forces:
-                raise InputError("--q", limit="missing: --forces needs a state")
-            drawn = drawing(mechanism, _default_pose(mechanism))
         elif forces:
+            if q is None:
+                raise InputError("--q", limit="missing: --forces needs a state")
             state = [Quantity("q", q, True), Quantity("qd", qd)]
             drawn, found = _loaded(mechanism, [*state, Quantity("qdd", qdd), Quantity("tau", tau)])
-        else:
-            (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+        elif q is None:
+            pose = first_pose(mechanism)
+            note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
             drawn = drawing(mechanism, pose)
-    texts = _texts(mechanism, labels)
+        else:
+            drawn = drawing(mechanism, single_state(mechanism, [Quantity("q", q, True)])[0])
+    texts = list(map(shown, mechanism.link_names))
+    if labels != "names":
+        texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
     if chosen == "text":
         from robodyn.pictures.character_plot import drawing_lines
 
@@ -131,41 +131,19 @@ def draw(
 
         write_characters(lines, ascii, out)
         return
-    _figure(drawn, texts, found, extent, out, chosen)
-
-
-def _texts(mechanism: Mechanism, labels: Labels | None) -> list[str]:
-    if labels is None:
-        return []
-    if labels == "names":
-        return list(map(shown, mechanism.link_names))
-    return [str(k + 1) for k in range(mechanism.n)]
-
-
-def _figure(
-    drawn: Drawing,
-    texts: list[str],
-    found: list[Force],
-    size: tuple[float, float] | None,
-    out: str | None,
-    format: PictureFormat,
-) -> None:
     from robodyn.cli.pictures import Picture
+    from robodyn.pictures.force_arrows import metres_a_newton
 
-    scale, around = 0.0, []
-    if found:
-        from robodyn.pictures.force_arrows import metres_a_newton
-
-        scale = metres_a_newton(found, span(drawn.mechanism, drawn.q))
-        room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
-        around = [f.place + scale * f.force + d for f in found for d in (room, -room)]
-    picture = Picture(drawn, size, around)
+    scale = metres_a_newton(found, span(mechanism, drawn.q))
+    room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
+    around = [f.place + scale * f.force + d for f in found for d in (room, -room)]
+    picture = Picture(drawn, extent, around)
     last = len(drawn.q) - 1
-    for pose in range(last):
-        picture.ghost(pose, 0.15 + 0.35 * (pose + 1) / (last + 1))
+    for k in range(last):
+        picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
     picture.show(last)
     picture.annotate(last, texts, found, scale)
-    save(picture.figure, out, format)
+    save(picture.figure, out, chosen)
 
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
@@ -197,16 +175,9 @@ def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
         source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
-        rows = [chunk.values for chunk in reader.chunks(source.columns)]
-    values = np.concatenate(rows) if rows else np.zeros((0, len(source.columns)))
+        blocks = [chunk.values for chunk in reader.chunks(source.columns)]
+    values = np.concatenate([np.zeros((0, len(source.columns))), *blocks])
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no state")
     wanted = np.unique(np.linspace(len(values) - 1, 0, min(poses, len(values))).round().astype(int))
     return complete(mechanism, [source], [values[wanted]])[0]
-
-
-def _default_pose(mechanism: Mechanism) -> np.ndarray:
-    """The pose without --q, and a note that tells it."""
-    pose = first_pose(mechanism)
-    note(f"Note: without --q drawn at q = {', '.join(f'{x:.6g}' for x in pose)}")
-    return pose

@@ -120,11 +120,11 @@ def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
             own = choose_x(reader.header, x, name)
             columns = choose_columns(reader.header, patterns, own, name)
             columns = list(dict.fromkeys([*columns, *([own] if own else [])]))
-            blocks = [np.zeros((0, len(columns)))]
-            blocks += [chunk.values for chunk in reader.chunks(columns)]
+            blocks = [chunk.values for chunk in reader.chunks(columns)]
         names.append(name)
         along.append(own)
-        tables.append(dict(zip(columns, np.concatenate(blocks).T, strict=True)))
+        values = np.concatenate([np.zeros((0, len(columns))), *blocks])
+        tables.append(dict(zip(columns, values.T, strict=True)))
     return chart(names, along, tables)
 
 

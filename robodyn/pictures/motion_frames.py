@@ -78,11 +78,6 @@ def time_decimals(t: Array) -> int:
     return max(0, min(4, math.ceil(-math.log10((t[-1] - t[0]) / 200.0)))) if t[-1] > t[0] else 2
 
 
-def unwrapped(q: Array) -> Array:
-    """Assembled angles, which lie in one turn, (R, n), as they go on from row to row."""
-    return np.unwrap(q, axis=0)
-
-
 def traced_point(mechanism: Mechanism, name: str) -> tuple[Sequence[PlanarPoint], int]:
     """Tips, joints or centres, and which of them: of `tip2`, `centre1`, `joint3`, or a link's name.
 
