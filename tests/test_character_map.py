@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from robodyn.pictures.character_map import DEEP, PALETTE, map_lines
+from robodyn.pictures.characters import DEEP, PALETTE, map_lines
 from robodyn.pictures.colour_scale import NONE, painted, rgb
 from robodyn.pictures.value_map import ValueMap, value_map
 

@@ -9,9 +9,9 @@ import pytest
 from conftest import ROOT
 
 import robodyn
-from robodyn.pictures.character_plot import LINES, Canvas, chart_lines, drawing_lines
+from robodyn.pictures.characters import Canvas, chart_lines
 from robodyn.pictures.chart import Chart, chart
-from robodyn.pictures.drawing import drawing
+from robodyn.pictures.drawing import LINES, drawing, drawing_lines
 
 ALL = "".join(map(chr, range(0x2800, 0x2900)))
 

@@ -31,7 +31,7 @@ from robodyn.cli.states import (
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.pictures.drawing import Drawing, drawing, drawing_lines, first_pose, span
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -124,7 +124,6 @@ def draw(
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
     if chosen == "text":
-        from robodyn.pictures.character_plot import drawing_lines
 
         def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
             return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours))

@@ -90,7 +90,7 @@ def plot(
     if colour is not None:
         mapped = _read_map(files, x or "", patterns or [], colour, log)
         if chosen == "text":
-            from robodyn.pictures.character_map import map_lines
+            from robodyn.pictures.characters import map_lines
 
             write_characters(lambda w, h, *how: map_lines(mapped, w, h - 1, *how), ascii, out)
             return
@@ -100,7 +100,7 @@ def plot(
         return
     content = _read(files, x, patterns)
     if chosen == "text":
-        from robodyn.pictures.character_plot import chart_lines
+        from robodyn.pictures.characters import chart_lines
 
         def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
             panels = len(content.panels)

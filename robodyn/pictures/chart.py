@@ -5,6 +5,7 @@ Curves of one unit share a panel; panels are stacked and share x.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -163,11 +164,9 @@ def thinned(x: Array, y: Array) -> tuple[Array, Array]:
     if len(x) <= MOST_POINTS or not (np.diff(x) >= 0.0).all():
         return x, y
     edges = np.linspace(0, len(y), BINS + 1).astype(int)
-    kept = [np.array([0, len(y) - 1])]
-    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        part = y[begin:end]
-        kept.append(begin + np.array([part.argmin(), part.argmax()]))
-    places = np.unique(np.concatenate(kept))
+    parts = [(begin, y[begin:end]) for begin, end in itertools.pairwise(edges.tolist())]
+    least, most = ([begin + of(part) for begin, part in parts] for of in (np.argmin, np.argmax))
+    places = np.unique([0, *least, *most, len(y) - 1])
     return x[places], y[places]
 
 

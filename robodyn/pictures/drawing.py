@@ -20,12 +20,14 @@ from robodyn.errors import AssemblyError, RobodynError
 from robodyn.loops.assembly import attempt
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import Body, Shape, at, bodies
+from robodyn.pictures.characters import TALL, Canvas
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
 LARGEST = 1e100  # m, of a half width
+LINES = ("link", "support", "guide", "block", "spring")  # outlines that characters show
 SHORTEST = 1e-12  # m, of a spring whose ends coincide
 
 
@@ -124,3 +126,44 @@ def first_pose(mechanism: Mechanism) -> Array:
         raise AssemblyError("cannot be closed", where=mechanism.source, limit=limit)
     pose: Array = q[closes[0]]
     return pose
+
+
+def drawing_lines(
+    drawn: Drawing,
+    names: Sequence[str],
+    width: int,
+    height: int,
+    ascii: bool = False,
+    colour: bool = False,
+) -> list[str]:
+    """The poses of a mechanism to scale, as at most `height` lines of `width` characters at most.
+
+    Outlines of links, supports and guides, an o for each joint, and the links' `names`, if any,
+    at the last pose.
+    """
+    left, bottom, right, top = drawn.box()
+    canvas = Canvas(width, height, ascii)
+    stretch = canvas.up / canvas.across / TALL  # dots up for one across
+    scale = min((canvas.width - 1) / (right - left), (canvas.height - 1) / (top - bottom) / stretch)
+    rows = min(height, int((top - bottom) * scale * stretch / canvas.up) + 1)
+    canvas = Canvas(width, rows, ascii)
+
+    def dots(z: Complex) -> Complex:
+        return np.asarray(scale * ((z.real - left) + 1j * stretch * (z.imag - bottom)), complex)
+
+    joints = []
+    for pose in range(len(drawn.q)):
+        for b, shape, z in drawn.placed(pose):
+            if shape.kind in LINES:
+                line = np.append(z, z[0]) if shape.closed else z
+                canvas.line(dots(line), drawn.bodies[b].link or 0)
+            elif shape.kind == "joint":
+                joints.append(dots(z).mean())
+    for joint in joints:
+        canvas.text(*canvas.cell(joint), "o")
+    for k, name in enumerate(names):
+        b = drawn.body_of(k)
+        middle = 0.5 * drawn.mechanism.description.links[k].l
+        column, row = canvas.cell(dots(drawn.place[-1:, b] + middle * drawn.turn[-1:, b])[0])
+        canvas.text(max(0, min(column + 2, width - len(name))), row, name, k)
+    return canvas.lines(colour)

@@ -62,14 +62,8 @@ def frame(
         width, height = size
         scale = max(wide / width, high / max(height - below, 0.2 * height))
     x, y = 0.5 * (left + right), 0.5 * (bottom + top) - 0.5 * below * scale
-    return Frame(
-        x - 0.5 * width * scale,
-        y - 0.5 * height * scale,
-        x + 0.5 * width * scale,
-        y + 0.5 * height * scale,
-        width,
-        height,
-    )
+    across, up = 0.5 * width * scale, 0.5 * height * scale
+    return Frame(x - across, y - up, x + across, y + up, width, height)
 
 
 def scale_bar(shown: Frame) -> tuple[float, str]:
@@ -77,10 +71,9 @@ def scale_bar(shown: Frame) -> tuple[float, str]:
     wanted = 0.22 * (shown.right - shown.left)
     power = 10.0 ** math.floor(math.log10(wanted))
     length = max(f * power for f in (1.0, 2.0, 5.0) if f * power <= wanted)
-    for unit, factor in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
-        if length >= 0.0999 * factor:
-            return length, f"{length / factor:g} {unit}"
-    return length, f"{length:g} m"
+    units = {"m": 1.0, "mm": 1e-3, "µm": 1e-6}
+    unit = next((unit for unit, factor in units.items() if length >= 0.0999 * factor), "m")
+    return length, f"{length / units[unit]:g} {unit}"
 
 
 def scale_bar_line(shown: Frame) -> Complex:
