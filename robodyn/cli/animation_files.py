@@ -60,7 +60,6 @@ class Film(Picture):
         self._decimals = time_decimals(t)
 
     def show(self, pose: int) -> None:
-        """Move to a frame."""
         super().show(pose)
         for line, z in zip(self._lines, self._traces, strict=True):
             end = FINER * pose + 1
@@ -68,7 +67,6 @@ class Film(Picture):
         self._time.set_text(f"t = {self._t[pose]:.{self._decimals}f} s")
 
     def image(self, pose: int) -> Any:
-        """A frame as an image of Pillow's."""
         from PIL import Image
 
         self.show(pose)
@@ -107,7 +105,6 @@ def write_gif(film: Film, rate: float, out: str, watch: Watch) -> None:
 
 
 def write_mp4(film: Film, rate: float, out: str, watch: Watch) -> None:
-    """A film by the program ffmpeg."""
     from matplotlib.animation import FFMpegWriter
 
     with tempfile.TemporaryDirectory() as directory, open_output(out) as stream:
@@ -207,7 +204,7 @@ def write_page(
         stroke = f'stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"'
         parts.append((BEHIND, -1, f'<polyline fill="none" {stroke}/>'))
     groups = []
-    moving = [b for b, body in enumerate(drawn.bodies) if body.moves]
+    moving = [b for b, body in enumerate(drawn.bodies) if body.link is not None or body.end]
     ordered = sorted(parts, key=lambda part: part[:2])
     for b, paths in groupby(ordered, lambda part: part[1]):
         data = f' data-b="{b}"' if b in moving else ""

@@ -74,12 +74,11 @@ class Picture:
         self.axes.set_axis_off()
         self.axes.set_xlim(self.frame.left, self.frame.right)
         self.axes.set_ylim(self.frame.bottom, self.frame.top)
-        self._patches: list[tuple[int, Any]] = []
-        for b, body in enumerate(drawn.bodies):
-            for order, shape in enumerate(body.shapes):
-                patch = self._polygon(shape.kind, shape.points, shape.closed, body.link)
-                patch.set_zorder(patch.get_zorder() + 0.01 * b + 1e-4 * order)
-                self._patches.append((b, patch))
+        self._patches: list[Any] = []
+        for b, shape, z in drawn.placed(0):
+            patch = self._polygon(shape.kind, z, shape.closed, drawn.bodies[b].link)
+            patch.set_zorder(patch.get_zorder() + 0.01 * b)
+            self._patches.append(patch)
         bar = scale_bar_line(self.frame)
         self._polygon("scale bar", bar, False, None)
         z = bar[2] + (0.06 - 0.005j) * self.frame.scale
@@ -89,13 +88,8 @@ class Picture:
 
     def show(self, pose: int) -> None:
         """Move all bodies to a pose."""
-        from matplotlib.transforms import Affine2D
-
-        for b, patch in self._patches:
-            z, e = self.drawn.place[pose, b], self.drawn.turn[pose, b]
-            u = e / abs(e)
-            moved = Affine2D.from_values(e.real, e.imag, -u.imag, u.real, z.real, z.imag)
-            patch.set_transform(moved + self.axes.transData)
+        for patch, (_, _, z) in zip(self._patches, self.drawn.placed(pose), strict=True):
+            patch.set_xy(np.column_stack([z.real, z.imag]))
 
     def ghost(self, pose: int, strength: float) -> None:
         """The outlines of the links at another pose, pale, behind the picture."""

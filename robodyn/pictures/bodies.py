@@ -51,11 +51,6 @@ class Body(NamedTuple):
     shapes: tuple[Shape, ...]
     end: PlanarPoint | None = None
 
-    @property
-    def moves(self) -> bool:
-        """Whether it has not the same place at all poses."""
-        return self.link is not None or self.end is not None
-
 
 def bodies(mechanism: Mechanism, E: Complex, w: float) -> Iterator[Body]:
     """The ground first, then guides, links from the ground outward, and the sliders' blocks.

@@ -117,6 +117,15 @@ def plain(text: str, ascii: bool) -> str:
     return text.replace("²", "^2").encode("ascii", "replace").decode() if ascii else text
 
 
+def y_axis(at: Sequence[int], texts: Sequence[str], rows: int, left: int, ascii: bool) -> list[str]:
+    """What stands at the left of each row: a line with its ticks at some rows, and their texts."""
+    tick, bar, *_ = FRAMES[ascii]
+    edge = [" " * (left - 1) + bar] * rows
+    for row, text in zip(at, texts, strict=True):
+        edge[row] = f"{text.rjust(left - 2)} {tick}"
+    return edge
+
+
 def x_axis(
     name: str, at: Sequence[int], texts: Sequence[str], left: int, inside: int, ascii: bool
 ) -> list[str]:
@@ -154,28 +163,24 @@ def chart_lines(
         labels = [f"{MARKS[k % len(MARKS)]} {label}" for k, label in enumerate(labels)]
     right = max(0, min(max(map(len, labels)) + 1, width - left - LEAST_WIDTH))
     inside = max(LEAST_WIDTH, width - left - right)
-    tick, bar, *_ = FRAMES[ascii]
     lines: list[str] = []
     owner = 0
     for panel, values, (y_low, y_high) in zip(chart.panels, numbers, scales, strict=True):
         rows = max(height, LEAST_HEIGHT, len(panel.curves))
-        canvas = Canvas(left + inside + right, rows, ascii)
-        for row in range(rows):
-            canvas.text(left - 1, row, bar)
-        for value, text in zip(values, tick_texts(values), strict=True):
-            row = rows - 1 - round((value - y_low) / (y_high - y_low) * (rows - 1))
-            canvas.text(0, row, f"{text.rjust(left - 2)} {tick}")
+        canvas = Canvas(inside + right, rows, ascii)
+        at = [rows - 1 - round((v - y_low) / (y_high - y_low) * (rows - 1)) for v in values]
+        edge = y_axis(at, tick_texts(values), rows, left, ascii)
         ends = []
         for k, curve in enumerate(panel.curves, owner):
             x = (curve.x - low) / (high - low) * (inside * canvas.across - 1)
             y = (curve.y - y_low) / (y_high - y_low) * (canvas.height - 1)
-            canvas.line(left * canvas.across + x + 1j * y, k)
+            canvas.line(x + 1j * y, k)
             ends.append(float(rows - 1 - y[curve.x.argmax()] / (canvas.height - 1) * (rows - 1)))
         for k, place in enumerate(spread(ends, 1.0, 0.0, rows - 1.0) or ends, owner):
-            canvas.text(left + inside + 1, round(place), labels[k][: max(right - 1, 0)], k)
+            canvas.text(inside + 1, round(place), labels[k][: max(right - 1, 0)], k)
         if panel.label:
             lines.append(" " * (left - 1) + plain(panel.label, ascii))
-        lines += canvas.lines(colour)
+        lines += map(str.__add__, edge, canvas.lines(colour))
         owner += len(panel.curves)
     values = ticks(low, high, max(2, inside // 12))
     at = [round((value - low) / (high - low) * (inside - 1)) for value in values]
@@ -201,10 +206,8 @@ def map_lines(
     fits = left + wider[0] + beside <= width and wider[1] >= len(legend)
     aside = fits and wider[1] > rows and wider[0] >= inside
     inside, rows = wider if aside else (inside, rows)
-    tick, bar, *_ = FRAMES[ascii]
-    edge = [" " * (left - 1) + bar] * rows
-    for value, text in zip(y_values, y_texts, strict=True):
-        edge[rows - 1 - _place(value, bottom, top, rows)] = f"{text.rjust(left - 2)} {tick}"
+    at = [rows - 1 - _place(value, bottom, top, rows) for value in y_values]
+    edge = y_axis(at, y_texts, rows, left, ascii)
     more = [" " * BESIDE + line for line in legend] if aside else []
     more += [""] * (rows - len(more))
     drawn = zip(edge, _drawn(content, inside, rows, ascii, colours), more, strict=True)
