@@ -95,7 +95,6 @@ def animate(
 
 
 def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:
-    """The poses of the frames, from the rows of a table."""
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
         if "t" not in reader.header:

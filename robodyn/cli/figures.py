@@ -43,13 +43,11 @@ def check_plot(path: str) -> None:
 
 
 def check_directory(path: str) -> None:
-    """Raise before the work where a file's directory does not exist."""
     if not Path(path).resolve().parent.is_dir():
         raise InputError("cannot be written", where=path, limit="no such directory")
 
 
 def check_matplotlib(what: str) -> None:
-    """Raise where the extra is missing."""
     if find_spec("matplotlib") is None:
         raise RobodynError(what, limit="needs the extra `plot`: pip install 'robodyn[plot]'")
 

@@ -129,7 +129,6 @@ def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
 
 
 def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: bool) -> ValueMap:
-    """The rows of all files as one map."""
     column = ColourColumn(colour, positive=log)
     blocks, ys = [np.zeros((0, 2))], []
     for file in files:

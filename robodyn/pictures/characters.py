@@ -237,7 +237,6 @@ def _extent(content: ValueMap, most_columns: int, most_rows: int) -> tuple[int, 
 
 
 def _drawn(content: ValueMap, columns: int, rows: int, ascii: bool, colours: str) -> list[str]:
-    """The characters inside the frame, rows from the top."""
     blocks = bool(colours) and not ascii
     row = content.rows_at(columns, rows * (1 + blocks))[::-1]
     there = row >= 0
@@ -278,7 +277,6 @@ def _marks(content: ValueMap, values: Array, ascii: bool) -> NDArray[np.str_]:
 
 
 def _code(shade: Sequence[int], colours: str) -> str:
-    """What tells a terminal this colour."""
     if colours == DEEP:
         return "2;{};{};{}".format(*shade)
     if max(shade) - min(shade) < 12:  # a grey: 232 to 255 are 8, 18, ... 238

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
 from robodyn.loops.closing import close_positions
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
@@ -57,20 +58,13 @@ def frames(
         raise InputError("frames", value=f"{count:.6g}", limit=f"must be at most {MOST_FRAMES}")
     shown = int(count + 1e-9) + 1
     times = t[0] + np.arange(FINER * (shown - 1) + 1) * (speed / rate / FINER)
-    fine = close_positions(mechanism, _between(t, q, qd, np.minimum(times, t[-1])))
+    inside = np.minimum(times, t[-1])
+    if qd is None:
+        between = np.stack([np.interp(inside, t, angle) for angle in q.T], axis=-1)
+    else:
+        between = ReferenceTable(t, q, qd).at(inside)[0]
+    fine = close_positions(mechanism, between)
     return Frames(times[::FINER], fine[::FINER], rate, fine)
-
-
-def _between(t: Array, q: Array, qd: Array | None, times: Array) -> Array:
-    """q at times within t."""
-    row = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
-    h = np.diff(t)[row, None]
-    s = (times - t[row])[:, None] / h
-    poses: Array = q[row] + s * (q[row + 1] - q[row])
-    if qd is not None:  # Hermite's cubic: what it adds to the straight line
-        slope = (q[row + 1] - q[row]) / h
-        poses += h * s * (1 - s) * ((1 - s) * (qd[row] - slope) - s * (qd[row + 1] - slope))
-    return poses
 
 
 def time_decimals(t: Array) -> int:

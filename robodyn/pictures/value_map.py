@@ -1,7 +1,4 @@
-"""A map: values over two columns, as the cells of a grid or as points, before it is drawn.
-
-And the column that it is coloured by.
-"""
+"""A map: values over two columns, as the cells of a grid or as points, before it is drawn."""
 
 from __future__ import annotations
 
@@ -150,15 +147,13 @@ def _lines(values: Array) -> Array:
     lines: Array = np.unique(values)
     if len(lines) < 2:
         return lines
-    apart = np.diff(lines) > ALIKE * (lines[-1] - lines[0])
-    lines = lines[np.append(True, apart)]
-    steps = np.diff(lines)
-    place = np.append(0.0, np.cumsum(np.round(steps / steps.min())))
-    whole = place[-1] + 1.0
-    if len(lines) < whole <= MOST_LINES * len(lines):
-        even: Array = np.linspace(lines[0], lines[-1], int(whole))
-        if (np.abs(even[place.astype(int)] - lines) < EVEN * (even[1] - even[0])).all():
-            return even
+    span = lines[-1] - lines[0]
+    lines = lines[np.append(True, np.diff(lines) > ALIKE * span)]
+    steps = round(span / np.median(np.diff(lines)))
+    place = (lines - lines[0]) / span * steps
+    even = (np.abs(place - place.round()) < EVEN).all()
+    if even and len(lines) <= steps < MOST_LINES * len(lines):
+        return np.linspace(lines[0], lines[-1], steps + 1)
     return lines
 
 
