@@ -151,8 +151,8 @@ def _lines(values: Array) -> Array:
     lines = lines[np.append(True, np.diff(lines) > ALIKE * span)]
     steps = round(span / np.median(np.diff(lines)))
     place = (lines - lines[0]) / span * steps
-    even = (np.abs(place - place.round()) < EVEN).all()
-    if even and len(lines) <= steps < MOST_LINES * len(lines):
+    even = (np.abs(place - place.round()) < EVEN).all() and (np.diff(place.round()) > 0).all()
+    if even and len(lines) < steps + 1 <= MOST_LINES * len(lines):
         return np.linspace(lines[0], lines[-1], steps + 1)
     return lines
 
