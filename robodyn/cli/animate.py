@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
-import typer
+from typer import Option
 
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.files import input_argument, output_file
@@ -25,27 +25,18 @@ from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
+_TRACE = "Paths of points: links (their tips), or tip2, centre1, joint3; by commas."
+_OUT = "Write here, all or nothing: .gif, .mp4 or .html."
+_SPEED = "Seconds of the motion in one second."
 
 
 def animate(
     model: Model,
     states: Annotated[str, input_argument("CSV", "Rows with t and q1..; - is stdin.")],
-    out: Annotated[
-        str, output_file("--out", "-o", help="Write here, all or nothing: .gif, .mp4 or .html.")
-    ],
-    trace: Annotated[
-        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option(
-            "--trace",
-            metavar="POINTS",
-            help="Paths of points: links (their tips), or tip2, centre1, joint3; by commas.",
-            show_default=False,
-        ),
-    ] = None,
-    fps: Annotated[float, typer.Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
-    speed: Annotated[
-        float, typer.Option("--speed", metavar="X", help="Seconds of the motion in one second.")
-    ] = 1.0,
+    out: Annotated[str, output_file("--out", "-o", help=_OUT)],
+    trace: Annotated[str | None, Option("--trace", metavar="POINTS", help=_TRACE)] = None,
+    fps: Annotated[float, Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
+    speed: Annotated[float, Option("--speed", metavar="X", help=_SPEED)] = 1.0,
     size: Size = None,
 ) -> None:
     """A motion as a moving picture, in real time.

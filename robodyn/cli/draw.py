@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Optional
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-import typer
+from typer import Option
 
 from robodyn.cli.figures import parse_size, picture_format, save, write_characters
-from robodyn.cli.options import (
-    Ascii,
-    Model,
-    OutputPicture,
-    PictureOut,
-    Q,
-    Qd,
-    Qdd,
-    Size,
-    States,
-)
+from robodyn.cli.options import Ascii, Model, OutputPicture, PictureOut, Q, Qd, Qdd, Size, States
 from robodyn.cli.output import note
 from robodyn.cli.states import (
     Quantity,
@@ -40,6 +30,10 @@ if TYPE_CHECKING:
 DEFAULT_POSES = 8
 MOST_POSES = 200
 Labels = Literal["names", "numbers"]  # what is written beside the links
+_TAU = "Joint torques, N m, in place of --qdd, for --forces."
+_FORCES = "Arrows: weights, and the force in every pin."
+_POSES = "Of STATES, the most that are drawn."
+Tau = Annotated[str | None, Option("--tau", metavar="VECTOR", help=_TAU)]
 
 
 def draw(
@@ -48,25 +42,10 @@ def draw(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    tau: Annotated[
-        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option(
-            "--tau",
-            metavar="VECTOR",
-            help="Joint torques, N m, in place of --qdd, for --forces.",
-            show_default=False,
-        ),
-    ] = None,
-    forces: Annotated[
-        bool, typer.Option("--forces", help="Arrows: weights, and the force in every pin.")
-    ] = False,
-    labels: Annotated[
-        Optional[Labels],  # noqa: UP045
-        typer.Option("--labels", help="Beside each link.", show_default=False),
-    ] = None,
-    poses: Annotated[
-        int, typer.Option("--poses", metavar="N", help="Of STATES, the most that are drawn.")
-    ] = DEFAULT_POSES,
+    tau: Tau = None,
+    forces: Annotated[bool, Option("--forces", help=_FORCES)] = False,
+    labels: Annotated[Labels | None, Option("--labels", help="Beside each link.")] = None,
+    poses: Annotated[int, Option("--poses", metavar="N", help=_POSES)] = DEFAULT_POSES,
     size: Size = None,
     format: OutputPicture = None,
     ascii: Ascii = False,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
-import typer
+from typer import Option
 
 from robodyn.cli import figures
 from robodyn.cli.figures import parse_size, picture_format, save, write_characters
@@ -20,39 +20,20 @@ from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
 ONE_Y = "a map has one column along y"
+_X = "Along x. Default: t, else the row."
+_Y = "Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all."
+_COLOUR = "Draw a map: this column as colours over --x and --y."
+X = Annotated[str | None, Option("--x", metavar="COLUMN", help=_X)]
+Y = Annotated[str | None, Option("--y", metavar="COLUMNS", help=_Y)]
+Colour = Annotated[str | None, Option("--colour", "--color", metavar="COLUMN", help=_COLOUR)]
 
 
 def plot(
-    files: Annotated[
-        list[str],
-        input_argument("CSV...", "Files of rows; - is stdin."),
-    ],
-    x: Annotated[
-        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option(
-            "--x", metavar="COLUMN", help="Along x. Default: t, else the row.", show_default=False
-        ),
-    ] = None,
-    y: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            "--y",
-            metavar="COLUMNS",
-            help="Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all.",
-            show_default=False,
-        ),
-    ] = None,
-    colour: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            "--colour",
-            "--color",
-            metavar="COLUMN",
-            help="Draw a map: this column as colours over --x and --y.",
-            show_default=False,
-        ),
-    ] = None,
-    log: Annotated[bool, typer.Option("--log", help="Logarithmic --colour.")] = False,
+    files: Annotated[list[str], input_argument("CSV...", "Files of rows; - is stdin.")],
+    x: X = None,
+    y: Y = None,
+    colour: Colour = None,
+    log: Annotated[bool, Option("--log", help="Logarithmic --colour.")] = False,
     size: Size = None,
     format: OutputPicture = None,
     ascii: Ascii = False,
