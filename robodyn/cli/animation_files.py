@@ -130,11 +130,9 @@ PAGE = """<!DOCTYPE html>
 <meta name="viewport" content="width=device-width">
 <title>{title}</title>
 <style>
-body {{ margin: 1em auto; max-width: {width}px; font: 14px sans-serif }}
-body {{ color: #222; background: #fff }}
+body {{ margin: 1em auto; max-width: {width}px; font: 14px sans-serif; color: #222 }}
 svg {{ width: 100%; display: block }}
-path, polyline {{ stroke-linejoin: round; stroke-linecap: round }}
-path, polyline {{ vector-effect: non-scaling-stroke }}
+path, polyline {{ stroke-linejoin: round; vector-effect: non-scaling-stroke }}
 form {{ display: flex; gap: 1em; align-items: center }}
 input {{ flex: 1 }}
 output {{ min-width: 7em; text-align: right }}
@@ -214,11 +212,12 @@ def write_page(
     place = f'transform="matrix(1 0 0 -1 {z.real:.6g} {z.imag:.6g})" font-size="{tall:.6g}"'
     poses = {
         str(b): [
-            [round(x, decimals) for x in (z.real, z.imag)] + [round(x, 5) for x in (e.real, e.imag)]
+            [round(z.real, decimals), round(z.imag, decimals), round(e.real, 5), round(e.imag, 5)]
             for z, e in zip(drawn.place[:, b].tolist(), drawn.turn[:, b].tolist(), strict=True)
         ]
         for b in moving
     }
+    rounded = [np.column_stack([z.real, z.imag]).round(decimals) for z in traces]
     page = PAGE.format(
         title=escape(drawn.mechanism.name),
         width=round(view.width * PIXELS),
@@ -227,7 +226,7 @@ def write_page(
         last=len(shown.t) - 1,
         count=len(shown.t),
         poses=json.dumps(poses, separators=(",", ":")),
-        traces=json.dumps([[_pair(p, decimals) for p in z.tolist()] for z in traces]),
+        traces=json.dumps([[f"{x:.10g},{y:.10g}" for x, y in z.tolist()] for z in rounded]),
         finer=FINER,
         rate=repr(shown.rate),
         begin=repr(float(shown.t[0])),
@@ -236,10 +235,6 @@ def write_page(
     )
     with open_output(out) as stream:
         stream.write(page.encode())
-
-
-def _pair(point: complex, decimals: int) -> str:
-    return f"{round(point.real, decimals):.10g},{round(point.imag, decimals):.10g}"
 
 
 def _path(shape: Shape, link: int | None) -> str:

@@ -11,7 +11,7 @@ from robodyn.dynamics.closed_form import absolute_rates, phases
 from robodyn.dynamics.dynamics import pin_forces
 from robodyn.dynamics.forces import spring_forces
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.mechanics.mechanism import Mechanism, Tree
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, Tree
 from robodyn.pictures.bodies import at
 from robodyn.scene.scene import Load, Spring
 
@@ -40,29 +40,30 @@ def forces(
     Forces that are zero but for rounding are left out.
     """
     E = phases(mechanism, q)
-    found = []
-    for k, link in enumerate(mechanism.description.links):
-        for mass, point, name in (
-            (link.m, mechanism.centres[k], f"m{k + 1} g"),
-            (link.payload, mechanism.tips[k], f"payload {k + 1} g"),
-        ):
-            found.append(Force("gravity", name, complex(at(point, E)), mass * mechanism.gamma))
+    description, found = mechanism.description, []
+
+    def add(kind: str, name: str, point: PlanarPoint, force: complex) -> None:
+        found.append(Force(kind, name, complex(at(point, E)), force))
+
+    for k, link in enumerate(description.links):
+        add("gravity", f"m{k + 1} g", mechanism.centres[k], link.m * mechanism.gamma)
+        add("gravity", f"payload {k + 1} g", mechanism.tips[k], link.payload * mechanism.gamma)
     joints = reactions(mechanism, q, qd, qdd, multipliers) @ np.array([1, 1j])
     for k, force in enumerate(joints.tolist()):
-        found.append(Force("pin", f"r{k + 1}", complex(at(mechanism.pivots[k], E)), force))
+        add("pin", f"r{k + 1}", mechanism.pivots[k], force)
     pins = pin_forces(mechanism, multipliers) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
-        pin = Tree(mechanism.description.links).point(mechanism.description.closures[c].first)
-        found.append(Force("pin", f"f{c + 1}", complex(at(pin, E)), force))
-    between = [k for k, s in enumerate(mechanism.description.springs) if isinstance(s, Spring)]
+        first = Tree(description.links).point(description.closures[c].first)
+        add("pin", f"f{c + 1}", first, force)
+    between = [k for k, s in enumerate(description.springs) if isinstance(s, Spring)]
     if between:
         pulls = spring_forces(mechanism, E, absolute_rates(mechanism, qd))
         for k, spring, pull in zip(between, mechanism.springs, pulls.tolist(), strict=True):
-            found.append(Force("load", f"s{k + 1}", complex(at(spring.ends[0], E)), pull))
-    forced = [k for k, x in enumerate(mechanism.description.loads) if isinstance(x, Load)]
+            add("load", f"s{k + 1}", spring.ends[0], pull)
+    forced = [k for k, x in enumerate(description.loads) if isinstance(x, Load)]
     for k, item in zip(forced, mechanism.forces, strict=True):
-        force = item.force * (complex(E[item.link]) if item.turns else 1.0)
-        found.append(Force("load", f"load {k + 1}", complex(at(item.point, E)), force))
+        turn = complex(E[item.link]) if item.turns else 1.0
+        add("load", f"load {k + 1}", item.point, item.force * turn)
     least = SEEN * max(abs(item.force) for item in found)
     return [item for item in found if abs(item.force) > least]
 
