@@ -9,10 +9,12 @@ from __future__ import annotations
 import atexit
 import functools
 import gc
+import inspect
 import os
 import sys
 from collections.abc import Callable
 from copy import copy
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -72,31 +74,13 @@ def run(arguments: list[str]) -> int:
         error.message = printable_lines(error.message)
         error.show()
         return int(error.exit_code)
-    except RobodynError as error:
+    except Exception as error:  # the outermost boundary
+        if signals.received and not isinstance(error, RobodynError | OverflowError | OSError):
+            return 128 + signals.received[-1]  # compiled code makes another error of a signal
         if debug:
             raise
-        _tell(_prefixed(str(error)))
-        return error.exit_code
-    except OverflowError as error:
-        if debug:
-            raise
-        _tell(f"Error: a number of the scene, the state or an option is too large ({error})")
-        return 1
-    except OSError as error:
-        if debug:
-            raise
-        named = f"{error.filename}: " if error.filename else ""  # stdout has none
-        _tell(f"Error: {named}{error.strerror or error}")
-        return 1
-    except Exception as error:  # the outermost boundary: a defect of robodyn's own
-        if signals.received:  # compiled code makes another error of a signal
-            return 128 + signals.received[-1]
-        if debug:
-            raise
-        kind = type(error).__name__
-        hint = "please report it with what `robodyn --debug ...` prints"
-        _tell(f"Error: a defect of robodyn's own ({kind}: {error}); {hint}")
-        return 1
+        _tell(_described(error))
+        return error.exit_code if isinstance(error, RobodynError) else 1
     return code if isinstance(code, int) else 0
 
 
@@ -106,9 +90,19 @@ def _tell(text: str) -> None:
     note(text)
 
 
-def _prefixed(text: str) -> str:
-    lines = text.splitlines() or [""]
-    return "\n".join([f"Error: {lines[0]}", *(f"       {line}" for line in lines[1:])])
+def _described(error: Exception) -> str:
+    match error:
+        case RobodynError():
+            text = "\n       ".join(str(error).splitlines())
+        case OverflowError():
+            text = f"a number of the scene, the state or an option is too large ({error})"
+        case OSError():
+            named = f"{error.filename}: " if error.filename else ""  # stdout has none
+            text = f"{named}{error.strerror or error}"
+        case _:
+            hint = "please report it with what `robodyn --debug ...` prints"
+            text = f"a defect of robodyn's own ({type(error).__name__}: {error}); {hint}"
+    return f"Error: {text}"
 
 
 def _application(arguments: list[str]) -> typer.Typer:
@@ -144,21 +138,37 @@ def _number(convert: Callable[..., Any], kind: str, value: Any, *place: Any) -> 
 
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
-    """The command with the manners of a pipe: a closed one ends it quietly."""
+    """The command as typer takes it, with the manners of a pipe: a closed one ends it quietly.
+
+    A parameter that is a dataclass stands for its fields, one option each.
+    """
+    groups: dict[str, Any] = {}
+    options: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+        kind: Any = parameter.annotation
+        if isinstance(kind, type) and is_dataclass(kind):
+            groups[name] = kind
+            options += inspect.signature(kind, eval_str=True).parameters.values()
+        else:
+            options.append(parameter)
 
     @functools.wraps(function)
-    def guarded(*args: Any, **kwargs: Any) -> None:
+    def guarded(**given: Any) -> None:
         from robodyn.cli.output import numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         try:
-            function(*args, **kwargs)
+            function(**given)
             sys.stdout.flush()
         except BrokenPipeError:
             raise typer.Exit(_without_reader()) from None
         except KeyboardInterrupt:
             raise typer.Exit(130) from None
 
+    options = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+    setattr(guarded, "__signature__", inspect.Signature(options))  # noqa: B010 (no attribute to mypy)
     return guarded
 
 

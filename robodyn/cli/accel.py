@@ -33,12 +33,11 @@ def accel(
       robodyn accel robots/2r.yaml states.csv --format json
     """
     mechanism = load(model)
-    columns = [f"qdd{k + 1}" for k in range(mechanism.n)]
-    columns += loop_columns(mechanism)
+    columns = [f"qdd{k + 1}" for k in range(mechanism.n)] + loop_columns(mechanism)
 
-    def compute(state: list[np.ndarray]) -> np.ndarray:
-        check_way_on(mechanism, state[0], state[1])
-        solution = forward_dynamics_and_forces(mechanism, *state)
+    def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        check_way_on(mechanism, q, qd)
+        solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
         forces = loop_forces(mechanism, solution.multipliers)
         return np.concatenate([solution.qdd, forces], axis=-1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.scene import BRANCHES
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
+VECTORS = ("q", "qd", "qdd")
 PARTS = ("joint", "tip", "centre")
+COMPONENTS = ("x", "y", "vx", "vy")
 
 
 def assemble(
@@ -41,24 +44,21 @@ def assemble(
     mechanism = load(model)
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     sources = [option_source(mechanism, quantity) for quantity in given]
-    found = []
-    for name, branches in _branches(mechanism, sources[0].whole):
-        motion = complete_from(mechanism, sources, branches)
-        found.append((name, motion))
+    ways = _branches(mechanism, sources[0].whole)
+    found = [(name, complete_from(mechanism, sources, way)) for name, way in ways]
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
-
+    branches = [_content(mechanism, *item) for item in found]
     chosen = default_format(format, out)
-    if chosen == "json":
-        write_structure(out, {"branches": [_content(mechanism, *item) for item in found]}, None)
-    elif chosen == "csv":
-        columns = _columns(mechanism)
-        with row_writer("csv", out, ["branch", *columns]) as writer:
-            for name, motion in found:
-                writer.write_row([name, *_row(mechanism, motion)])
+    if chosen == "csv":
+        rows = [_row(branch) for branch in branches]
+        with row_writer(chosen, out, list(rows[0])) as writer:
+            for row in rows:
+                writer.write_row(list(row.values()))
     else:
-        write_structure(out, {}, [x for item in found for x in _tables(mechanism, *item)])
+        content = {"branches": branches}
+        write_structure(chosen, out, content, lambda: [x for y in branches for x in _tables(y)])
 
 
 def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, ...] | None]]:
@@ -80,57 +80,40 @@ def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, .
     return [(" ".join(way[closure] for closure in two_way), way) for way in ways]
 
 
-def _points(mechanism: Mechanism, motion: list[np.ndarray]) -> np.ndarray:
-    """Position and velocity (x, y, vx, vy) of each link's joint, tip, centre, (n, 3, 4)."""
+def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[str, Any]:
+    """One way to assemble: its name, q, qd, qdd, and the points of every link."""
     points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
     with np.errstate(all="ignore"):
         position, velocity, _ = point_motion(mechanism, points, motion[0], motion[1])
     both = np.concatenate([position, velocity], axis=-1)
     if not np.isfinite(both).all():
         raise overflow()
-    return both.reshape(len(PARTS), mechanism.n, 4).transpose(1, 0, 2)
-
-
-def _columns(mechanism: Mechanism) -> list[str]:
-    joints = range(1, mechanism.n + 1)
-    names = [f"{name}{k}" for name in ("q", "qd", "qdd") for k in joints]
-    return names + [
-        f"{part}_{component}{k}"
-        for k in joints
-        for part in PARTS
-        for component in ("x", "y", "vx", "vy")
-    ]
-
-
-def _row(mechanism: Mechanism, motion: list[np.ndarray]) -> list[float]:
-    values = [value for vector in motion for value in vector.tolist()]
-    return values + _points(mechanism, motion).reshape(-1).tolist()
-
-
-def _content(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> dict[str, object]:
-    points = _points(mechanism, motion).tolist()
+    values = both.reshape(len(PARTS), mechanism.n, 4).tolist()
     links = [
         {"name": link}
-        | {
-            part: dict(zip(("x", "y", "vx", "vy"), points[k][p], strict=True))
-            for p, part in enumerate(PARTS)
-        }
+        | {part: dict(zip(COMPONENTS, values[p][k], strict=True)) for p, part in enumerate(PARTS)}
         for k, link in enumerate(mechanism.link_names)
     ]
-    vectors = dict(zip(("q", "qd", "qdd"), (vector.tolist() for vector in motion), strict=True))
+    vectors = {vector: x.tolist() for vector, x in zip(VECTORS, motion, strict=True)}
     return {"branch": name, **vectors, "links": links}
 
 
-def _tables(mechanism: Mechanism, name: str, motion: list[np.ndarray]) -> list[Grid]:
-    columns = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
-    rows = []
-    for k, link in enumerate(mechanism.link_names):
-        q, qd, qdd = (vector[k] for vector in motion)
-        rows.append([f"{k + 1} {link}", *(f"{x:.6g}" for x in (q, np.degrees(q), qd, qdd))])
-    places = [
-        [link, part, *(f"{value:.6g}" for value in values)]
-        for link, parts in zip(mechanism.link_names, _points(mechanism, motion), strict=True)
-        for part, values in zip(PARTS, parts, strict=True)
+def _row(branch: dict[str, Any]) -> dict[str, Any]:
+    """The same, flat, by the names of the CSV's columns."""
+    row = {"branch": branch["branch"]}
+    row |= {f"{name}{k}": x for name in VECTORS for k, x in enumerate(branch[name], start=1)}
+    for k, link in enumerate(branch["links"], start=1):
+        row |= {f"{part}_{x}{k}": value for part in PARTS for x, value in link[part].items()}
+    return row
+
+
+def _tables(branch: dict[str, Any]) -> list[Grid]:
+    links = branch["links"]
+    joints = [
+        [f"{k + 1} {link['name']}", q, np.degrees(q), branch["qd"][k], branch["qdd"][k]]
+        for k, (link, q) in enumerate(zip(links, branch["q"], strict=True))
     ]
+    places = [[link["name"], part, *link[part].values()] for link in links for part in PARTS]
+    angles = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
-    return [Grid(columns, rows, name), Grid(where, places)]
+    return [Grid(angles, joints, branch["branch"]), Grid(where, places)]

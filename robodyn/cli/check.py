@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import typer
 
 from robodyn.cli.options import Model, Out, OutputStructured
-from robodyn.cli.output import Grid, note, wants_tables, write_structure
-from robodyn.cli.scene_facts import force_facts, links, springs_and_loads
+from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.states import overflow, remarks
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
@@ -16,8 +17,15 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.grammar import FORMS
+from robodyn.scene.scene import FRAMES, Coupling, JointSpring, Moment, Point
 
 STATES = 200
+PHRASES = {  # what a spring or a load is in words, by the first of its keys; and of its damping
+    "joint": ("joint {joint}: {stiffness:g} N m/rad from {angle:g} rad", "N m s/rad"),
+    "between": ("{between[0]} to {between[1]}: {stiffness:g} N/m, length {length:g} m", "N s/m"),
+    "link": ("{torque:g} N m on {link}", ""),
+    "at": ("({force[0]:g}, {force[1]:g}) N at {at}", ""),
+}
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
 
 
@@ -51,11 +59,11 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
     except InputError:  # a state of ours left the range of numbers
         raise overflow() from None
     singular = next((item.reason for item in results if item.reason), None)
-    content = {
+    content: dict[str, Any] = {
         "name": mechanism.name,
         "gravity": [mechanism.gamma.real, mechanism.gamma.imag],
-        "links": links(mechanism),
-        **springs_and_loads(mechanism),
+        "links": [_link(mechanism, k) for k in range(mechanism.n)],
+        **_forces(mechanism),
         "actuated": [mechanism.link_names[k] for k in mechanism.actuated],
         "loops": [loop_class(mechanism, c) for c in range(len(mechanism.description.closures))],
         **_conditioning(mechanism, sample),
@@ -66,8 +74,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         "bound": BOUND,
         "passed": all(item.holds for item in results) if results else None,
     }
-    tables = _tables(mechanism, content, results) if wants_tables(format, out) else None
-    write_structure(out, content, tables)
+    write_structure(format, out, content, lambda: _tables(mechanism, content, results))
     if mechanism.rows and sample.closing == 0.0 and not len(sample.q) and not unknown:
         note("Error: the loops close at none of the random positions of the actuated joints")
         raise typer.Exit(1)
@@ -80,6 +87,60 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         raise typer.Exit(1)
 
 
+def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
+    """A link, key by key."""
+    link = mechanism.description.links[k]
+    rubs = link.friction
+    return {
+        "name": link.name,
+        "m": link.m,
+        "l": link.l,
+        "r": [link.r.real, link.r.imag],
+        "I": link.I,
+        "from": _place(mechanism, link.hangs_from),
+        "payload": link.payload,
+        "damping": link.damping,
+        "friction": None if rubs is None else {"torque": rubs.torque, "speed": rubs.speed},
+    }
+
+
+def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
+    """Springs, loads and couplings as the scene writes them; nothing where it has none."""
+    names, found = mechanism.link_names, mechanism.description
+    lists: dict[str, list[Any]] = {"springs": [], "loads": []}
+    for spring in found.springs:
+        values: dict[str, Any] = {"stiffness": spring.stiffness, "damping": spring.damping}
+        if isinstance(spring, JointSpring):
+            values = {"joint": names[spring.joint], "angle": spring.angle} | values
+        else:
+            ends = [_place(mechanism, point) for point in (spring.first, spring.second)]
+            values = {"between": ends, "length": spring.length} | values
+        lists["springs"].append(values)
+    for item in found.loads:
+        if isinstance(item, Moment):
+            lists["loads"].append({"link": names[item.link], "torque": item.torque})
+        else:
+            place, force = _place(mechanism, item.point), [item.force.real, item.force.imag]
+            frame = FRAMES[1] if item.turns else FRAMES[0]
+            lists["loads"].append({"at": place, "force": force, "frame": frame})
+    lists["couplings"] = [_equation(coupling) for coupling in found.couplings]
+    return {key: entries for key, entries in lists.items() if entries}
+
+
+def _place(mechanism: Mechanism, point: Point) -> str:
+    at = f"({point.at.real:g}, {point.at.imag:g})"
+    return f"ground {at}" if point.link is None else f"{mechanism.link_names[point.link]} {at}"
+
+
+def _equation(coupling: Coupling, digits: int = 17) -> str:
+    """q3 = -2 q1 + 0.1"""
+    parts = [f"{ratio:+.{digits}g} q{k + 1}" for k, ratio in coupling.terms]
+    if coupling.angle or not parts:
+        parts.append(f"{coupling.angle:+.{digits}g}")
+    later = "".join(f" {part[0]} {part[1:]}" for part in parts[1:])
+    return f"q{coupling.joint + 1} = {parts[0].removeprefix('+')}{later}"
+
+
 def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     """Mobility, and the range of the condition numbers of M and Psi over the sample."""
     q = sample.q
@@ -88,21 +149,14 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
     sizes = np.abs(np.linalg.eigvalsh(closed_form.mass_matrix(mechanism, q)))
     with np.errstate(divide="ignore", invalid="ignore"):
         cond_M = sizes.max(axis=-1) / sizes.min(axis=-1)
-    result: dict[str, object] = {
-        "mobility": mechanism.n,
-        "cond_M": _span(cond_M),
-        "cond_Psi": None,
-    }
+    mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
-        Psi = closed_form.closure_jacobian(mechanism, q)
-        s = np.linalg.svd(Psi, compute_uv=False)
+        s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)
         rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
-        result["mobility"] = mechanism.n - rank
-        cond = s[:, 0] / s[:, rank - 1]
-        result["cond_Psi"] = _span(cond)
+        mobility, cond_Psi = mechanism.n - rank, _span(s[:, 0] / s[:, rank - 1])
         if rank < len(mechanism.rows):
             note(f"Note: {len(mechanism.rows) - rank} of the closures' equations are redundant")
-    return result
+    return {"mobility": mobility, "cond_M": _span(cond_M), "cond_Psi": cond_Psi}
 
 
 def _span(values: np.ndarray) -> list[float | None]:
@@ -110,46 +164,43 @@ def _span(values: np.ndarray) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in (values.min(), values.max())]
 
 
-def _tables(
-    mechanism: Mechanism, content: dict[str, object], results: list[Identity]
-) -> list[Grid]:
-    described = mechanism.description.links
-    extras = [key for key in ("payload", "damping") if any(getattr(x, key) for x in described)]
+def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identity]) -> list[Grid]:
+    links = content["links"]
+    extras = [key for key in ("payload", "damping") if any(link[key] for link in links)]
+    rubs = any(link["friction"] for link in links)
     headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["link"].keys.items()}
     columns = ["link", *(headed[key] for key in "mlrI"), "hangs from"]
-    columns += [headed[key] for key in extras]
+    columns += [*(headed[key] for key in extras), *(["friction [N m]"] if rubs else []), "actuated"]
     rows = []
-    for k, (link, shown) in enumerate(zip(described, links(mechanism), strict=True)):
-        r = f"{link.r.real:g}" if link.r.imag == 0 else f"({link.r.real:g}, {link.r.imag:g})"
-        values = [f"{link.m:g}", f"{link.l:g}", r, f"{link.I:g}", str(shown["from"])]
-        values += [f"{getattr(link, key):g}" for key in extras]
-        driven = "yes" if k in mechanism.actuated else ""
-        rows.append([f"{k + 1} {link.name}", *values, driven])
-    if any(link.friction for link in described):
-        columns.append("friction [N m]")
-        for row, link in zip(rows, described, strict=True):
-            rubbing = link.friction
-            above = "" if rubbing is None else f"{rubbing.torque:g} above {rubbing.speed:g} rad/s"
-            row.insert(-1, above)
-    gravity = mechanism.gamma
-    facts = [["gravity", f"({gravity.real:g}, {gravity.imag:g}) m/s²"]]
+    for k, link in enumerate(links):
+        r = "{:g}".format(*link["r"]) if link["r"][1] == 0 else "({:g}, {:g})".format(*link["r"])
+        row = [f"{k + 1} {link['name']}", link["m"], link["l"], r, link["I"], link["from"]]
+        row += [link[key] for key in extras]
+        if rubs:
+            friction = link["friction"]
+            row.append("{torque:g} above {speed:g} rad/s".format(**friction) if friction else "")
+        rows.append([*row, "yes" if k in mechanism.actuated else ""])
+    facts = [["gravity", "({:g}, {:g}) m/s²".format(*content["gravity"])]]
     facts.append(["mobility", str(content["mobility"])])
-    facts += force_facts(mechanism)
-    loops = content["loops"]
-    assert isinstance(loops, list)
-    facts += [[f"loop {c + 1}", kind] for c, kind in enumerate(loops)]
+    for kind in ("spring", "load"):
+        for k, entry in enumerate(content.get(f"{kind}s", []), start=1):
+            phrase, unit = PHRASES[next(iter(entry))]
+            text = phrase.format(**entry)
+            text += f", damping {entry['damping']:g} {unit}" if entry.get("damping") else ""
+            text += ", turning with it" if entry.get("frame") == FRAMES[1] else ""
+            facts.append([f"{kind} {k}", text])
+    for k, coupling in enumerate(mechanism.description.couplings, start=1):
+        facts.append([f"coupling {k}", _equation(coupling, 6)])
+    facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
-        span = content[key]
-        if isinstance(span, list):
-            facts.append(
-                [label, " to ".join("infinite" if x is None else f"{x:.3g}" for x in span)]
-            )
+        if content[key]:
+            span = ["infinite" if x is None else f"{x:.3g}" for x in content[key]]
+            facts.append([label, " to ".join(span)])
     if content["closing"] is not None:
-        facts.append(["closes at", f"{100 * float(str(content['closing'])):.0f} % of positions"])
-
-    read = Grid([*columns, "actuated"], rows, mechanism.name)
-    title = f"identities at {content['states']} random states (bound {BOUND:g})"
+        facts.append(["closes at", f"{100 * content['closing']:.0f} % of positions"])
     proof = [[item.name, *_verdict(item)] for item in results]
+    title = f"identities at {content['states']} random states (bound {BOUND:g})"
+    read = Grid(columns, rows, mechanism.name)
     return [read, Grid(["", ""], facts), Grid(["identity", "residual", ""], proof, title)]
 
 

@@ -29,8 +29,8 @@ def energy(
     """
     mechanism = load(model)
 
-    def compute(state: list[np.ndarray]) -> np.ndarray:
-        KE, PE = kinetic_energy(mechanism, *state), potential_energy(mechanism, state[0])
+    def compute(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)
         return np.stack([KE, PE, KE + PE], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]

@@ -21,18 +21,18 @@ _DECLARED = "robodyn.files"
 
 def input_argument(metavar: str, help: str) -> Any:
     """An argument that is a file to read."""
-    return typer.Argument(metavar=metavar, help=help, show_default=False, callback=_reads)
+    return typer.Argument(metavar=metavar, help=help, callback=_reads)
 
 
 def input_file(flag: str, help: str) -> Any:
     """An option that is a file to read."""
-    return typer.Option(flag, metavar="FILE", help=help, show_default=False, callback=_reads)
+    return typer.Option(flag, metavar="FILE", help=help, callback=_reads)
 
 
 def output_file(*flags: str, help: str, kept: bool = False) -> Any:
     """An option that is a file to write, and the files that are `kept` beside it."""
     callback = _writes_and_keeps if kept else _writes
-    return typer.Option(*flags, metavar="FILE", help=help, show_default=False, callback=callback)
+    return typer.Option(*flags, metavar="FILE", help=help, callback=callback)
 
 
 def named(value: str | None) -> str | None:

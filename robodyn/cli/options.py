@@ -2,83 +2,64 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Optional
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, Literal
 
-import typer
+from typer import Option
 
 from robodyn.cli.files import input_argument, output_file
+from robodyn.errors import RobodynError
 
 Format = Literal["table", "csv", "json"]  # how a result is written
 StructuredFormat = Literal["table", "json"]  # how a result with matrices or parts is written
 PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
-States = Annotated[
-    Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-    input_argument(
-        "[STATES]",
-        "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through.",
-    ),
-]
+_ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
+States = Annotated[str | None, input_argument("[STATES]", _ROWS)]
 
 
-def _vector(flag: str, text: str) -> object:
-    return typer.Option(flag, metavar="VECTOR", help=text, show_default=False)
+def vector(flag: str, help: str) -> object:
+    """An option that is a vector."""
+    return Option(flag, metavar="VECTOR", help=help)
 
 
 _WHICH = "all joints, or the actuated ones of a closed mechanism"
-Q = Annotated[
-    Optional[str],  # noqa: UP045
-    _vector("--q", f"Joint angles, rad, or 30deg, pi/2: {_WHICH} (the rest is assembled)."),
-]
-Qd = Annotated[
-    Optional[str],  # noqa: UP045
-    _vector("--qd", f"Joint rates, rad/s or 30deg: {_WHICH}. Default: at rest."),
-]
-Qdd = Annotated[
-    Optional[str],  # noqa: UP045
-    _vector("--qdd", f"Joint accelerations, rad/s^2: {_WHICH}. Default: zero."),
-]
-Tau = Annotated[
-    Optional[str],  # noqa: UP045
-    _vector("--tau", "Joint torques, N m: all joints, or the actuated ones. Default: zero."),
-]
-OutputFormat = Annotated[
-    Optional[Format],  # noqa: UP045
-    typer.Option(
-        "--format", help="Default: table on a terminal, csv in a pipe.", show_default=False
-    ),
-]
-OutputStructured = Annotated[
-    Optional[StructuredFormat],  # noqa: UP045
-    typer.Option(
-        "--format", help="Default: table on a terminal, json in a pipe.", show_default=False
-    ),
-]
-Out = Annotated[
-    Optional[str],  # noqa: UP045
-    output_file("--out", "-o", help="Write here, all or nothing."),
-]
-PictureOut = Annotated[
-    Optional[str],  # noqa: UP045
-    output_file("--out", "-o", help="Write here, all or nothing: .png, .svg, .pdf, or .txt."),
-]
-OutputPicture = Annotated[
-    Optional[PictureFormat],  # noqa: UP045
-    typer.Option(
-        "--format",
-        help="Default: by the suffix of --out; on a terminal text, made of characters.",
-        show_default=False,
-    ),
-]
-Ascii = Annotated[
-    bool, typer.Option("--ascii", help="Text of plain characters, not of braille dots.")
-]
-Size = Annotated[
-    Optional[str],  # noqa: UP045
-    typer.Option(
-        "--size",
-        metavar="WxH",
-        help="Of the picture, inches (at 150 dots an inch), such as 8x5.",
-        show_default=False,
-    ),
-]
+_Q = f"Joint angles, rad, or 30deg, pi/2: {_WHICH} (the rest is assembled)."
+_QD = f"Joint rates, rad/s or 30deg: {_WHICH}. Default: at rest."
+_QDD = f"Joint accelerations, rad/s^2: {_WHICH}. Default: zero."
+_TAU = "Joint torques, N m: all joints, or the actuated ones. Default: zero."
+EACH = "one value, or one an actuated joint"
+
+Q = Annotated[str | None, vector("--q", _Q)]
+Qd = Annotated[str | None, vector("--qd", _QD)]
+Qdd = Annotated[str | None, vector("--qdd", _QDD)]
+Tau = Annotated[str | None, vector("--tau", _TAU)]
+_TABLE = "Default: table on a terminal, csv in a pipe."
+OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
+_PARTS = "Default: table on a terminal, json in a pipe."
+OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
+Out = Annotated[str | None, output_file("--out", "-o", help="Write here, all or nothing.")]
+_PICTURE = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
+PictureOut = Annotated[str | None, output_file("--out", "-o", help=_PICTURE)]
+_SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
+OutputPicture = Annotated[PictureFormat | None, Option("--format", help=_SUFFIX)]
+Ascii = Annotated[bool, Option("--ascii", help="Text of plain characters, not of braille dots.")]
+_SIZE = "Of the picture, inches (at 150 dots an inch), such as 8x5."
+Size = Annotated[str | None, Option("--size", metavar="WxH", help=_SIZE)]
+Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
+
+
+@contextmanager
+def named_options(names: Iterable[str], **others: str) -> Iterator[None]:
+    """An argument of the numerics that is refused is named as its option.
+
+    `max_qd` among the `names` is --max-qd; `others` have another name there than here.
+    """
+    try:
+        yield
+    except RobodynError as error:
+        name = others.get(error.what, error.what)
+        if name in names or error.what in others:
+            error.what = "--" + name.replace("_", "-")
+        raise

@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO
 
 from robodyn.cli.options import Format
@@ -44,8 +44,8 @@ class Source:
     """Where a quantity comes from: an option's values, or columns; for all joints or actuated."""
 
     quantity: Quantity
-    values: list[float] | None  # from the option
-    columns: list[str]  # from the table; both empty: zero
+    values: list[float]  # from the option
+    columns: list[str]  # from the table; zero values where both are empty
     whole: bool  # all joints, or the actuated ones
 
 
@@ -62,22 +62,18 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
         if quantity.required:
             limit = "missing: give it, or a CSV of states (- for stdin)"
             raise InputError(f"--{quantity.name}", limit=limit)
-        return Source(quantity, None, [], False)
-    values = parse_vector(
-        quantity.option, where=f"--{quantity.name}", angles=quantity.name != "tau"
-    )
+        return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
     n, actuated = mechanism.n, len(mechanism.actuated)
+    flag = f"--{quantity.name}"
+    values = parse_vector(quantity.option, where=flag, angles=quantity.name != "tau")
     if len(values) not in (n, actuated):
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
         if actuated != n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
             wanted += f", or {actuated}, one an actuated joint ({names})"
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
-        raise InputError(
-            f"--{quantity.name}",
-            value=f"{shown(quantity.option)} ({count})",
-            limit=f"needs {wanted}",
-        )
+        shown_values = f"{shown(quantity.option)} ({count})"
+        raise InputError(flag, value=shown_values, limit=f"needs {wanted}")
     return Source(quantity, values, [], len(values) == n)
 
 
@@ -85,22 +81,19 @@ def table_source(
     mechanism: Mechanism, quantity: Quantity, header: Sequence[str], source: str
 ) -> Source:
     """The source in a table with this header, or in the option, which goes first."""
-    everything, there = quantity.columns(range(mechanism.n)), set(header)
-    if quantity.option is not None:
-        taken = [name for name in everything if name in there]
-        if taken:
-            limit = f"{source} has the column {taken[0]}; leave one of them out"
-            raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
-        return option_source(mechanism, quantity)
+    everything = quantity.columns(range(mechanism.n))
     driven = quantity.columns(mechanism.actuated)
-    if set(everything) <= there:
-        return Source(quantity, None, everything, True)
-    present = [name for name in everything if name in there]
+    present = [name for name in everything if name in header]
+    if quantity.option is not None and present:
+        limit = f"{source} has the column {present[0]}; leave one of them out"
+        raise InputError(f"--{quantity.name}", value=quantity.option, limit=limit)
+    if quantity.option is not None or not (present or quantity.required):
+        return option_source(mechanism, quantity)
+    if present == everything:
+        return Source(quantity, [], everything, True)
     if driven and set(driven) == set(present):
-        return Source(quantity, None, driven, False)
-    if not quantity.required and not present:
-        return Source(quantity, None, [], False)
-    missing = [name for name in everything if name not in there]
+        return Source(quantity, [], driven, False)
+    missing = [name for name in everything if name not in present]
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
         f"column {missing[0]} is missing",
@@ -118,46 +111,32 @@ def complete(
     """q, qd and what else there is for all joints (..., n): assembled, or checked to be closed."""
     import numpy as np
 
-    with np.errstate(all="ignore"):
-        full = _completed(mechanism, sources, values, branches)
-    if not all(np.isfinite(vector).all() for vector in full):
-        raise overflow()
-    return full
-
-
-def _completed(
-    mechanism: Mechanism,
-    sources: Sequence[Source],
-    values: Sequence[Array],
-    branches: Sequence[str] | None,
-) -> list[Array]:
-    import numpy as np
-
     from robodyn.loops import assembly, loop_rates
 
-    full: list[Array] = []
-    for source, given in zip(sources, values, strict=True):
-        if not all(np.isfinite(vector).all() for vector in full):
-            raise overflow()
-        name = source.quantity.name
-        if source.whole:
-            full.append(given)
-        elif name == "q":
-            full.append(assembly.assemble(mechanism, given, branches))
-        elif name == "qd":
-            full.append(loop_rates.loop_velocities(mechanism, full[0], given))
-        elif name == "qdd":
-            full.append(loop_rates.loop_accelerations(mechanism, full[0], full[1], given))
-        else:
-            tau = np.zeros((*given.shape[:-1], mechanism.n))
-            tau[..., list(mechanism.actuated)] = given
-            full.append(tau)
-    if mechanism.rows and any(source.whole for source in sources):
-        motion = {s.quantity.name: x for s, x in zip(sources, full, strict=True)}
-        fault = loop_rates.check_closed(mechanism, motion["q"], motion.get("qd"), motion.get("qdd"))
-        if fault is not None:
-            raise fault[1]
-    return full
+    motion: dict[str, Array] = {}
+    with np.errstate(all="ignore"):
+        for source, given in zip(sources, values, strict=True):
+            name, full = source.quantity.name, given
+            if source.whole:
+                pass
+            elif name == "q":
+                full = assembly.assemble(mechanism, given, branches)
+            elif name == "qd":
+                full = loop_rates.loop_velocities(mechanism, motion["q"], given)
+            elif name == "qdd":
+                full = loop_rates.loop_accelerations(mechanism, motion["q"], motion["qd"], given)
+            else:
+                full = np.zeros((*given.shape[:-1], mechanism.n))
+                full[..., list(mechanism.actuated)] = given
+            if not np.isfinite(full).all():
+                raise overflow()
+            motion[name] = full
+        if mechanism.rows and any(source.whole for source in sources):
+            moving = (motion.get(name) for name in ("qd", "qdd"))
+            fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
+            if fault is not None:
+                raise fault[1]
+    return list(motion.values())
 
 
 def single_state(mechanism: Mechanism, quantities: Sequence[Quantity]) -> list[Array]:
@@ -172,8 +151,7 @@ def complete_from(
     """The one state of sources that are options, completed and checked: each vector (n,)."""
     import numpy as np
 
-    given = [np.array(_values(mechanism, source)) for source in sources]
-    return complete(mechanism, sources, given, branches)
+    return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
 
 
 def assembled_state(
@@ -191,42 +169,62 @@ def assembled_state(
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     if not sources[0].whole or not mechanism.rows:
         return complete_from(mechanism, sources), (0.0, 0.0)
-    given = np.array(sources[0].values)
+    given, rates = (np.array(source.values) for source in sources)
     q = assembly.close_positions(mechanism, given)
     fault = loop_rates.check_closed(mechanism, q)
     if fault is not None:
         raise AssemblyError(f"no closed configuration found near the start: {fault[1].what}")
     if sources[1].whole:
-        rates = np.array(sources[1].values)
         qd = loop_rates.nearest_velocities(mechanism, q, rates)
     else:
-        rates = qd = complete_from(mechanism, [replace(sources[0], values=q.tolist()), sources[1]])[
-            1
-        ]
-    moved = float(np.abs(q - given).max()), float(np.abs(qd - rates).max())
-    return [q, qd], moved
+        rates = qd = complete(mechanism, sources, [q, rates])[1]
+    return [q, qd], (float(np.abs(q - given).max()), float(np.abs(qd - rates).max()))
 
 
 def evaluate(
     mechanism: Mechanism,
     states: str | None,
-    quantities: Sequence[Quantity] | Callable[[Sequence[str]], Sequence[Quantity]],
+    quantities: Sequence[Quantity],
     columns: Sequence[str],
-    compute: Callable[[list[Array]], Array],
+    compute: Callable[..., Array],
     format: Format | None,
     out: str | None,
+    either: Sequence[Quantity] = (),
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
 
-    `quantities` may depend on the CSV's header, which is empty where there are options only.
+    `compute` takes the quantities (T, n) by name.  Of those in `either` it takes those that are
+    given, the first where none is.
     """
     import numpy as np
 
+    def wanted(header: Sequence[str]) -> list[Quantity]:
+        there = set(header)
+        given = [
+            x for x in either if x.option is not None or there & set(x.columns(range(mechanism.n)))
+        ]
+        return [*quantities, *(given or either[:1])]
+
+    def results(motion: list[Array]) -> Array:
+        with np.errstate(all="ignore"):
+            names = (source.quantity.name for source in sources)
+            values = compute(**dict(zip(names, motion, strict=True)))
+        if not np.isfinite(values).all():
+            raise overflow()
+        return values
+
+    def results_of(values: Array) -> Array:
+        given, begin = [], 0
+        for source in sources:
+            part = values[:, begin : begin + len(source.columns)]
+            given.append(part if source.columns else np.tile(source.values, (len(values), 1)))
+            begin += len(source.columns)
+        return results(complete(mechanism, sources, given))
+
     if states is None:
         with remarks():
-            wanted = quantities([]) if callable(quantities) else quantities
-            state = single_state(mechanism, wanted)
-            row = _finite(compute, [vector[None, :] for vector in state])[0].tolist()
+            sources = [option_source(mechanism, x) for x in wanted([])]
+            row = results([x[None] for x in complete_from(mechanism, sources)])[0].tolist()
         with row_writer(format, out, columns) as writer:
             writer.write_row(row)
         return
@@ -235,41 +233,36 @@ def evaluate(
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
-        wanted = quantities(reader.header) if callable(quantities) else quantities
-        sources = [table_source(mechanism, x, reader.header, name) for x in wanted]
+        sources = [table_source(mechanism, x, reader.header, name) for x in wanted(reader.header)]
         chunks = reader.chunks([column for source in sources for column in source.columns])
-
-        def results(values: Array) -> Array:
-            given, begin = [], 0
-            for source in sources:
-                if source.columns:
-                    end = begin + len(source.columns)
-                    given.append(values[:, begin:end])
-                    begin = end
-                else:
-                    row = _values(mechanism, source)
-                    given.append(np.broadcast_to(np.array(row), (len(values), len(row))))
-            return _finite(compute, complete(mechanism, sources, given))
-
         with remarks(), row_writer(format, out, columns, reader.header) as writer:
             for chunk in chunks:
                 try:
-                    writer.write_rows(chunk.lines, results(chunk.values))
+                    writer.write_rows(chunk.lines, results_of(chunk.values))
                 except RobodynError:
                     # find the row, with those before it written: again, one by one
                     for k, line in enumerate(chunk.lines):
                         try:
-                            row = results(chunk.values[k : k + 1])
+                            computed = results_of(chunk.values[k : k + 1])
                         except RobodynError as error:
                             error.add_place(f"{name}: line {chunk.line_numbers[k]}")
                             raise
-                        writer.write_rows([line], row)
+                        writer.write_rows([line], computed)
 
 
-def _values(mechanism: Mechanism, source: Source) -> list[float]:
-    if source.values is not None:
-        return source.values
-    return [0.0] * (mechanism.n if source.whole else len(mechanism.actuated))
+def read_columns(
+    file: str, choose: Callable[[Sequence[str], str], Sequence[str]]
+) -> tuple[Array, Sequence[str], str]:
+    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its."""
+    import numpy as np
+
+    from robodyn.tables.table import Reader
+
+    with open_input(file) as (stream, name):
+        reader = Reader(stream, name)
+        names = choose(reader.header, name)
+        blocks = [chunk.values for chunk in reader.chunks(names)]
+    return np.concatenate([np.zeros((0, len(names))), *blocks]), names, name
 
 
 @contextmanager
@@ -289,17 +282,6 @@ def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
         raise InputError("cannot be read", where=states, limit=reason.lower()) from None
     with stream:
         yield stream, states
-
-
-def _finite(compute: Callable[[list[Array]], Array], states: list[Array]) -> Array:
-    """What `compute` gives, or a RobodynError where numbers left the range of floats."""
-    import numpy as np
-
-    with np.errstate(all="ignore"):
-        values = compute(states)
-    if not np.isfinite(values).all():
-        raise overflow()
-    return values
 
 
 def overflow() -> RobodynError:

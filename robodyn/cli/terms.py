@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
-from robodyn.cli.output import Grid, matrix_table, wants_tables, write_structure
+from robodyn.cli.output import Grid, write_structure
 from robodyn.cli.states import Quantity, overflow, single_state
 from robodyn.dynamics import closed_form
 from robodyn.mechanics.mechanism import load
@@ -58,13 +58,14 @@ def terms(
     values = [*content.values(), np.array(list(energies.values()))]
     if not all(np.isfinite(value).all() for value in values):
         raise overflow()
-    tables = None
-    if wants_tables(format, out):
-        tables = [
-            matrix_table(name.replace("_", " "), np.atleast_2d(value).tolist(), units[name])
-            for name, value in content.items()
-        ]
-        row = [f"{value:.6g}" for value in energies.values()]
-        tables.append(Grid(["KE [J]", "PE [J]"], [row]))
+
+    def tables() -> list[Grid]:
+        found = []
+        for name, value in content.items():
+            matrix = np.atleast_2d(value).tolist()
+            title = f"{name.replace('_', ' ')} [{units[name]}]"
+            found.append(Grid([str(k + 1) for k in range(len(matrix[0]))], matrix, title))
+        return [*found, Grid(["KE [J]", "PE [J]"], [list(energies.values())])]
+
     plain = {name: value.tolist() for name, value in content.items()}
-    write_structure(out, plain | energies, tables)
+    write_structure(format, out, plain | energies, tables)

@@ -39,8 +39,8 @@ def torque(
     mechanism = load(model)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
-    single = states is None and mechanism.n <= MAX_GENERATED
-    if single and not mechanism.rows and not mechanism.passive:
+    loops = mechanism.rows or mechanism.passive
+    if states is None and not loops and mechanism.n <= MAX_GENERATED:
         tau = _single_state(mechanism, quantities)
         if not all(map(math.isfinite, tau)):
             raise overflow()
@@ -54,8 +54,8 @@ def torque(
 
     columns += loop_columns(mechanism)
 
-    def compute(motion: list[np.ndarray]) -> np.ndarray:
-        solution = inverse_dynamics_and_forces(mechanism, *motion)
+    def compute(**motion: np.ndarray) -> np.ndarray:
+        solution = inverse_dynamics_and_forces(mechanism, **motion)
         forces = loop_forces(mechanism, solution.multipliers)
         torques = solution.tau[..., list(mechanism.actuated)]
         return np.concatenate([torques, forces], axis=-1)
@@ -68,17 +68,15 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
     from robodyn.engines.formulas import inverse_formula
     from robodyn.engines.straightline import compile_floats
 
-    sources = [option_source(mechanism, quantity) for quantity in quantities]
+    values = [option_source(mechanism, quantity).values for quantity in quantities]
     formula = inverse_formula(mechanism)
-    values = [source.values or [0.0] * mechanism.n for source in sources]
     if formula is not None:
         with suppress(ZeroDivisionError):
             try:
                 return compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None
-    from robodyn.dynamics.dynamics import (
-        inverse_dynamics,  # the ends of a spring coincide: it says so
-    )
+    # the ends of a spring coincide: this says so
+    from robodyn.dynamics.dynamics import inverse_dynamics
 
     return tuple(inverse_dynamics(mechanism, *values).tolist())

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -20,13 +19,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-class TableWriter(ABC):
-    """A table written to a binary stream, flushed after every call.
+class Writer:
+    """A table written to a binary stream as CSV, flushed after every call.
 
     Made from the stream, the names of k computed columns, and the header of the input where
     there is one.  A computed column that the input has already is replaced in its place; the
-    others follow the input's columns.
+    others follow the input's columns.  LF line ends; the input's text stays as it is.
     """
+
+    converts = False  # whether the input's fields are written in another way than they came
 
     def __init__(
         self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
@@ -35,7 +36,7 @@ class TableWriter(ABC):
         new = [name for name in columns if name not in input_header]
         self._header = [*input_header, *new]
         self._places = [self._header.index(name) for name in columns]
-        self._appends_only = len(new) == len(columns)
+        self._appends_only = not self.converts and len(new) == len(columns)
         self._begin()
 
     def write_row(self, values: Sequence[float | str]) -> None:
@@ -48,7 +49,19 @@ class TableWriter(ABC):
 
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
         """Write n rows of the input, each with its computed columns, (n, k)."""
-        self._write_rows(self._merged(lines, self._texts(values)))
+        texts = self._texts(values)
+        if self._appends_only:  # then nobody needs to know the line's fields
+            self._write_rows(zip(lines, *texts, strict=True))
+        else:
+            self._write_rows(self._merged(lines, texts))
+
+    def close(self) -> None:
+        """End the table; the stream stays open."""
+        self._stream.flush()
+
+    def cut(self) -> None:
+        """Leave the table where it is, at the end of a line, after an error."""
+        self._stream.flush()
 
     def _merged(self, lines: Sequence[str], texts: list[list[str]]) -> Iterator[tuple[str, ...]]:
         for line, *computed in zip(lines, *texts, strict=True):
@@ -63,21 +76,6 @@ class TableWriter(ABC):
             raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
         return [list(map(repr, column)) for column in values.T.tolist()]
 
-    def _write(self, text: str) -> None:
-        self._stream.write(text.encode())
-        self._stream.flush()
-
-    @abstractmethod
-    def close(self) -> None:
-        """End the table; the stream stays open."""
-
-    def cut(self) -> None:
-        """Leave the table where it is, at the end of a line, after an error."""
-        self._stream.flush()
-
-    @abstractmethod
-    def _begin(self) -> None: ...
-
     def _text(self, value: float | str) -> str:
         """How a computed value is written."""
         # Not repr(value): that of a numpy float names its type.
@@ -85,43 +83,30 @@ class TableWriter(ABC):
             return float.__repr__(value)
         return self._field(quoted(str(value)))
 
-    @abstractmethod
     def _field(self, field: str) -> str:
         """How a field of the input is written."""
-
-    @abstractmethod
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None: ...
-
-
-class Writer(TableWriter):
-    """A table in CSV: LF line ends, floats as `repr` writes them, the input's text as it is."""
-
-    def write_rows(self, lines: Sequence[str], values: Array) -> None:
-        if self._appends_only:  # then nobody needs to know the line's fields
-            self._write_rows(zip(lines, *self._texts(values), strict=True))
-        else:
-            super().write_rows(lines, values)
-
-    def close(self) -> None:
-        self._stream.flush()
+        return field
 
     def _begin(self) -> None:
         self._write_rows([tuple(map(quoted, self._header))])
-
-    def _field(self, field: str) -> str:
-        return field
 
     def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
         if text := "\n".join(map(",".join, rows)):
             self._write(text + "\n")
 
+    def _write(self, text: str) -> None:
+        self._stream.write(text.encode())
+        self._stream.flush()
 
-class JsonWriter(TableWriter):
+
+class JsonWriter(Writer):
     """A table as a JSON array, one object a line.
 
     A field of the input that reads as a finite number is one, any other is a string; a
     computed value that is not finite is null.
     """
+
+    converts = True
 
     def close(self) -> None:
         self._write("\n]\n" if self._separator else "]\n")
@@ -130,11 +115,12 @@ class JsonWriter(TableWriter):
         if self._separator:
             self._write("\n")
 
-    def _begin(self) -> None:
-        names = [json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in self._header]
-        self._template = "{" + ", ".join(f"{name}: %s" for name in names) + "}"
-        self._separator = ""
-        self._write("[\n")
+    def _texts(self, values: Array) -> list[list[str]]:
+        return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
+
+    def _text(self, value: float | str) -> str:
+        text = super()._text(value)
+        return _NULL.get(text, text)
 
     def _field(self, field: str) -> str:
         text = unquoted(field)
@@ -143,12 +129,11 @@ class JsonWriter(TableWriter):
             return json.dumps(text, ensure_ascii=False)
         return text if _JSON_NUMBER.fullmatch(text) else repr(value)
 
-    def _text(self, value: float | str) -> str:
-        text = super()._text(value)
-        return _NULL.get(text, text)
-
-    def _texts(self, values: Array) -> list[list[str]]:
-        return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
+    def _begin(self) -> None:
+        names = [json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in self._header]
+        self._template = "{" + ", ".join(f"{name}: %s" for name in names) + "}"
+        self._separator = ""
+        self._write("[\n")
 
     def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
         if text := ",\n".join([self._template % row for row in rows]):
@@ -159,4 +144,4 @@ class JsonWriter(TableWriter):
 _NULL = {"nan": "null", "inf": "null", "-inf": "null"}
 _JSON_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 
-WRITERS: dict[str, type[Writer | JsonWriter]] = {"csv": Writer, "json": JsonWriter}
+WRITERS = {"csv": Writer, "json": JsonWriter}
