@@ -7,56 +7,31 @@ import math
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from functools import cache
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
-import typer
+from typer import Option
 
 from robodyn.cli.files import output_file
-from robodyn.cli.integrator_options import (
-    Accuracy,
-    Atol,
-    BaumgarteRate,
-    EstimateError,
-    Integrator,
-    MaxEvals,
-    MaxStep,
-    Order,
-    Rtol,
-    SeriesEngine,
-    Stabilizer,
-    named_options,
-)
-from robodyn.cli.options import Model, Q, Qd
+from robodyn.cli.options import Model, Q, Qd, Quiet
 from robodyn.cli.output import note
-from robodyn.cli.run_summary import tell
+from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
-from robodyn.cli.times import output_times
-from robodyn.cli.torque_options import (
-    Control,
-    ControlModel,
-    ControlRate,
-    Kd,
-    Kp,
-    Tau,
-    TauFrom,
-    TauMax,
-    TorqueOptions,
-    Track,
-    torque_source,
-)
+from robodyn.cli.times import Points, output_times
 from robodyn.cli.watching import watching
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import MAX_EVALUATIONS, Settings, applied_torques, run
+from robodyn.simulation.recording import Outcome, Report
+from robodyn.simulation.simulation import applied_torques, run
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
-DEFAULT_TOLERANCE = 1e-9
+AT_REST = 1e-13  # part of the energy at the start below which nothing moves
+_TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
+_OUT = "Write here, all or nothing."
 
 
 class UnfinishedError(RobodynError):
@@ -67,54 +42,18 @@ def simulate(
     model: Model,
     q: Q = None,
     qd: Qd = None,
-    duration: Annotated[
-        Optional[float],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option(
-            "--time",
-            metavar="S",
-            help="End time, s; negative runs backwards. Default: 10, or the end of --track.",
-        ),
-    ] = None,
+    duration: Annotated[float | None, Option("--time", metavar="S", help=_TIME)] = None,
     every: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option("--every", metavar="S", help="Time between rows, s.", show_default=False),
+        float | None, Option("--every", metavar="S", help="Time between rows, s.")
     ] = None,
-    points: Annotated[
-        Optional[int],  # noqa: UP045
-        typer.Option("--points", metavar="N", help="Number of rows. Default: 1001."),
-    ] = None,
-    tau: Tau = None,
-    tau_from: TauFrom = None,
-    control: Control = None,
-    track: Track = None,
-    kp: Kp = None,
-    kd: Kd = None,
-    tau_max: TauMax = None,
-    control_rate: ControlRate = None,
-    control_model: ControlModel = None,
-    method: Integrator = None,
-    rtol: Rtol = None,
-    atol: Atol = None,
-    max_step: MaxStep = math.inf,
-    accuracy: Accuracy = None,
-    estimate_error: EstimateError = False,
-    order: Order = None,
-    engine: SeriesEngine = "auto",
-    stabilize: Stabilizer = "projection",
-    baumgarte_rate: BaumgarteRate = 20.0,
-    assemble: Annotated[
-        bool, typer.Option("--assemble", help="Correct a start that does not close.")
-    ] = False,
-    max_evals: MaxEvals = MAX_EVALUATIONS,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress, no summary.")] = False,
+    points: Points = None,
+    sources: TorqueOptions = TorqueOptions(),
+    how: RunOptions = RunOptions(),
+    quiet: Quiet = False,
     report: Annotated[
-        Optional[str],  # noqa: UP045
-        output_file("--report", help="Write the summary as JSON."),
+        str | None, output_file("--report", help="Write the summary as JSON.")
     ] = None,
-    out: Annotated[
-        Optional[str],  # noqa: UP045
-        output_file("--out", "-o", help="Write here, all or nothing.", kept=True),
-    ] = None,
+    out: Annotated[str | None, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
     """The motion that torques cause, as CSV.
 
@@ -139,41 +78,26 @@ def simulate(
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
     """
     mechanism = load(model)
-    if accuracy is not None and (rtol is not None or atol is not None):
-        raise InputError("--accuracy and --rtol, --atol", limit="exclude each other")
-    settings = Settings(
-        "DOP853" if method is None else method,
-        DEFAULT_TOLERANCE if rtol is None else rtol,
-        DEFAULT_TOLERANCE if atol is None else atol,
-        stabilize,
-        baumgarte_rate,
-        max_evaluations=max_evals,
-        order=order,
-        engine=engine,
-        max_step=max_step,
-    )
-    with named_options():
-        settings.check()
-    given = TorqueOptions(
-        tau, tau_from, control, track, kp, kd, tau_max, control_model, control_rate
-    )
-    torques, duration = torque_source(mechanism, given, duration)
+    settings = how.settings()
+    torques, duration = torque_source(mechanism, sources, duration)
     times = output_times(duration, every, points)
     start = [Quantity("q", q, True), Quantity("qd", qd)]
-    if assemble:
+    if how.assemble:
         state, moved = assembled_state(mechanism, start)
         note(f"assembled: joints moved by up to {moved[0]:.3g} rad and {moved[1]:.3g} rad/s")
     else:
         state = single_state(mechanism, start)
     begin = np.concatenate(state)
     estimate: float | None = None
-    if accuracy is not None:
+    if how.accuracy is not None:
         from robodyn.simulation.accuracy import AUTO, settings_for
 
-        wanted = replace(settings, method=AUTO) if method is None else settings
-        with named_options(), remarks():
-            settings, estimate = settings_for(mechanism, begin, duration, torques, wanted, accuracy)
-    elif estimate_error:
+        wanted = replace(settings, method=how.method or AUTO)
+        with named(), remarks():
+            settings, estimate = settings_for(
+                mechanism, begin, duration, torques, wanted, how.accuracy
+            )
+    elif how.estimate_error:
         from robodyn.simulation.accuracy import error_estimate
 
         with remarks():
@@ -189,7 +113,7 @@ def simulate(
             writer().write_columns(_rows(mechanism, torques, t, y))
 
         with nullcontext() if report is None else open_output(report) as file:
-            with named_options(), remarks():
+            with named(), remarks():
                 outcome, facts = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )
@@ -199,8 +123,8 @@ def simulate(
             if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
         if not quiet:
-            tell(mechanism, facts)
-            if estimate_error and facts.error_estimate is None:
+            _tell(mechanism, facts)
+            if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome is not Outcome.FINISHED:
             stream.flush()
@@ -233,3 +157,46 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
     if torques.control is not None:
         parts.append(torques.control.errors(t, y))
     return np.concatenate(parts, axis=-1)
+
+
+def _tell(mechanism: Mechanism, facts: Report) -> None:
+    """The summary on stderr."""
+    drift = "energy balance" if facts.work else "energy drift"
+    lines = [
+        f"{facts.outcome}: t = {facts.t_reached:.6g} s, {facts.method} (rtol {facts.rtol:g}, "
+        f"atol {facts.atol:g}), {facts.steps} steps, {facts.evaluations} evaluations, "
+        f"{facts.seconds:.3g} s",
+        f"{drift}: {_part(facts)}" + (f"; work done {facts.work:.6g} J" if facts.work else ""),
+    ]
+    if mechanism.rows:
+        lines.append(
+            f"largest gap: {facts.largest_gap:.2g} m, {facts.largest_gap_rate:.2g} m/s "
+            f"({facts.stabilize})"
+        )
+    if facts.error_estimate is not None:
+        lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")
+    if facts.tracking:
+        errors = [
+            f"{x.joint} {x.rms:.3g} rad rms, {x.largest:.3g} rad at most, at t = {x.at:.6g} s"
+            for x in facts.tracking
+        ]
+        torques = ", ".join(f"{x.joint} {x.largest_torque:.6g} N m" for x in facts.tracking)
+        lines += [f"tracking error: {'; '.join(errors)}", f"largest torque: {torques}"]
+    if facts.hint:
+        lines.append(facts.hint)
+    if facts.nearest_singular is not None and facts.nearest_singular_time is not None:
+        lines.append(
+            f"nearest to singular: {facts.nearest_singular:.3g} at "
+            f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"
+        )
+    if facts.missed:
+        lines.append(facts.missed)
+    note("\n".join(lines))
+
+
+def _part(facts: Report) -> str:
+    """The drift as a part of the energy in motion, where there is more of that than rounding."""
+    moving = facts.energy_in_motion
+    if moving <= AT_REST * max(abs(facts.energy_start), moving):
+        return f"{facts.energy_drift * moving:.2g} J, at rest"
+    return f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"

@@ -1,14 +1,34 @@
-"""The times of a motion's rows, from the options --time, --every and --points."""
+"""Options that are times: those of a motion's rows (--time, --every, --points), frequencies."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Annotated
+
+from typer import Option
 
 from robodyn.errors import InputError
+from robodyn.scene.quantities import parse_number
 from robodyn.simulation.even_times import EvenTimes
+from robodyn.tables.csv_fields import shown
 
 DEFAULT_POINTS = 1001
 MOST_ROWS = 100_000_000
+_POINTS = f"Number of rows. Default: {DEFAULT_POINTS}."
+Points = Annotated[int | None, Option("--points", metavar="N", help=_POINTS)]
+
+
+def value_from(text: str, parse: Callable[[str], float], option: str, example: str) -> float:
+    """What `parse` makes of an option's text; InputError, naming the option, if it is none."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise InputError(option, value=shown(text), limit=f"{error}; write {example}") from None
+
+
+def frequency_from(text: str) -> float:
+    return parse_number(text.removesuffix("Hz"))
 
 
 def output_times(duration: float, every: float | None, points: int | None) -> EvenTimes:

@@ -1,0 +1,200 @@
+"""The options of `robodyn simulate`: where torque comes from, and how to integrate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from typer import Option
+
+from robodyn.cli.files import input_file
+from robodyn.cli.options import EACH, named_options, vector
+from robodyn.cli.states import read_columns
+from robodyn.cli.times import frequency_from, value_from
+from robodyn.errors import InputError
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.scene.quantities import parse_vector
+from robodyn.simulation.simulation import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
+
+if TYPE_CHECKING:
+    from robodyn.control.tracking import ReferenceTable
+
+DEFAULT_DURATION = 10.0  # s
+Law = Literal["pd", "pd+g", "computed-torque"]  # what makes torque of the tracking error
+
+_TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
+_TAU_FROM = "CSV with t,tau1,.. (- for stdin), interpolated between its rows."
+_TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."
+_KP = f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}."
+_KD = f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}."
+_TAU_MAX = f"Where the controller's torques are cut off, N m: {EACH}."
+_RATE = "Samples a second, each torque held. Default: continuous."
+_MODEL = "Scene that the controller believes. Default: MODEL."
+
+
+@dataclass(frozen=True)
+class TorqueOptions:
+    """Where torque comes from."""
+
+    tau: Annotated[str | None, Option("--tau", metavar="TORQUES", help=_TAU)] = None
+    tau_from: Annotated[str | None, input_file("--tau-from", _TAU_FROM)] = None
+    control: Annotated[
+        Law | None, Option("--control", help="Makes the torques track a reference.")
+    ] = None
+    track: Annotated[str | None, input_file("--track", _TRACK)] = None
+    kp: Annotated[str | None, vector("--kp", _KP)] = None
+    kd: Annotated[str | None, vector("--kd", _KD)] = None
+    tau_max: Annotated[str | None, vector("--tau-max", _TAU_MAX)] = None
+    control_rate: Annotated[str | None, Option("--control-rate", metavar="HZ", help=_RATE)] = None
+    control_model: Annotated[str | None, input_file("--control-model", _MODEL)] = None
+
+    def given(self, *names: str) -> list[str]:
+        """The options among these that are given."""
+        found = [name for name in names if getattr(self, name) is not None]
+        return ["--" + name.replace("_", "-") for name in found]
+
+
+_METHOD = "Integrator. Default: DOP853; with --accuracy the best."
+_STEP = "No step is longer, s. Default: none."
+_ACCURACY = "Largest error of q and qd over the whole run; chooses method and tolerance."
+_ORDER = "Order of the Taylor series. Default: by the tolerance."
+_ENGINE = "Of the Taylor series; auto compiles runs of over a second."
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to start and to integrate."""
+
+    method: Annotated[Method | None, Option("--method", help=_METHOD)] = None
+    rtol: Annotated[
+        float | None, Option("--rtol", help="Relative tolerance of a step. Default: 1e-9.")
+    ] = None
+    atol: Annotated[
+        float | None, Option("--atol", help="Absolute tolerance, rad, rad/s. Default: 1e-9.")
+    ] = None
+    max_step: Annotated[
+        float,
+        Option(
+            "--max-step",
+            metavar="S",
+            help="No step is longer, s. Default: none.",
+            show_default=False,
+        ),
+    ] = math.inf
+    accuracy: Annotated[float | None, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
+    estimate_error: Annotated[
+        bool, Option("--estimate-error", help="Run again, 100 times as tight: the error's size.")
+    ] = False
+    order: Annotated[int | None, Option("--order", metavar="N", help=_ORDER)] = None
+    engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
+    stabilize: Annotated[Stabilize, Option("--stabilize", help="What keeps loops closed.")] = (
+        "projection"
+    )
+    baumgarte_rate: Annotated[
+        float, Option("--baumgarte-rate", metavar="1/S", help="Decay rate of a gap.")
+    ] = 20.0
+    assemble: Annotated[bool, Option("--assemble", help="Correct a start that does not close.")] = (
+        False
+    )
+    max_evals: Annotated[
+        int, Option("--max-evals", metavar="N", help="Give up after so many evaluations.")
+    ] = MAX_EVALUATIONS
+
+    def settings(self) -> Settings:
+        """The settings of the run; InputError naming the option that is none."""
+        if self.accuracy is not None and (self.rtol is not None or self.atol is not None):
+            raise InputError("--accuracy and --rtol, --atol", limit="exclude each other")
+        chosen = {name: getattr(self, name) for name in ("method", "rtol", "atol", "order")}
+        settings = Settings(
+            **{name: value for name, value in chosen.items() if value is not None},
+            stabilize=self.stabilize,
+            baumgarte=self.baumgarte_rate,
+            max_evaluations=self.max_evals,
+            engine=self.engine,
+            max_step=self.max_step,
+        )
+        with named():
+            settings.check()
+        return settings
+
+
+def named() -> AbstractContextManager[None]:
+    """An argument of the numerics that is refused is named as its option."""
+    return named_options([field.name for x in (TorqueOptions, RunOptions) for field in fields(x)])
+
+
+def torque_source(
+    mechanism: Mechanism, options: TorqueOptions, duration: float | None
+) -> tuple[Actuation, float]:
+    """The torques, and the end time: that of the reference where none is given."""
+    sources = options.given("tau", "tau_from", "control")
+    if len(sources) > 1:
+        raise InputError(" and ".join(sources), limit="exclude each other")
+    if options.control is not None:
+        return _controlled(mechanism, options, duration)
+    for option in options.given("track", "kp", "kd", "tau_max", "control_model", "control_rate"):
+        raise InputError(option, limit="needs --control: pd, pd+g or computed-torque")
+    end = DEFAULT_DURATION if duration is None else duration
+    if options.tau is not None:
+        return actuation.expressions(mechanism, options.tau, "--tau"), end
+    if options.tau_from is None:
+        return Actuation((0.0,) * mechanism.n), end
+    names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]
+    values, _, name = read_columns(options.tau_from, lambda *_: names)
+    times, torques = values[:, 0].tolist(), values[:, 1:].tolist()
+    return actuation.table(mechanism, times, torques, where=name, until=end), end
+
+
+def _controlled(
+    mechanism: Mechanism, options: TorqueOptions, duration: float | None
+) -> tuple[Actuation, float]:
+    from robodyn.control.laws import controller
+
+    law, rate = options.control, None
+    assert law is not None
+    for name in ("track", "kp", "kd"):
+        if not options.given(name):
+            raise InputError(f"--{name}", limit=f"missing: --control {law} needs it")
+    believed = None if options.control_model is None else load(options.control_model)
+    gains = {
+        name: parse_vector(text, where="--" + name.replace("_", "-"), angles=False)
+        for name in ("kp", "kd", "tau_max")
+        if (text := getattr(options, name)) is not None
+    }
+    if options.control_rate is not None:
+        rate = value_from(options.control_rate, frequency_from, "--control-rate", "100 or 100Hz")
+    reference = _reference(mechanism, options.track or "")
+    with named():
+        torques = controller(
+            mechanism, reference, law, control_rate=rate, control_model=believed, **gains
+        )
+    return torques, reference.times[-1] if duration is None else duration
+
+
+def _reference(mechanism: Mechanism, file: str) -> ReferenceTable:
+    from robodyn.control.tracking import ReferenceTable
+
+    if not mechanism.actuated:
+        raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
+    joints = len(mechanism.actuated)
+
+    def columns(header: Sequence[str], where: str) -> list[str]:
+        found = ["t"]
+        for name in ("q", "qd", "qdd"):
+            wanted = [f"{name}{k + 1}" for k in mechanism.actuated]
+            if name == "q" or set(wanted) & set(header):
+                found += wanted
+            elif name == "qd" and any(f"qdd{k + 1}" in header for k in mechanism.actuated):
+                limit = f"qdd{mechanism.actuated[0] + 1} needs it beside itself"
+                raise InputError(f"column {wanted[0]} is missing", where=where, limit=limit)
+        return found
+
+    values, names, name = read_columns(file, columns)
+    parts = [values[:, k : k + joints] for k in range(1, len(names), joints)]
+    given = dict(zip(("q", "qd", "qdd"), parts, strict=False))  # the last may not be there
+    return ReferenceTable(values[:, 0], **given, where=name)
