@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from typing import Any, Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+from typer import Option
+
+from robodyn.cli.options import named_options, vector
+from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
+from robodyn.scene.yaml_tree import read_text
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.simulation import Engine, Settings
-from robodyn.sweeps.scene_values import SceneValues, is_angle
+from robodyn.sweeps.scene_values import SceneValues, is_angle, numbers_of
 from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.tables.csv_fields import shown
@@ -21,73 +27,92 @@ MOST_VALUES = 10_000_000  # of one --vary
 MOST_POINTS = 10**12
 MOST_NAMED = 60  # names that a message lists
 
-
 Kind = Literal["motion", "torque"]  # what is computed at each point
+_VARY = (
+    "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), a,b,c, "
+    "or with --sample low:high. Once for each NAME."
+)
+_Q = "Angles of the actuated joints, rad, or 30deg (the rest is assembled). Default: zero."
+_QD = "Rates of the actuated joints, rad/s or 30deg. Default: zero."
+_QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
+_TAU = "Constant torques of the actuated joints, N m. Default: zero."
+_TIME = "End time, s; negative runs backwards."
+_FLIP = "The link whose flip is told. Default: the last."
+_STEPS = "A motion gives up after so many."
+_ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
 
 
-def new_plan(
-    text: str,
-    model: str,
-    kind: Kind,
-    duration: float,
-    rtol: float,
-    atol: float,
-    max_steps: int,
-    variation: Variation,
-    vectors: dict[str, str | None],
-    result: str,
-    flip: str | None,
-    scene: SceneValues,
-    engine: Engine,
-) -> Plan:
+@dataclass(frozen=True)
+class SweepOptions:
+    """What is computed, and at which points."""
+
+    vary: Annotated[list[str], Option("--vary", metavar="NAME=VALUES", help=_VARY)]
+    sample: Annotated[
+        int | None, Option("--sample", metavar="N", help="Draw N points at random; no grid.")
+    ] = None
+    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random sample.")] = 0
+    kind: Annotated[Kind, Option("--kind", help="Motions, or torques at states.")] = "motion"
+    q: Annotated[str | None, vector("--q", _Q)] = None
+    qd: Annotated[str | None, vector("--qd", _QD)] = None
+    qdd: Annotated[str | None, vector("--qdd", _QDD)] = None
+    tau: Annotated[str | None, vector("--tau", _TAU)] = None
+    time: Annotated[float, Option("--time", metavar="S", help=_TIME)] = 10.0
+    result: Annotated[str, Option("--result", metavar="NAMES", help="Columns of a motion.")] = (
+        ",".join(RESULTS)
+    )
+    flip: Annotated[str | None, Option("--flip", metavar="LINK", help=_FLIP)] = None
+    rtol: Annotated[float, Option("--rtol", help="Relative tolerance of a step.")] = 1e-9
+    atol: Annotated[float, Option("--atol", help="Absolute one, rad, rad/s.")] = 1e-9
+    max_steps: Annotated[int, Option("--max-steps", metavar="N", help=_STEPS)] = 100_000
+    engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
+
+
+def plan_of(model: str, given: SweepOptions) -> Plan:
+    """What the options say; InputError naming the option that is wrong."""
+    text = read_text(Path(model))
+    scene = numbers_of(text, model)
+    axes = _axes(scene, given)
+    if given.seed < 0:
+        raise InputError("--seed", value=given.seed, limit="must be >= 0")
+    variation = Variation(axes, given.sample, given.seed if given.sample is not None else 0)
     mechanism = build(scene.base)
-    if not (math.isfinite(duration) and duration != 0.0):
-        raise InputError("--time", value=duration, limit="must be finite and not zero")
-    try:
-        Settings("taylor", rtol, atol, max_evaluations=max_steps).check()
-    except InputError as error:
-        error.what = {"max_evals": "--max-steps"}.get(error.what, f"--{error.what}")
-        raise
-    chosen = tuple(word.strip() for word in result.split(","))
+    if not (math.isfinite(given.time) and given.time != 0.0):
+        raise InputError("--time", value=given.time, limit="must be finite and not zero")
+    with named_options(("rtol", "atol"), max_evals="max_steps"):
+        Settings("taylor", given.rtol, given.atol, max_evaluations=given.max_steps).check()
+    chosen = tuple(word.strip() for word in given.result.split(","))
     for word in chosen:
         if word not in RESULTS:
             raise InputError("--result", value=shown(word), limit=f"knows {', '.join(RESULTS)}")
-    link = -1
-    if flip is not None:
-        if flip not in mechanism.link_names:
-            limit = f"names no link{nearest(flip, list(mechanism.link_names))}"
-            raise InputError("--flip", value=shown(flip), limit=limit)
-        link = mechanism.link_names.index(flip)
-    if kind == "torque" and vectors["tau"] is not None:
+    names = list(mechanism.link_names)
+    if given.flip is not None and given.flip not in names:
+        limit = f"names no link{nearest(given.flip, names)}"
+        raise InputError("--flip", value=shown(given.flip), limit=limit)
+    if given.kind == "torque" and given.tau is not None:
         raise InputError("--tau", limit="is what --kind torque computes")
-    if kind == "motion" and vectors["qdd"] is not None:
+    if given.kind == "motion" and given.qdd is not None:
         raise InputError("--qdd", limit="is for --kind torque")
-    given: dict[str, Any] = {
-        name: _values(mechanism, name, value) for name, value in vectors.items()
+    vectors: dict[str, Any] = {
+        name: _values(mechanism, name, getattr(given, name)) for name in ("q", "qd", "qdd", "tau")
     }
-    chosen_engine: str = engine
-    if kind == "torque":
-        chosen_engine = "python"
-    else:
-        try:
-            chosen_engine = best_engine(chosen_engine, variation.size, mechanism)
-        except InputError as error:
-            error.what = "--engine"
-            raise
+    engine: str = "python"
+    if given.kind == "motion":
+        with named_options(("engine",)):
+            engine = best_engine(given.engine, variation.size, mechanism)
     return Plan(
         scene=text,
         source=model,
         variation=variation,
-        **given,
-        kind=kind,
-        t_end=duration,
+        **vectors,
+        kind=given.kind,
+        t_end=given.time,
         results=tuple(name for name in RESULTS if name in chosen),
-        link=link,
-        rtol=rtol,
-        atol=atol,
-        most=max_steps,
-        engine=chosen_engine,
-        chunk=CHUNKS[chosen_engine],
+        link=-1 if given.flip is None else names.index(given.flip),
+        rtol=given.rtol,
+        atol=given.atol,
+        most=given.max_steps,
+        engine=engine,
+        chunk=CHUNKS[engine],
     )
 
 
@@ -103,31 +128,23 @@ def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, .
     return tuple(values)
 
 
-def seed_of(seed: int, sample: int | None) -> int:
-    if seed < 0:
-        raise InputError("--seed", value=seed, limit="must be >= 0")
-    return seed if sample is not None else 0
-
-
-def axes_of(
-    scene: SceneValues, vary: Sequence[str], sample: int | None, kind: Kind
-) -> tuple[Axis, ...]:
+def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
     """What the --vary options say."""
+    sample = given.sample
     if sample is not None and not 1 <= sample <= MOST_POINTS:
         raise InputError("--sample", value=sample, limit=f"must be in [1, {MOST_POINTS}]")
     mechanism = build(scene.base)
-    last = "tau" if kind == "motion" else "qdd"
+    last = "tau" if given.kind == "motion" else "qdd"
     joints = [f"{x}{k + 1}" for x in ("q", "qd", last) for k in mechanism.actuated]
     axes: list[Axis] = []
-    for text in vary:
+    for text in given.vary:
         name, equals, values = text.partition("=")
         name = name.strip()
         if not equals or not name or not values.strip():
             raise InputError("--vary", value=shown(text), limit="write NAME=VALUES")
         if name not in joints and name not in scene:
-            raise InputError(
-                "--vary", value=shown(name), limit=_unknown(mechanism, joints, scene, name)
-            )
+            limit = _unknown(mechanism, joints, scene, name)
+            raise InputError("--vary", value=shown(name), limit=limit)
         if any(axis.name == name for axis in axes):
             raise InputError("--vary", value=shown(name), limit="is given twice")
         axes.append(_axis(name, values.strip(), sample is not None))
@@ -157,12 +174,12 @@ def _axis(name: str, text: str, drawn: bool) -> Axis:
     where = f"--vary {name}"
 
     def number(part: str) -> float:
-        try:
-            return (parse_angle if is_angle(name) else parse_number)(part.strip())
-        except ValueError as error:
-            example = "-0.5, 30deg or pi/2" if is_angle(name) else "1.5 or -2e-3"
-            limit = f"{error}; write {example}"
-            raise InputError(where, value=shown(part), limit=limit) from None
+        if is_angle(name):
+            return value_from(part.strip(), parse_angle, where, "-0.5, 30deg or pi/2")
+        return value_from(part.strip(), parse_number, where, "1.5 or -2e-3")
+
+    def wrong(limit: str) -> InputError:
+        return InputError(where, value=shown(text), limit=limit)
 
     parts = text.split(":")
     if len(parts) == 1:
@@ -170,26 +187,22 @@ def _axis(name: str, text: str, drawn: bool) -> Axis:
     if len(parts) == 2:
         low, high = map(number, parts)
         if not drawn:
-            limit = "write first:last:count or first:last:step; low:high is for --sample"
-            raise InputError(where, value=shown(text), limit=limit)
+            raise wrong("write first:last:count or first:last:step; low:high is for --sample")
         if not low < high:
-            raise InputError(where, value=shown(text), limit="the first must be below the second")
+            raise wrong("the first must be below the second")
         return Axis(name, low=low, high=high)
     if len(parts) != 3:
-        limit = "write first:last:count, first:last:step or a,b,c"
-        raise InputError(where, value=shown(text), limit=limit)
+        raise wrong("write first:last:count, first:last:step or a,b,c")
     first, last = map(number, parts[:2])
     if re.fullmatch(r"\+?[0-9]{1,18}", parts[2].strip(), re.ASCII):
         count = int(parts[2])
         if not 1 <= count <= MOST_VALUES:
-            limit = f"the count must be in [1, {MOST_VALUES}]"
-            raise InputError(where, value=shown(text), limit=limit)
+            raise wrong(f"the count must be in [1, {MOST_VALUES}]")
         return Axis(name, spaced(first, last, count))
     step = number(parts[2])
     if step != 0.0 and abs((last - first) / step) > MOST_VALUES:
-        limit = f"makes more than {MOST_VALUES} values"
-        raise InputError(where, value=shown(text), limit=limit)
+        raise wrong(f"makes more than {MOST_VALUES} values")
     try:
         return Axis(name, stepped(first, last, step))
     except ValueError as error:
-        raise InputError(where, value=shown(text), limit=str(error)) from None
+        raise wrong(str(error)) from None

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+from typer import Option
 
-from robodyn.cli.states import Quantity, open_input, option_source, table_source
+from robodyn.cli.files import input_file
+from robodyn.cli.options import EACH, named_options, vector
+from robodyn.cli.states import Quantity, option_source, read_columns, table_source
+from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.per_joint import for_each_actuated
@@ -21,22 +26,86 @@ from robodyn.scene.quantities import (
     parse_time,
 )
 from robodyn.tables.csv_fields import shown
-from robodyn.tables.table import Reader
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
-from robodyn.trajectories.time_scaling import LimitError
+from robodyn.trajectories.time_scaling import LimitError, Limits, limits_of
 
 MOST_CYCLES = 100_000  # of a sweep
+ProfileName = Literal["cubic", "quintic", "trapezoidal", "cycloidal", "sweep"]
+Ends = Literal["rest", "natural"]  # what a cubic spline does at its ends
 
-OPTION_OF = {  # what the numerics call an argument
-    "profile": "--profile",
-    "acceleration": "--acceleration",
-    "ends": "--ends",
-    "duration": "--time",
-    "max_qd": "--max-qd",
-    "max_qdd": "--max-qdd",
-    "max_tau": "--max-tau",
-}
+_WHICH = "all joints, or the actuated ones"
+_FROM = f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}."
+_VIA = (
+    "CSV of points q1.. (rad) to go through, - for stdin; with a column t (s) at these times. "
+    "Without t, --from and --to may add the ends."
+)
+_TIME = "Duration, s, 2s or 500ms; min: the shortest within the limits."
+_ACCELERATION = (
+    "Part of the time in which a trapezoidal profile speeds up, and in which it slows down, "
+    "> 0, <= 0.5. Default: 1/3."
+)
+_ENDS = "Of a cubic spline: at rest, or qdd = 0. Default: rest."
+_SPEED = (
+    "Constant speed of the actuated joints, rad/s, or 60rpm, 360deg/s; begins at --from "
+    "(default: 0), ends after --turns or --time."
+)
+_TURNS = "Turns of the fastest joint at --speed; without it, of each actuated joint in --time."
+_FREQUENCIES = "Of a sweep: at its start and at its end, Hz."
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """The way, the time that it takes, and what must not be exceeded on it."""
+
+    from_: Annotated[str | None, vector("--from", _FROM)] = None
+    to: Annotated[str | None, vector("--to", f"Angles at the end: {_WHICH}.")] = None
+    via: Annotated[str | None, input_file("--via", _VIA)] = None
+    time: Annotated[str | None, Option("--time", metavar="S|min", help=_TIME)] = None
+    profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
+    acceleration: Annotated[
+        float | None, Option("--acceleration", metavar="PART", help=_ACCELERATION)
+    ] = None
+    ends: Annotated[Ends | None, Option("--ends", help=_ENDS)] = None
+    speed: Annotated[str | None, vector("--speed", _SPEED)] = None
+    turns: Annotated[str | None, vector("--turns", _TURNS)] = None
+    amplitude: Annotated[
+        str | None, vector("--amplitude", f"Of a sweep about --from, rad or 10deg: {EACH}.")
+    ] = None
+    frequencies: Annotated[
+        str | None, Option("--frequencies", metavar="F0,F1", help=_FREQUENCIES)
+    ] = None
+    max_qd: Annotated[
+        str | None, vector("--max-qd", f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}.")
+    ] = None
+    max_qdd: Annotated[
+        str | None, vector("--max-qdd", f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}.")
+    ] = None
+    max_tau: Annotated[str | None, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
+
+    def duration(self) -> float | None:
+        """Seconds; NaN for the shortest."""
+        if self.time in (None, "min"):
+            return None if self.time is None else math.nan
+        return value_from(self.time, parse_time, "--time", "2, 0.5s, 20ms or min")
+
+    def limits(self, mechanism: Mechanism) -> Limits:
+        return limits_of(
+            mechanism,
+            _entries(self.max_qd, "--max-qd", parse_rate, "6.28, 60rpm or 90deg/s"),
+            _entries(self.max_qdd, "--max-qdd", _angular_acceleration, "20 or 90deg/s^2"),
+            _entries(self.max_tau, "--max-tau", parse_number, "25"),
+        )
+
+
+def _entries(
+    text: str | None, option: str, parse: Callable[[str], float], example: str
+) -> list[float] | None:
+    return None if text is None else parse_entries(text, parse, where=option, example=example)
+
+
+def _angular_acceleration(text: str) -> float:
+    return parse_angle(text.removesuffix("/s^2"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,24 +117,25 @@ class Points:
     source: str
 
 
-def points_from(mechanism: Mechanism, from_: str | None, to: str | None, via: str | None) -> Points:
-    if via is None:
+def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
+    from_, to = given.from_, given.to
+    if given.via is None:
         for option, text in (("--from", from_), ("--to", to)):
             if text is None:
                 limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
                 raise InputError(option, limit=limit)
         rows = [given_angles(mechanism, from_, "from"), given_angles(mechanism, to, "to")]
         return Points(np.array(rows), None, "")
-    with open_input(via) as (stream, name):
-        reader = Reader(stream, name)
-        source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
-        timed = "t" in reader.header
-        columns = [*source.columns, *(["t"] if timed else [])]
-        blocks = [chunk.values for chunk in reader.chunks(columns)]
-    values = np.concatenate(blocks) if blocks else np.zeros((0, len(columns)))
-    given = values[:, : len(source.columns)]
+
+    def columns(header: Sequence[str], name: str) -> list[str]:
+        source = table_source(mechanism, Quantity("q", None, True), header, name)
+        return [*source.columns, *(["t"] if "t" in header else [])]
+
+    values, names, name = read_columns(given.via, columns)
+    timed = names[-1] == "t"
+    count = len(names) - timed
     q = np.full((len(values), mechanism.n), np.nan)
-    q[:, slice(None) if source.whole else list(mechanism.actuated)] = given
+    q[:, _joints(mechanism, count == mechanism.n)] = values[:, :count]
     if timed:
         refuse(f"the times (t) in {name}", **{"from": from_, "to": to})
         return Points(q, values[:, -1], name)
@@ -76,90 +146,57 @@ def points_from(mechanism: Mechanism, from_: str | None, to: str | None, via: st
     return Points(q, None, name)
 
 
+def _joints(mechanism: Mechanism, whole: bool) -> list[int]:
+    return list(range(mechanism.n) if whole else mechanism.actuated)
+
+
 def given_angles(
     mechanism: Mechanism, text: str | None, name: str, default: bool = False
 ) -> np.ndarray:
     """The angles (n,) of an option, NaN where it holds the actuated joints only."""
     q = np.full(mechanism.n, np.nan)
-    driven = list(mechanism.actuated)
-    if text is None:
-        if not default:
-            raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
-        q[driven] = 0.0
-        return q
-    source = option_source(mechanism, Quantity(name, text, True))
-    q[slice(None) if source.whole else driven] = source.values
+    if text is None and not default:
+        raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
+    source = option_source(mechanism, Quantity(name, text))
+    q[_joints(mechanism, source.whole)] = source.values
     return q
 
 
-def duration_from(text: str | None) -> float | None:
-    """Seconds; NaN for the shortest."""
-    if text is None:
-        return None
-    return math.nan if text == "min" else seconds_from(text, "--time", " or min")
-
-
-def seconds_from(text: str, option: str, other: str = "") -> float:
-    try:
-        return parse_time(text)
-    except ValueError as error:
-        limit = f"{error}; write 2, 0.5s, 20ms{other}"
-        raise InputError(option, value=text, limit=limit) from None
-
-
-def frequency_from(text: str) -> float:
-    return parse_number(text.removesuffix("Hz"))
-
-
-def angular_acceleration_from(text: str) -> float:
-    return parse_angle(text.removesuffix("/s^2"))
-
-
 def sweep_from(
-    mechanism: Mechanism,
-    pose: np.ndarray,
-    amplitude: str | None,
-    frequencies: str | None,
-    duration: float | None,
-) -> Sweep:
-    """The sine sweep about a pose (n,)."""
-    if amplitude is None or frequencies is None:
+    mechanism: Mechanism, pose: np.ndarray, given: TrajectoryOptions, duration: float | None
+) -> tuple[JointPath, float]:
+    """The sine sweep about a pose (n,), and its duration."""
+    sizes = _entries(given.amplitude, "--amplitude", parse_angle, "0.1 or 5deg")
+    band = _entries(given.frequencies, "--frequencies", frequency_from, "0.2,5 (Hz)")
+    if sizes is None or band is None:
         raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
     if duration is None or not (math.isfinite(duration) and duration > 0.0):
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
-    driven = list(mechanism.actuated)
-    sizes = parse_entries(amplitude, parse_angle, where="--amplitude", example="0.1 or 5deg")
     sizes = for_each_actuated(mechanism, sizes, "--amplitude")
-    band = parse_entries(frequencies, frequency_from, where="--frequencies", example="0.2,5 (Hz)")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
-        raise InputError("--frequencies", value=frequencies, limit=limit)
+        raise InputError("--frequencies", value=given.frequencies, limit=limit)
     cycles = 0.5 * (band[0] + band[1]) * duration
     if cycles > MOST_CYCLES:
         limit = f"makes {cycles:.6g} cycles, too many: at most {MOST_CYCLES}"
-        raise InputError("--frequencies", value=frequencies, limit=limit)
-    return Sweep(pose[driven], np.array(sizes), band[0], band[1], duration)
+        raise InputError("--frequencies", value=given.frequencies, limit=limit)
+    start = pose[list(mechanism.actuated)]
+    return Sweep(start, np.array(sizes), band[0], band[1], duration), duration
 
 
 def turning_from(
-    mechanism: Mechanism,
-    begin: np.ndarray,
-    speed: str | None,
-    turns: str | None,
-    duration: float | None,
+    mechanism: Mechanism, begin: np.ndarray, given: TrajectoryOptions, duration: float | None
 ) -> tuple[JointPath, float]:
     """The path at constant speed, and its duration (NaN: the shortest)."""
     start = begin[list(mechanism.actuated)]
-    counts = None
-    if turns is not None:
-        counts = parse_entries(turns, parse_number, where="--turns", example="1 or 0.5")
-    if speed is None:
+    counts = _entries(given.turns, "--turns", parse_number, "1 or 0.5")
+    rates = _entries(given.speed, "--speed", parse_rate, "6.28, 60rpm or 360deg/s")
+    if rates is None:
         assert counts is not None
         if duration is None:
             raise InputError("--turns", limit="needs --speed or --time")
         way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
         return ConstantSpeed(start, way), duration
-    rates = parse_entries(speed, parse_rate, where="--speed", example="6.28, 60rpm or 360deg/s")
     rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:
@@ -167,19 +204,14 @@ def turning_from(
             raise InputError("--speed, --turns and --time", limit="exclude one another: give two")
         if len(counts) != 1 or counts[0] <= 0.0:
             limit = "with --speed it must be one number > 0, of the fastest joint"
-            raise InputError("--turns", value=turns, limit=limit)
+            raise InputError("--turns", value=given.turns, limit=limit)
         if fastest == 0.0:
-            raise InputError("--speed", value=speed, limit="must not be 0 where --turns are given")
+            limit = "must not be 0 where --turns are given"
+            raise InputError("--speed", value=given.speed, limit=limit)
         duration = 2 * math.pi * counts[0] / fastest
     if duration is None or math.isnan(duration):
         raise InputError("--speed", limit="needs --turns, or --time in seconds")
     return ConstantSpeed(start, rate * duration), duration
-
-
-def rates_from(
-    text: str | None, option: str, parse: Callable[[str], float], example: str
-) -> list[float] | None:
-    return None if text is None else parse_entries(text, parse, where=option, example=example)
 
 
 def refuse(what: str, **options: object) -> None:
@@ -189,23 +221,21 @@ def refuse(what: str, **options: object) -> None:
 
 
 @contextmanager
-def named_options(**given: str | None) -> Iterator[None]:
+def named(given: TrajectoryOptions) -> Iterator[None]:
     """An argument that is refused, or a limit that is exceeded, is named as its option.
 
-    A path that is too long is named as the first of the options that are `given`.
+    A path that is too long is named as the option that makes it so.
     """
-    try:
-        yield
-    except TravelError as error:
-        name, value = next((name, value) for name, value in given.items() if value is not None)
-        limit = f"makes a path of {error.value}: {error.limit}"
-        raise InputError(f"--{name}", value=shown(value), limit=limit) from None
-    except LimitError as error:
-        error.add_place(f"--max-{error.quantity}")
-        raise
-    except InputError as error:
-        error.what = OPTION_OF.get(error.what, error.what)
-        raise
-
-
-# -- rows ----------------------------------------------------------------------------------------
+    names = ("profile", "acceleration", "ends", "max_qd", "max_qdd", "max_tau")
+    with named_options(names, duration="time"):
+        try:
+            yield
+        except TravelError as error:
+            long = ("turns", "via", "to", "amplitude", "time")
+            name = next(name for name in long if getattr(given, name) is not None)
+            limit = f"makes a path of {error.value}: {error.limit}"
+            value = shown(getattr(given, name))
+            raise InputError(f"--{name}", value=value, limit=limit) from None
+        except LimitError as error:
+            error.add_place(f"--max-{error.quantity}")
+            raise

@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ def results(
     scheduler: str | None = None,
     patience: float = PATIENCE,
     tell: Callable[[str], object] = lambda text: None,
-) -> Iterator[Rows]:
+) -> Generator[Rows]:
     """The rows of the chunks from `begin` on, in order.
 
     `workers` is the number of threads or processes (None: one a processor), `scheduler` the address
