@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import chain
-from typing import Annotated, Optional
+from typing import Annotated
 
 import numpy as np
-import typer
+from typer import Option
 
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Text
 from robodyn.cli.output import default_format, note, row_writer
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
@@ -19,10 +18,10 @@ from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import load
-from robodyn.simulation.benchmark import Benchmark, benchmark
+from robodyn.simulation.benchmark import Measurement, benchmark
 
 MOST_REPEATS = 10_000
-COLUMNS = (
+COLUMNS = [
     "method",
     "tolerance",
     "error",
@@ -34,32 +33,22 @@ COLUMNS = (
     "median_ms",
     "least_ms",
     "front",
-)
+]
+_REPEATS = "Timed runs of each, taken in turn."
+_EVALUATORS = "Measure dynamics of single states and batches instead."
+_PLOT = "Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
 
 
 def bench(
     model: Model,
     q: Q = None,
     qd: Qd = None,
-    duration: Annotated[float, typer.Option("--time", metavar="S", help="End time, s.")] = 10.0,
-    tau: Annotated[
-        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option("--tau", metavar="TORQUES", help="As in simulate.", show_default=False),
-    ] = None,
-    repeats: Annotated[
-        int, typer.Option("--repeats", metavar="N", help="Timed runs of each, taken in turn.")
-    ] = 3,
-    evaluators: Annotated[
-        bool,
-        typer.Option("--evaluators", help="Measure dynamics of single states and batches instead."),
-    ] = False,
+    duration: Annotated[float, Option("--time", metavar="S", help="End time, s.")] = 10.0,
+    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help="As in simulate.")] = None,
+    repeats: Annotated[int, Option("--repeats", metavar="N", help=_REPEATS)] = 3,
+    evaluators: Annotated[bool, Option("--evaluators", help=_EVALUATORS)] = False,
     format: OutputFormat = None,
-    plot: Annotated[
-        Optional[str],  # noqa: UP045
-        output_file(
-            "--plot", help="Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
-        ),
-    ] = None,
+    plot: Annotated[Text, output_file("--plot", help=_PLOT)] = None,
     out: Out = None,
 ) -> None:
     """Speed against error of every method on one motion.
@@ -105,8 +94,8 @@ def bench(
         )
     with row_writer(format, out, COLUMNS) as writer:
         digits = 2 if default_format(format, out) == "table" else 17
-        for row in _rows(result):
-            writer.write_row([_shown(value, digits) for value in row])
+        for measurement in result.measurements:
+            writer.write_row([_shown(value, digits) for value in _row(measurement)])
     for line in result.left_out:
         note(f"left out: {line}")
     note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
@@ -121,18 +110,10 @@ def _shown(value: float | str, digits: int) -> float | str:
     return f"{value:.{digits}g}"
 
 
-def _rows(result: Benchmark) -> Iterator[list[float | str]]:
-    for x in result.measurements:
-        finished = x.outcome == "finished"
-        error: list[float | str] = [x.error, x.error_end] if finished else [x.outcome, ""]
-        yield [
-            x.method,
-            x.tolerance,
-            *error,
-            x.drift,
-            x.gap,
-            float(x.evaluations),
-            float(x.steps),
-            *([1e3 * x.median, 1e3 * x.least] if finished else ["", ""]),
-            "*" if x.front else "",
-        ]
+def _row(x: Measurement) -> list[float | str]:
+    finished = x.outcome == "finished"
+    error: list[float | str] = [x.error, x.error_end] if finished else [x.outcome, ""]
+    times: list[float | str] = [1e3 * x.median, 1e3 * x.least] if finished else ["", ""]
+    counts = float(x.evaluations), float(x.steps)
+    front = "*" if x.front else ""
+    return [x.method, x.tolerance, *error, x.drift, x.gap, *counts, *times, front]

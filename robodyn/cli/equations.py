@@ -6,7 +6,7 @@ import shutil
 import sys
 from typing import Annotated, Literal
 
-import typer
+from typer import Option
 
 from robodyn.cli.options import Model, Out
 from robodyn.cli.progress import progress
@@ -27,11 +27,10 @@ CODE = {"python": python, "c": c99}
 def equations(
     model: Model,
     format: Annotated[
-        EquationFormat,
-        typer.Option("--format", help="To read, to typeset, to run, or for a program."),
+        EquationFormat, Option("--format", help="To read, to typeset, to run, or for a program.")
     ] = "text",
     numeric: Annotated[
-        bool, typer.Option("--numeric", help="Put the scene's numbers in for the symbols.")
+        bool, Option("--numeric", help="Put the scene's numbers in for the symbols.")
     ] = False,
     out: Out = None,
 ) -> None:

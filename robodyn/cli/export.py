@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Optional
+from typing import Annotated, Literal
 
-import typer
+from typer import Option
 
 from robodyn.cli.options import Model, Out, Q
 from robodyn.cli.output import note
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import load
 from robodyn.tables.output_file import open_output
 
 ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
@@ -18,17 +18,11 @@ ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
 def export(
     model: Model,
     format: Annotated[
-        ModelFormat,
-        typer.Option(
-            "--format", help="urdf (ROS, Pinocchio) or mjcf (MuJoCo).", show_default=False
-        ),
+        ModelFormat, Option("--format", help="urdf (ROS, Pinocchio) or mjcf (MuJoCo).")
     ],
     q: Q = None,
     timestep: Annotated[
-        Optional[float],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Option(
-            "--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.", show_default=False
-        ),
+        float | None, Option("--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.")
     ] = None,
     out: Out = None,
 ) -> None:
@@ -61,14 +55,11 @@ def export(
         step = TIMESTEP if timestep is None else timestep
         if not 0.0 < step < float("inf"):
             raise InputError("--timestep", value=step, limit="must be > 0 and finite, s")
-        text = mjcf(mechanism, step, None if q is None else _configuration(mechanism, q))
+        pose = None
+        if q is not None:
+            from robodyn.cli.states import Quantity, single_state
+
+            pose = single_state(mechanism, [Quantity("q", q, True)])[0].tolist()
+        text = mjcf(mechanism, step, pose)
     with open_output(out) as stream:
         stream.write(text.encode())
-
-
-def _configuration(mechanism: Mechanism, q: str) -> list[float]:
-    """All joint angles, closed."""
-    from robodyn.cli.states import Quantity, single_state
-
-    (angles,) = single_state(mechanism, [Quantity("q", q, True)])
-    return [float(angle) for angle in angles]

@@ -4,36 +4,28 @@ from __future__ import annotations
 
 import os
 import shlex
-from typing import Annotated, Optional
+from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import OutputFormat
+from robodyn.cli.options import OutputFormat, Text
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
 from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
 from robodyn.tables.output_file import open_output
 
+_NAME = "Of the scene, such as four-bar."
+_OUT = "Write here, - for stdout. Default: NAME.yaml in this directory."
+
 
 def init(
     name: Annotated[
-        Optional[str],  # noqa: UP045 (typer reads the annotation at run time)
-        typer.Argument(
-            metavar="[NAME]",
-            help="Of the scene, such as four-bar.",
-            show_default=False,
-            autocompletion=scene_names,
-        ),
+        Text, Argument(metavar="[NAME]", help=_NAME, autocompletion=scene_names)
     ] = None,
-    names: Annotated[bool, typer.Option("--list", help="List the names, as without NAME.")] = False,
-    out: Annotated[
-        Optional[str],  # noqa: UP045
-        output_file(
-            "--out", "-o", help="Write here, - for stdout. Default: NAME.yaml in this directory."
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    names: Annotated[bool, Option("--list", help="List the names, as without NAME.")] = False,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
+    force: Annotated[bool, Option("--force", help="Replace a file that exists.")] = False,
     format: OutputFormat = None,
 ) -> None:
     """Write a commented scene to start from.

@@ -16,7 +16,8 @@ StructuredFormat = Literal["table", "json"]  # how a result with matrices or par
 PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
 _ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
-States = Annotated[str | None, input_argument("[STATES]", _ROWS)]
+Text = str | None  # of an option that may be left out
+States = Annotated[Text, input_argument("[STATES]", _ROWS)]
 
 
 def vector(flag: str, help: str) -> object:
@@ -31,22 +32,22 @@ _QDD = f"Joint accelerations, rad/s^2: {_WHICH}. Default: zero."
 _TAU = "Joint torques, N m: all joints, or the actuated ones. Default: zero."
 EACH = "one value, or one an actuated joint"
 
-Q = Annotated[str | None, vector("--q", _Q)]
-Qd = Annotated[str | None, vector("--qd", _QD)]
-Qdd = Annotated[str | None, vector("--qdd", _QDD)]
-Tau = Annotated[str | None, vector("--tau", _TAU)]
+Q = Annotated[Text, vector("--q", _Q)]
+Qd = Annotated[Text, vector("--qd", _QD)]
+Qdd = Annotated[Text, vector("--qdd", _QDD)]
+Tau = Annotated[Text, vector("--tau", _TAU)]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
 _PARTS = "Default: table on a terminal, json in a pipe."
 OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
-Out = Annotated[str | None, output_file("--out", "-o", help="Write here, all or nothing.")]
+Out = Annotated[Text, output_file("--out", "-o", help="Write here, all or nothing.")]
 _PICTURE = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
-PictureOut = Annotated[str | None, output_file("--out", "-o", help=_PICTURE)]
+PictureOut = Annotated[Text, output_file("--out", "-o", help=_PICTURE)]
 _SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
 OutputPicture = Annotated[PictureFormat | None, Option("--format", help=_SUFFIX)]
 Ascii = Annotated[bool, Option("--ascii", help="Text of plain characters, not of braille dots.")]
 _SIZE = "Of the picture, inches (at 150 dots an inch), such as 8x5."
-Size = Annotated[str | None, Option("--size", metavar="WxH", help=_SIZE)]
+Size = Annotated[Text, Option("--size", metavar="WxH", help=_SIZE)]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
 
 

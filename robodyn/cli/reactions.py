@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, vector
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, Text, vector
 from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.errors import InputError
@@ -15,7 +15,7 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism, load
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
-Tau = Annotated[str | None, vector("--tau", _TAU)]
+Tau = Annotated[Text, vector("--tau", _TAU)]
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
 

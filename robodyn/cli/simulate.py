@@ -13,7 +13,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Q, Qd, Quiet
+from robodyn.cli.options import Model, Q, Qd, Quiet, Text
 from robodyn.cli.output import note
 from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
@@ -50,10 +50,8 @@ def simulate(
     sources: TorqueOptions = TorqueOptions(),
     how: RunOptions = RunOptions(),
     quiet: Quiet = False,
-    report: Annotated[
-        str | None, output_file("--report", help="Write the summary as JSON.")
-    ] = None,
-    out: Annotated[str | None, output_file("--out", "-o", help=_OUT, kept=True)] = None,
+    report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
     """The motion that torques cause, as CSV.
 

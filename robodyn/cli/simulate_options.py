@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Option
 
 from robodyn.cli.files import input_file
-from robodyn.cli.options import EACH, named_options, vector
+from robodyn.cli.options import EACH, Text, named_options, vector
 from robodyn.cli.states import read_columns
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
@@ -41,17 +41,17 @@ _MODEL = "Scene that the controller believes. Default: MODEL."
 class TorqueOptions:
     """Where torque comes from."""
 
-    tau: Annotated[str | None, Option("--tau", metavar="TORQUES", help=_TAU)] = None
-    tau_from: Annotated[str | None, input_file("--tau-from", _TAU_FROM)] = None
+    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
+    tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
     control: Annotated[
         Law | None, Option("--control", help="Makes the torques track a reference.")
     ] = None
-    track: Annotated[str | None, input_file("--track", _TRACK)] = None
-    kp: Annotated[str | None, vector("--kp", _KP)] = None
-    kd: Annotated[str | None, vector("--kd", _KD)] = None
-    tau_max: Annotated[str | None, vector("--tau-max", _TAU_MAX)] = None
-    control_rate: Annotated[str | None, Option("--control-rate", metavar="HZ", help=_RATE)] = None
-    control_model: Annotated[str | None, input_file("--control-model", _MODEL)] = None
+    track: Annotated[Text, input_file("--track", _TRACK)] = None
+    kp: Annotated[Text, vector("--kp", _KP)] = None
+    kd: Annotated[Text, vector("--kd", _KD)] = None
+    tau_max: Annotated[Text, vector("--tau-max", _TAU_MAX)] = None
+    control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_RATE)] = None
+    control_model: Annotated[Text, input_file("--control-model", _MODEL)] = None
 
     def given(self, *names: str) -> list[str]:
         """The options among these that are given."""

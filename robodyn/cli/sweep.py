@@ -12,7 +12,7 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Model, Quiet, named_options
+from robodyn.cli.options import Model, Quiet, Text, named_options
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
 from robodyn.cli.sweep_options import SweepOptions, plan_of
@@ -34,14 +34,14 @@ def sweep(
     given: SweepOptions,
     workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None,
     scheduler: Annotated[
-        str | None, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
+        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
     ] = None,
     patience: Annotated[
         float | None,
         Option("--patience", metavar="S", help=f"{_LOST} Default: {PATIENCE:g}."),
     ] = None,
     quiet: Quiet = False,
-    out: Annotated[str | None, output_file("--out", "-o", help=_OUT, kept=True)] = None,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
     """The same simulation, or torque, over a grid or a random sample, as one CSV.
 

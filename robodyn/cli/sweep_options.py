@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from typer import Option
 
-from robodyn.cli.options import named_options, vector
+from robodyn.cli.options import Text, named_options, vector
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -52,15 +52,15 @@ class SweepOptions:
     ] = None
     seed: Annotated[int, Option("--seed", metavar="S", help="Of the random sample.")] = 0
     kind: Annotated[Kind, Option("--kind", help="Motions, or torques at states.")] = "motion"
-    q: Annotated[str | None, vector("--q", _Q)] = None
-    qd: Annotated[str | None, vector("--qd", _QD)] = None
-    qdd: Annotated[str | None, vector("--qdd", _QDD)] = None
-    tau: Annotated[str | None, vector("--tau", _TAU)] = None
+    q: Annotated[Text, vector("--q", _Q)] = None
+    qd: Annotated[Text, vector("--qd", _QD)] = None
+    qdd: Annotated[Text, vector("--qdd", _QDD)] = None
+    tau: Annotated[Text, vector("--tau", _TAU)] = None
     time: Annotated[float, Option("--time", metavar="S", help=_TIME)] = 10.0
     result: Annotated[str, Option("--result", metavar="NAMES", help="Columns of a motion.")] = (
         ",".join(RESULTS)
     )
-    flip: Annotated[str | None, Option("--flip", metavar="LINK", help=_FLIP)] = None
+    flip: Annotated[Text, Option("--flip", metavar="LINK", help=_FLIP)] = None
     rtol: Annotated[float, Option("--rtol", help="Relative tolerance of a step.")] = 1e-9
     atol: Annotated[float, Option("--atol", help="Absolute one, rad, rad/s.")] = 1e-9
     max_steps: Annotated[int, Option("--max-steps", metavar="N", help=_STEPS)] = 100_000

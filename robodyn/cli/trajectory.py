@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.options import Format, Model, Out, OutputFormat
+from robodyn.cli.options import Format, Model, Out, OutputFormat, Text
 from robodyn.cli.output import note, row_writer
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
@@ -41,7 +41,7 @@ def trajectory(
     model: Model,
     given: TrajectoryOptions = TrajectoryOptions(),
     every: Annotated[
-        str | None, Option("--every", metavar="S", help="Time between rows, s, or 10ms.")
+        Text, Option("--every", metavar="S", help="Time between rows, s, or 10ms.")
     ] = None,
     points: Points = None,
     format: OutputFormat = None,

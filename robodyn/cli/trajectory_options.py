@@ -12,7 +12,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import input_file
-from robodyn.cli.options import EACH, named_options, vector
+from robodyn.cli.options import EACH, Text, named_options, vector
 from robodyn.cli.states import Quantity, option_source, read_columns, table_source
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
@@ -58,30 +58,28 @@ _FREQUENCIES = "Of a sweep: at its start and at its end, Hz."
 class TrajectoryOptions:
     """The way, the time that it takes, and what must not be exceeded on it."""
 
-    from_: Annotated[str | None, vector("--from", _FROM)] = None
-    to: Annotated[str | None, vector("--to", f"Angles at the end: {_WHICH}.")] = None
-    via: Annotated[str | None, input_file("--via", _VIA)] = None
-    time: Annotated[str | None, Option("--time", metavar="S|min", help=_TIME)] = None
+    from_: Annotated[Text, vector("--from", _FROM)] = None
+    to: Annotated[Text, vector("--to", f"Angles at the end: {_WHICH}.")] = None
+    via: Annotated[Text, input_file("--via", _VIA)] = None
+    time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
     profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
     acceleration: Annotated[
         float | None, Option("--acceleration", metavar="PART", help=_ACCELERATION)
     ] = None
     ends: Annotated[Ends | None, Option("--ends", help=_ENDS)] = None
-    speed: Annotated[str | None, vector("--speed", _SPEED)] = None
-    turns: Annotated[str | None, vector("--turns", _TURNS)] = None
+    speed: Annotated[Text, vector("--speed", _SPEED)] = None
+    turns: Annotated[Text, vector("--turns", _TURNS)] = None
     amplitude: Annotated[
-        str | None, vector("--amplitude", f"Of a sweep about --from, rad or 10deg: {EACH}.")
+        Text, vector("--amplitude", f"Of a sweep about --from, rad or 10deg: {EACH}.")
     ] = None
-    frequencies: Annotated[
-        str | None, Option("--frequencies", metavar="F0,F1", help=_FREQUENCIES)
-    ] = None
+    frequencies: Annotated[Text, Option("--frequencies", metavar="F0,F1", help=_FREQUENCIES)] = None
     max_qd: Annotated[
-        str | None, vector("--max-qd", f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}.")
+        Text, vector("--max-qd", f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}.")
     ] = None
     max_qdd: Annotated[
-        str | None, vector("--max-qdd", f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}.")
+        Text, vector("--max-qdd", f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}.")
     ] = None
-    max_tau: Annotated[str | None, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
+    max_tau: Annotated[Text, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
 
     def duration(self) -> float | None:
         """Seconds; NaN for the shortest."""
