@@ -19,7 +19,6 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import chain, repeat
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
@@ -36,8 +35,7 @@ READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
 LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """Some successive rows of a table: n lines as they came, k of their columns as numbers."""
 
     lines: list[str]  # (n,) without line ends
@@ -56,15 +54,6 @@ class _Rows(NamedTuple):
     lines: list[str]
     numbers: Sequence[int]
     quoted: bool  # whether any has a quote, so that not every comma ends a field
-
-
-@dataclass(slots=True)
-class _OpenRow:
-    """The lines so far of a row in which a quoted field is open; none where there is no such."""
-
-    lines: list[str] = field(default_factory=list)
-    number: int = 1  # the line of the file on which it begins
-    size: int = 0  # bytes
 
 
 class Reader:
@@ -141,7 +130,7 @@ class Reader:
         """The values (n, k) of the rows before the first faulty one, and its fault."""
         import numpy as np
 
-        values: list[list[float]] = []
+        values: list[list[float | None]] = []
         fault = None
         try:
             for line, number in zip(rows.lines, rows.numbers, strict=True):
@@ -150,18 +139,17 @@ class Reader:
                     limit = f"the header has {len(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
-                values.append(list(map(self._number, texts, names, repeat(number))))
+                found = list(map(finite, texts))
+                for name, text, value in zip(names, texts, found, strict=True):
+                    if value is None:
+                        empty = not text.strip()
+                        limit = "the field is empty, not" if empty else "must be"
+                        told = None if empty else shown(text)
+                        raise self._fault(number, name, told, f"{limit} a finite number")
+                values.append(found)
         except InputError as error:
             fault = error
         return np.array(values, dtype=float).reshape(len(values), len(places)), fault
-
-    def _number(self, text: str, name: str, line_number: int) -> float:
-        value = finite(text)
-        if value is not None:
-            return value
-        if not text.strip():
-            raise self._fault(line_number, name, None, "the field is empty, not a finite number")
-        raise self._fault(line_number, name, shown(text), "must be a finite number")
 
     def _split(self, line: str, line_number: int) -> list[str]:
         fields = split_fields(line)
@@ -179,8 +167,9 @@ class Reader:
         # read would wait until it has all that it was asked for; read1 takes what is there.
         read: Callable[[int], bytes] = getattr(stream, "read1", stream.read)
         pending = bytearray()  # of a line whose end has not come
-        row = _OpenRow()
         number = 1  # the line of the file that `pending` begins with
+        row: list[str] = []  # the lines so far of a row in which a quoted field is open
+        begin = size = 0  # the line of the file on which it begins, and its bytes
         at_end = False
         while not at_end:
             data = read(READ_BYTES)
@@ -192,16 +181,33 @@ class Reader:
                 block = bytes(pending[: pending.rfind(b"\n") + 1])
                 del pending[: len(block)]
                 text, fault = self._decode(block, number)
-                rows = _whole_rows(text, number, row)
-                if rows.lines:
-                    yield rows
+                quoted = bool(row) or '"' in text
+                if "\r" in text and not quoted:
+                    text = text.replace("\r\n", "\n")
+                lines = text.split("\n")[:-1]
+                numbers: Sequence[int] = range(number, number + len(lines))
+                if quoted:
+                    pieces, lines, numbers = lines, [], []
+                    for at, piece in enumerate(pieces, number):
+                        begin, size = (begin, size) if row else (at, 0)
+                        still_open = ends_open(piece, bool(row))
+                        row.append(piece)
+                        size += len(piece.encode()) + 1
+                        if not still_open:
+                            lines.append("\n".join(row).removesuffix("\r"))
+                            numbers.append(begin)
+                            row = []
+                if not all(map(str.strip, lines)):
+                    numbers = [n for n, line in zip(numbers, lines, strict=True) if line.strip()]
+                    lines = [line for line in lines if line.strip()]
+                if lines:
+                    yield _Rows(lines, numbers, quoted)
                 if fault:
                     raise fault
                 number += block.count(b"\n")
-            if row.size + len(pending) > LONGEST_ROW or (at_end and row.lines):
+            if (size if row else 0) + len(pending) > LONGEST_ROW or (at_end and row):
                 limit = f"a row ends within {LONGEST_ROW} bytes; is a quote left open?"
-                begin = row.number if row.lines else number
-                raise self._fault(begin, "the row does not end", None, limit)
+                raise self._fault(begin if row else number, "the row does not end", None, limit)
 
     def _decode(self, block: bytes, number: int) -> tuple[str, InputError | None]:
         """The text of whole lines, up to the first that is not UTF-8, and the fault of that."""
@@ -212,36 +218,3 @@ class Reader:
             value = f"0x{error.object[error.start]:02x}"
             fault = self._fault(number + good.count(b"\n"), "byte", value, "text must be UTF-8")
             return good.decode(), fault
-
-
-def _whole_rows(text: str, number: int, row: _OpenRow) -> _Rows:
-    """The rows that whole lines of text end; `row` is left with what follows them."""
-    quoted = '"' in text or bool(row.lines)
-    numbers: Sequence[int]
-    if quoted:
-        lines, numbers = _join_quoted(text.split("\n")[:-1], number, row)
-    else:
-        text = text.replace("\r\n", "\n") if "\r" in text else text
-        lines = text.split("\n")[:-1]
-        numbers = range(number, number + len(lines))
-    if not all(map(str.strip, lines)):
-        numbers = [n for n, line in zip(numbers, lines, strict=True) if line.strip()]
-        lines = [line for line in lines if line.strip()]
-    return _Rows(lines, numbers, quoted)
-
-
-def _join_quoted(pieces: list[str], number: int, row: _OpenRow) -> tuple[list[str], list[int]]:
-    """The rows, and the line numbers they begin on, of lines that a quoted field may span."""
-    rows: list[str] = []
-    numbers: list[int] = []
-    for at, piece in enumerate(pieces, number):
-        inside = bool(row.lines)
-        row.lines.append(piece)
-        row.number = row.number if inside else at
-        if ends_open(piece, inside):
-            row.size += len(piece.encode()) + 1
-            continue
-        rows.append("\n".join(row.lines).removesuffix("\r"))
-        numbers.append(row.number)
-        row.lines, row.size = [], 0
-    return rows, numbers
