@@ -9,7 +9,7 @@ import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
-from robodyn.cli.states import Quantity, complete_from, option_source, overflow
+from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -43,9 +43,8 @@ def assemble(
     """
     mechanism = load(model)
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
-    sources = [option_source(mechanism, quantity) for quantity in given]
-    ways = _branches(mechanism, sources[0].whole)
-    found = [(name, complete_from(mechanism, sources, way)) for name, way in ways]
+    ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
+    found = [(name, single_state(mechanism, given, way)) for name, way in ways]
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")

@@ -1,13 +1,15 @@
-"""Signals that end a command, so that open files are tidied up."""
+"""Signals that end a command in order: open files are tidied up, a run comes to its end."""
 
 from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
+PATIENCE = 0.4  # s that a run has to come to the end of a step after a signal; and then to finish
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGXCPU")  # not all of them are everywhere
 ENDING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 
@@ -35,3 +37,56 @@ def end(number: int, _: FrameType | None = None) -> NoReturn:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
+
+
+@contextmanager
+def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
+    """A watch for the run: moves a progress bar, and asks it to stop after a signal.
+
+    A run that does not come to the end of its step is stopped within it; and what does not come to
+    its end after that (a pipe that nobody reads), or gets another signal, ends at once.
+    """
+    from robodyn.cli.progress import progress
+    from robodyn.simulation.recording import Outcome, StopRun
+
+    stopped: list[int] = []
+    told = False  # whether the run knows
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if stopped:
+            end(number, frame)
+        stopped.append(number)
+        note(number)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
+
+    def urge(_: int, frame: FrameType | None) -> None:
+        nonlocal told
+        stopped.append(stopped[0])
+        if len(stopped) > 2:
+            end(stopped[0], frame)
+        if not told:
+            told = True
+            raise StopRun(Outcome.INTERRUPTED)
+
+    alarms = hasattr(signal, "setitimer")
+    urged = signal.signal(signal.SIGALRM, urge) if alarms else None
+    before = answer(stop)
+    try:
+        with progress("simulating", quiet or duration == 0.0) as show:
+
+            def watch(t: float) -> bool:
+                nonlocal told
+                show(t / duration)
+                told = told or bool(stopped)
+                return bool(stopped)
+
+            yield watch
+    except StopRun:  # before there was a run
+        end(stopped[0])
+    finally:
+        if alarms:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, urged)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -15,10 +15,10 @@ from typer import Option
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Model, Q, Qd, Quiet, Text
 from robodyn.cli.output import note
+from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
 from robodyn.cli.times import Points, output_times
-from robodyn.cli.watching import watching
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError

@@ -139,18 +139,13 @@ def complete(
     return list(motion.values())
 
 
-def single_state(mechanism: Mechanism, quantities: Sequence[Quantity]) -> list[Array]:
-    """The one state that the options give, completed and checked: each vector (n,)."""
-    sources = [option_source(mechanism, quantity) for quantity in quantities]
-    return complete_from(mechanism, sources)
-
-
-def complete_from(
-    mechanism: Mechanism, sources: Sequence[Source], branches: Sequence[str] | None = None
+def single_state(
+    mechanism: Mechanism, quantities: Sequence[Quantity], branches: Sequence[str] | None = None
 ) -> list[Array]:
-    """The one state of sources that are options, completed and checked: each vector (n,)."""
+    """The one state that the options give, completed and checked: each vector (n,)."""
     import numpy as np
 
+    sources = [option_source(mechanism, quantity) for quantity in quantities]
     return complete(mechanism, sources, [np.array(x.values) for x in sources], branches)
 
 
@@ -168,7 +163,7 @@ def assembled_state(
 
     sources = [option_source(mechanism, quantity) for quantity in quantities]
     if not sources[0].whole or not mechanism.rows:
-        return complete_from(mechanism, sources), (0.0, 0.0)
+        return single_state(mechanism, quantities), (0.0, 0.0)
     given, rates = (np.array(source.values) for source in sources)
     q = assembly.close_positions(mechanism, given)
     fault = loop_rates.check_closed(mechanism, q)
@@ -199,16 +194,13 @@ def evaluate(
     import numpy as np
 
     def wanted(header: Sequence[str]) -> list[Quantity]:
-        there = set(header)
-        given = [
-            x for x in either if x.option is not None or there & set(x.columns(range(mechanism.n)))
-        ]
+        there, joints = set(header), range(mechanism.n)
+        given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
-    def results(motion: list[Array]) -> Array:
+    def results(used: Sequence[Quantity], motion: list[Array]) -> Array:
         with np.errstate(all="ignore"):
-            names = (source.quantity.name for source in sources)
-            values = compute(**dict(zip(names, motion, strict=True)))
+            values = compute(**{x.name: vector for x, vector in zip(used, motion, strict=True)})
         if not np.isfinite(values).all():
             raise overflow()
         return values
@@ -219,12 +211,12 @@ def evaluate(
             part = values[:, begin : begin + len(source.columns)]
             given.append(part if source.columns else np.tile(source.values, (len(values), 1)))
             begin += len(source.columns)
-        return results(complete(mechanism, sources, given))
+        return results(used, complete(mechanism, sources, given))
 
     if states is None:
         with remarks():
-            sources = [option_source(mechanism, x) for x in wanted([])]
-            row = results([x[None] for x in complete_from(mechanism, sources)])[0].tolist()
+            used = wanted([])
+            row = results(used, [x[None] for x in single_state(mechanism, used)])[0].tolist()
         with row_writer(format, out, columns) as writer:
             writer.write_row(row)
         return
@@ -233,7 +225,8 @@ def evaluate(
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
-        sources = [table_source(mechanism, x, reader.header, name) for x in wanted(reader.header)]
+        used = wanted(reader.header)
+        sources = [table_source(mechanism, x, reader.header, name) for x in used]
         chunks = reader.chunks([column for source in sources for column in source.columns])
         with remarks(), row_writer(format, out, columns, reader.header) as writer:
             for chunk in chunks:

@@ -33,39 +33,36 @@ def terms(
     mechanism = load(model)
     q_, qd_ = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
     np.seterr(all="ignore")  # what leaves the range of floats is told below
-    content: dict[str, np.ndarray] = {
-        "q": q_,
-        "qd": qd_,
-        "M": closed_form.mass_matrix(mechanism, q_),
-        "C": closed_form.coriolis_matrix(mechanism, q_, qd_),
-        "G": closed_form.gravity_vector(mechanism, q_),
+    content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
+        "q": ("rad", q_),
+        "qd": ("rad/s", qd_),
+        "M": ("kg m²", closed_form.mass_matrix(mechanism, q_)),
+        "C": ("kg m²/s", closed_form.coriolis_matrix(mechanism, q_, qd_)),
+        "G": ("N m", closed_form.gravity_vector(mechanism, q_)),
     }
-    units = {"q": "rad", "qd": "rad/s", "M": "kg m²", "C": "kg m²/s", "G": "N m", "Q": "N m"}
     if any(mechanism.damping):
-        content["D"] = np.diag(mechanism.damping)
-        units["D"] = "N m s/rad"
+        content["D"] = "N m s/rad", np.diag(mechanism.damping)
     if mechanism.has_state_forces:
-        content["Q"] = closed_form.other_forces(mechanism, q_, qd_)
+        content["Q"] = "N m", closed_form.other_forces(mechanism, q_, qd_)
     if mechanism.rows:
-        content["Psi"] = closed_form.closure_jacobian(mechanism, q_)
-        content["Psidot_qd"] = closed_form.closure_bias(mechanism, q_, qd_)
-        content["gap"] = closed_form.closure_gap(mechanism, q_)
-        units |= {"Psi": "m", "Psidot_qd": "m/s²", "gap": "m"}
+        content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)
+        content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_)
+        content["gap"] = "m", closed_form.closure_gap(mechanism, q_)
     energies = {
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
     }
-    values = [*content.values(), np.array(list(energies.values()))]
+    values = [*(value for _, value in content.values()), np.array(list(energies.values()))]
     if not all(np.isfinite(value).all() for value in values):
         raise overflow()
 
     def tables() -> list[Grid]:
         found = []
-        for name, value in content.items():
+        for name, (unit, value) in content.items():
             matrix = np.atleast_2d(value).tolist()
-            title = f"{name.replace('_', ' ')} [{units[name]}]"
-            found.append(Grid([str(k + 1) for k in range(len(matrix[0]))], matrix, title))
+            columns = [str(k + 1) for k in range(len(matrix[0]))]
+            found.append(Grid(columns, matrix, f"{name.replace('_', ' ')} [{unit}]"))
         return [*found, Grid(["KE [J]", "PE [J]"], [list(energies.values())])]
 
-    plain = {name: value.tolist() for name, value in content.items()}
+    plain = {name: value.tolist() for name, (_, value) in content.items()}
     write_structure(format, out, plain | energies, tables)
