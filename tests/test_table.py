@@ -75,7 +75,7 @@ def test_columns_come_in_the_order_asked_for() -> None:
     assert source.header == ("t", "q1", "q2")
     (chunk,) = source.chunks(["q2", "t"])
     assert chunk.lines == ["0,1,2", "3,4,5"]
-    assert chunk.first_line == 2
+    assert chunk.line_numbers[0] == 2
     assert list(chunk.line_numbers) == [2, 3]
     assert chunk.values.dtype == np.float64
     assert chunk.values.tolist() == [[2.0, 0.0], [5.0, 3.0]]
@@ -259,7 +259,7 @@ def test_long_tables_come_in_chunks_with_their_line_numbers() -> None:
     assert len(chunks) > 2
     assert same_bits(np.concatenate([chunk.values for chunk in chunks]), numbers)
     starts = np.cumsum([2] + [len(chunk.lines) for chunk in chunks])[:-1]
-    assert [chunk.first_line for chunk in chunks] == starts.tolist()
+    assert [chunk.line_numbers[0] for chunk in chunks] == starts.tolist()
 
 
 def test_rows_are_there_as_soon_as_they_are_written() -> None:
@@ -276,7 +276,7 @@ def test_rows_are_there_as_soon_as_they_are_written() -> None:
         producer.write(b",10")
         producer.close()
         last = next(chunks)
-        assert (last.first_line, last.values.tolist()) == (6, [[9, 10]])
+        assert (last.line_numbers[0], last.values.tolist()) == (6, [[9, 10]])
         assert next(chunks, None) is None
 
 

@@ -85,9 +85,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _tell(text: str) -> None:
-    from robodyn.cli.output import note  # here, as most commands tell nothing
-
-    note(text)
+    print(printable_lines(text), file=sys.stderr)
 
 
 def _described(error: Exception) -> str:

@@ -99,7 +99,7 @@ def write_structure(
     tables: Callable[[], Sequence[Grid]],
 ) -> None:
     """Write a result with parts: as tables where they are wanted, else its `content` as JSON."""
-    as_tables = format == "table" or (format is None and out is None and on_terminal(out))
+    as_tables = default_format(format, out) == "table"
     with open_output(out, styled=as_tables) as stream:
         if as_tables:
             text = render(tables(), on_terminal(out))

@@ -29,11 +29,12 @@ Law = Literal["pd", "pd+g", "computed-torque"]  # what makes torque of the track
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
 _TAU_FROM = "CSV with t,tau1,.. (- for stdin), interpolated between its rows."
+_CONTROL = "Makes the torques track a reference."
 _TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."
 _KP = f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}."
 _KD = f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}."
 _TAU_MAX = f"Where the controller's torques are cut off, N m: {EACH}."
-_RATE = "Samples a second, each torque held. Default: continuous."
+_SAMPLES = "Samples a second, each torque held. Default: continuous."
 _MODEL = "Scene that the controller believes. Default: MODEL."
 
 
@@ -43,14 +44,12 @@ class TorqueOptions:
 
     tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
     tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
-    control: Annotated[
-        Law | None, Option("--control", help="Makes the torques track a reference.")
-    ] = None
+    control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
     track: Annotated[Text, input_file("--track", _TRACK)] = None
     kp: Annotated[Text, vector("--kp", _KP)] = None
     kd: Annotated[Text, vector("--kd", _KD)] = None
     tau_max: Annotated[Text, vector("--tau-max", _TAU_MAX)] = None
-    control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_RATE)] = None
+    control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_SAMPLES)] = None
     control_model: Annotated[Text, input_file("--control-model", _MODEL)] = None
 
     def given(self, *names: str) -> list[str]:
@@ -60,9 +59,16 @@ class TorqueOptions:
 
 
 _METHOD = "Integrator. Default: DOP853; with --accuracy the best."
+_RTOL = "Relative tolerance of a step. Default: 1e-9."
+_ATOL = "Absolute tolerance, rad, rad/s. Default: 1e-9."
 _STEP = "No step is longer, s. Default: none."
 _ACCURACY = "Largest error of q and qd over the whole run; chooses method and tolerance."
 _ORDER = "Order of the Taylor series. Default: by the tolerance."
+_ESTIMATE = "Run again, 100 times as tight: the error's size."
+_CLOSED = "What keeps loops closed."
+_RATE = "Decay rate of a gap."
+_ASSEMBLE = "Correct a start that does not close."
+_EVALS = "Give up after so many evaluations."
 _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 
 
@@ -71,12 +77,8 @@ class RunOptions:
     """How to start and to integrate."""
 
     method: Annotated[Method | None, Option("--method", help=_METHOD)] = None
-    rtol: Annotated[
-        float | None, Option("--rtol", help="Relative tolerance of a step. Default: 1e-9.")
-    ] = None
-    atol: Annotated[
-        float | None, Option("--atol", help="Absolute tolerance, rad, rad/s. Default: 1e-9.")
-    ] = None
+    rtol: Annotated[float | None, Option("--rtol", help=_RTOL)] = None
+    atol: Annotated[float | None, Option("--atol", help=_ATOL)] = None
     max_step: Annotated[
         float,
         Option(
@@ -87,23 +89,13 @@ class RunOptions:
         ),
     ] = math.inf
     accuracy: Annotated[float | None, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
-    estimate_error: Annotated[
-        bool, Option("--estimate-error", help="Run again, 100 times as tight: the error's size.")
-    ] = False
+    estimate_error: Annotated[bool, Option("--estimate-error", help=_ESTIMATE)] = False
     order: Annotated[int | None, Option("--order", metavar="N", help=_ORDER)] = None
     engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
-    stabilize: Annotated[Stabilize, Option("--stabilize", help="What keeps loops closed.")] = (
-        "projection"
-    )
-    baumgarte_rate: Annotated[
-        float, Option("--baumgarte-rate", metavar="1/S", help="Decay rate of a gap.")
-    ] = 20.0
-    assemble: Annotated[bool, Option("--assemble", help="Correct a start that does not close.")] = (
-        False
-    )
-    max_evals: Annotated[
-        int, Option("--max-evals", metavar="N", help="Give up after so many evaluations.")
-    ] = MAX_EVALUATIONS
+    stabilize: Annotated[Stabilize, Option("--stabilize", help=_CLOSED)] = "projection"
+    baumgarte_rate: Annotated[float, Option("--baumgarte-rate", metavar="1/S", help=_RATE)] = 20.0
+    assemble: Annotated[bool, Option("--assemble", help=_ASSEMBLE)] = False
+    max_evals: Annotated[int, Option("--max-evals", metavar="N", help=_EVALS)] = MAX_EVALUATIONS
 
     def settings(self) -> Settings:
         """The settings of the run; InputError naming the option that is none."""

@@ -41,7 +41,7 @@ _VIA = (
     "Without t, --from and --to may add the ends."
 )
 _TIME = "Duration, s, 2s or 500ms; min: the shortest within the limits."
-_ACCELERATION = (
+_PART = (
     "Part of the time in which a trapezoidal profile speeds up, and in which it slows down, "
     "> 0, <= 0.5. Default: 1/3."
 )
@@ -51,7 +51,10 @@ _SPEED = (
     "(default: 0), ends after --turns or --time."
 )
 _TURNS = "Turns of the fastest joint at --speed; without it, of each actuated joint in --time."
-_FREQUENCIES = "Of a sweep: at its start and at its end, Hz."
+_AMPLITUDE = f"Of a sweep about --from, rad or 10deg: {EACH}."
+_MAX_QD = f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}."
+_MAX_QDD = f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}."
+_BAND = "Of a sweep: at its start and at its end, Hz."
 
 
 @dataclass(frozen=True)
@@ -63,22 +66,16 @@ class TrajectoryOptions:
     via: Annotated[Text, input_file("--via", _VIA)] = None
     time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
     profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
-    acceleration: Annotated[
-        float | None, Option("--acceleration", metavar="PART", help=_ACCELERATION)
-    ] = None
+    acceleration: Annotated[float | None, Option("--acceleration", metavar="PART", help=_PART)] = (
+        None
+    )
     ends: Annotated[Ends | None, Option("--ends", help=_ENDS)] = None
     speed: Annotated[Text, vector("--speed", _SPEED)] = None
     turns: Annotated[Text, vector("--turns", _TURNS)] = None
-    amplitude: Annotated[
-        Text, vector("--amplitude", f"Of a sweep about --from, rad or 10deg: {EACH}.")
-    ] = None
-    frequencies: Annotated[Text, Option("--frequencies", metavar="F0,F1", help=_FREQUENCIES)] = None
-    max_qd: Annotated[
-        Text, vector("--max-qd", f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}.")
-    ] = None
-    max_qdd: Annotated[
-        Text, vector("--max-qdd", f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}.")
-    ] = None
+    amplitude: Annotated[Text, vector("--amplitude", _AMPLITUDE)] = None
+    frequencies: Annotated[Text, Option("--frequencies", metavar="F0,F1", help=_BAND)] = None
+    max_qd: Annotated[Text, vector("--max-qd", _MAX_QD)] = None
+    max_qdd: Annotated[Text, vector("--max-qdd", _MAX_QDD)] = None
     max_tau: Annotated[Text, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
 
     def duration(self) -> float | None:
@@ -116,32 +113,31 @@ class Points:
 
 
 def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
-    from_, to = given.from_, given.to
-    if given.via is None:
-        for option, text in (("--from", from_), ("--to", to)):
-            if text is None:
-                limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
-                raise InputError(option, limit=limit)
-        rows = [given_angles(mechanism, from_, "from"), given_angles(mechanism, to, "to")]
-        return Points(np.array(rows), None, "")
-
     def columns(header: Sequence[str], name: str) -> list[str]:
         source = table_source(mechanism, Quantity("q", None, True), header, name)
         return [*source.columns, *(["t"] if "t" in header else [])]
 
-    values, names, name = read_columns(given.via, columns)
-    timed = names[-1] == "t"
-    count = len(names) - timed
-    q = np.full((len(values), mechanism.n), np.nan)
-    q[:, _joints(mechanism, count == mechanism.n)] = values[:, :count]
-    if timed:
-        refuse(f"the times (t) in {name}", **{"from": from_, "to": to})
-        return Points(q, values[:, -1], name)
-    if from_ is not None:
-        q = np.concatenate([given_angles(mechanism, from_, "from")[None], q])
-    if to is not None:
-        q = np.concatenate([q, given_angles(mechanism, to, "to")[None]])
-    return Points(q, None, name)
+    rows, times, source = np.zeros((0, mechanism.n)), None, ""
+    ends = {"from": given.from_, "to": given.to}
+    if given.via is None:
+        for name, text in ends.items():
+            if text is None:
+                limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
+                raise InputError(f"--{name}", limit=limit)
+    else:
+        values, names, source = read_columns(given.via, columns)
+        timed = names[-1] == "t"
+        rows = np.full((len(values), mechanism.n), np.nan)
+        joints = _joints(mechanism, len(names) - timed == mechanism.n)
+        rows[:, joints] = values[:, : len(joints)]
+        if timed:
+            refuse(f"the times (t) in {source}", **ends)
+            times = values[:, -1]
+    first, last = (
+        np.zeros((0, mechanism.n)) if text is None else given_angles(mechanism, text, name)[None]
+        for name, text in ends.items()
+    )
+    return Points(np.concatenate([first, rows, last]), times, source)
 
 
 def _joints(mechanism: Mechanism, whole: bool) -> list[int]:
@@ -152,9 +148,9 @@ def given_angles(
     mechanism: Mechanism, text: str | None, name: str, default: bool = False
 ) -> np.ndarray:
     """The angles (n,) of an option, NaN where it holds the actuated joints only."""
-    q = np.full(mechanism.n, np.nan)
     if text is None and not default:
         raise InputError(f"--{name}", limit="missing: give the pose that the sweep is about")
+    q = np.full(mechanism.n, np.nan)
     source = option_source(mechanism, Quantity(name, text))
     q[_joints(mechanism, source.whole)] = source.values
     return q

@@ -42,11 +42,6 @@ class Chunk(NamedTuple):
     line_numbers: Sequence[int]  # (n,) where each row begins in the file, whose header is line 1
     values: Array  # (n, k)
 
-    @property
-    def first_line(self) -> int:
-        """The line of the file on which the first row begins."""
-        return self.line_numbers[0]
-
 
 class _Rows(NamedTuple):
     """Rows as they arrive, whole but not checked."""
