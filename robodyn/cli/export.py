@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from typer import Option
 
-from robodyn.cli.options import Model, Out, Q
+from robodyn.cli.options import Model, Number, Out, Q
 from robodyn.cli.output import note
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
@@ -22,7 +22,7 @@ def export(
     ],
     q: Q = None,
     timestep: Annotated[
-        float | None, Option("--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.")
+        Number, Option("--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.")
     ] = None,
     out: Out = None,
 ) -> None:

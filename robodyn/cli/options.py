@@ -11,12 +11,13 @@ from typer import Option
 from robodyn.cli.files import input_argument, output_file
 from robodyn.errors import RobodynError
 
+Text = str | None  # of an option that may be left out
+Number = float | None
 Format = Literal["table", "csv", "json"]  # how a result is written
 StructuredFormat = Literal["table", "json"]  # how a result with matrices or parts is written
 PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
 _ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
-Text = str | None  # of an option that may be left out
 States = Annotated[Text, input_argument("[STATES]", _ROWS)]
 
 

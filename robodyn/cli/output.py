@@ -17,8 +17,7 @@ from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS, Writer
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from robodyn.tables.table import Array
 
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 
@@ -67,7 +66,7 @@ class TableView(Writer):
 
     cut = close
 
-    def _texts(self, values: NDArray[np.float64]) -> list[list[str]]:
+    def _texts(self, values: Array) -> list[list[str]]:
         return [[f"{x:.6g}" for x in column] for column in values.T.tolist()]
 
     def _text(self, value: float | str) -> str:

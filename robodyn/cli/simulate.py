@@ -13,7 +13,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Q, Qd, Quiet, Text
+from robodyn.cli.options import Model, Number, Q, Qd, Quiet, Text
 from robodyn.cli.output import note
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
@@ -42,10 +42,8 @@ def simulate(
     model: Model,
     q: Q = None,
     qd: Qd = None,
-    duration: Annotated[float | None, Option("--time", metavar="S", help=_TIME)] = None,
-    every: Annotated[
-        float | None, Option("--every", metavar="S", help="Time between rows, s.")
-    ] = None,
+    duration: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None,
+    every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None,
     points: Points = None,
     sources: TorqueOptions = TorqueOptions(),
     how: RunOptions = RunOptions(),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from typer import Option
 
 from robodyn.cli.files import input_file
-from robodyn.cli.options import EACH, Text, named_options, vector
+from robodyn.cli.options import EACH, Number, Text, named_options, vector
 from robodyn.cli.states import read_columns
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
@@ -77,8 +77,8 @@ class RunOptions:
     """How to start and to integrate."""
 
     method: Annotated[Method | None, Option("--method", help=_METHOD)] = None
-    rtol: Annotated[float | None, Option("--rtol", help=_RTOL)] = None
-    atol: Annotated[float | None, Option("--atol", help=_ATOL)] = None
+    rtol: Annotated[Number, Option("--rtol", help=_RTOL)] = None
+    atol: Annotated[Number, Option("--atol", help=_ATOL)] = None
     max_step: Annotated[
         float,
         Option(
@@ -88,7 +88,7 @@ class RunOptions:
             show_default=False,
         ),
     ] = math.inf
-    accuracy: Annotated[float | None, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
+    accuracy: Annotated[Number, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
     estimate_error: Annotated[bool, Option("--estimate-error", help=_ESTIMATE)] = False
     order: Annotated[int | None, Option("--order", metavar="N", help=_ORDER)] = None
     engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"

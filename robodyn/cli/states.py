@@ -21,10 +21,7 @@ from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from robodyn.tables.table import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Model, Quiet, Text, named_options
+from robodyn.cli.options import Model, Number, Quiet, Text, named_options
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
 from robodyn.cli.sweep_options import SweepOptions, plan_of
@@ -25,7 +25,7 @@ from robodyn.tables.csv_fields import quoted
 
 _WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
-_LOST = "How long to wait for a worker where the scheduler has lost all."
+_LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
@@ -36,10 +36,7 @@ def sweep(
     scheduler: Annotated[
         Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
     ] = None,
-    patience: Annotated[
-        float | None,
-        Option("--patience", metavar="S", help=f"{_LOST} Default: {PATIENCE:g}."),
-    ] = None,
+    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None,
     quiet: Quiet = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:

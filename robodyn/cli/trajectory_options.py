@@ -12,7 +12,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.files import input_file
-from robodyn.cli.options import EACH, Text, named_options, vector
+from robodyn.cli.options import EACH, Number, Text, named_options, vector
 from robodyn.cli.states import Quantity, option_source, read_columns, table_source
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
@@ -66,9 +66,7 @@ class TrajectoryOptions:
     via: Annotated[Text, input_file("--via", _VIA)] = None
     time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
     profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
-    acceleration: Annotated[float | None, Option("--acceleration", metavar="PART", help=_PART)] = (
-        None
-    )
+    acceleration: Annotated[Number, Option("--acceleration", metavar="PART", help=_PART)] = None
     ends: Annotated[Ends | None, Option("--ends", help=_ENDS)] = None
     speed: Annotated[Text, vector("--speed", _SPEED)] = None
     turns: Annotated[Text, vector("--turns", _TURNS)] = None

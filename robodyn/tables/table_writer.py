@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from robodyn.tables.table import Array
 
 
 class Writer:
