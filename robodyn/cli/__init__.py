@@ -108,6 +108,8 @@ def _application(arguments: list[str]) -> typer.Typer:
     called = next((word for word in arguments if not word.startswith("-")), None)
     completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
     chosen = (called,) if called in COMMANDS and not completing else COMMANDS
+    if arguments == ["--version"]:  # no command's part in that is worth its import
+        chosen = COMMANDS[:1]
     application = typer.Typer(
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},

@@ -9,20 +9,13 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
+from robodyn.cli import trajectory_options as ways
 from robodyn.cli.options import Format, Model, Out, OutputFormat, Text
 from robodyn.cli.output import note, row_writer
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
-from robodyn.cli.trajectory_options import (
-    TrajectoryOptions,
-    given_angles,
-    named,
-    points_from,
-    refuse,
-    sweep_from,
-    turning_from,
-)
+from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.quantities import parse_time
@@ -72,7 +65,7 @@ def trajectory(
     """
     mechanism = load(model)
     duration = given.duration()
-    with named(given):
+    with ways.named(given):
         limits = given.limits(mechanism)
     if given.acceleration is not None and given.profile != "trapezoidal":
         raise InputError("--acceleration", limit="is for --profile trapezoidal")
@@ -82,7 +75,7 @@ def trajectory(
     elif given.amplitude is not None or given.frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else value_from(every, parse_time, "--every", "2, 0.5s, 20ms")
-    with remarks(), named(given):
+    with remarks(), ways.named(given):
         with progress("following the loops") as watch:
             motion = _motion(mechanism, given, duration, limits, watch)
         _write(motion, output_times(motion.duration, step, points), format, out)
@@ -108,17 +101,17 @@ def _motion(
         return motion
 
     if given.profile == "sweep":
-        pose = given_angles(mechanism, given.from_, "from")
-        path, seconds = sweep_from(mechanism, pose, given, duration)
+        pose = ways.given_angles(mechanism, given.from_, "from")
+        path, seconds = ways.sweep_from(mechanism, pose, given, duration)
         return along(path, pose[None], seconds)
     if given.speed is not None or given.turns is not None:
         others = {"to": given.to, "via": given.via, "profile": given.profile, "ends": given.ends}
         refuse("--speed and --turns", **others)
-        pose = given_angles(mechanism, given.from_, "from", default=True)
-        path, seconds = turning_from(mechanism, pose, given, duration)
+        pose = ways.given_angles(mechanism, given.from_, "from", default=True)
+        path, seconds = ways.turning_from(mechanism, pose, given, duration)
         return along(path, pose[None], seconds)
 
-    points = points_from(mechanism, given)
+    points = ways.points_from(mechanism, given)
     if points.times is not None and duration is not None and not minimal:
         limit = f"{points.source} has the times (t): leave one of them out, or take min"
         raise InputError("--time", value=f"{duration:g}", limit=limit)

@@ -18,13 +18,7 @@ from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.per_joint import for_each_actuated
-from robodyn.scene.quantities import (
-    parse_angle,
-    parse_entries,
-    parse_number,
-    parse_rate,
-    parse_time,
-)
+from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
@@ -80,25 +74,29 @@ class TrajectoryOptions:
         """Seconds; NaN for the shortest."""
         if self.time in (None, "min"):
             return None if self.time is None else math.nan
-        return value_from(self.time, parse_time, "--time", "2, 0.5s, 20ms or min")
+        return value_from(self.time, quantities.parse_time, "--time", "2, 0.5s, 20ms or min")
 
     def limits(self, mechanism: Mechanism) -> Limits:
         return limits_of(
             mechanism,
-            _entries(self.max_qd, "--max-qd", parse_rate, "6.28, 60rpm or 90deg/s"),
+            _entries(self.max_qd, "--max-qd", quantities.parse_rate, "6.28, 60rpm or 90deg/s"),
             _entries(self.max_qdd, "--max-qdd", _angular_acceleration, "20 or 90deg/s^2"),
-            _entries(self.max_tau, "--max-tau", parse_number, "25"),
+            _entries(self.max_tau, "--max-tau", quantities.parse_number, "25"),
         )
 
 
 def _entries(
     text: str | None, option: str, parse: Callable[[str], float], example: str
 ) -> list[float] | None:
-    return None if text is None else parse_entries(text, parse, where=option, example=example)
+    return (
+        None
+        if text is None
+        else quantities.parse_entries(text, parse, where=option, example=example)
+    )
 
 
 def _angular_acceleration(text: str) -> float:
-    return parse_angle(text.removesuffix("/s^2"))
+    return quantities.parse_angle(text.removesuffix("/s^2"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +156,7 @@ def sweep_from(
     mechanism: Mechanism, pose: np.ndarray, given: TrajectoryOptions, duration: float | None
 ) -> tuple[JointPath, float]:
     """The sine sweep about a pose (n,), and its duration."""
-    sizes = _entries(given.amplitude, "--amplitude", parse_angle, "0.1 or 5deg")
+    sizes = _entries(given.amplitude, "--amplitude", quantities.parse_angle, "0.1 or 5deg")
     band = _entries(given.frequencies, "--frequencies", frequency_from, "0.2,5 (Hz)")
     if sizes is None or band is None:
         raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
@@ -181,8 +179,8 @@ def turning_from(
 ) -> tuple[JointPath, float]:
     """The path at constant speed, and its duration (NaN: the shortest)."""
     start = begin[list(mechanism.actuated)]
-    counts = _entries(given.turns, "--turns", parse_number, "1 or 0.5")
-    rates = _entries(given.speed, "--speed", parse_rate, "6.28, 60rpm or 360deg/s")
+    counts = _entries(given.turns, "--turns", quantities.parse_number, "1 or 0.5")
+    rates = _entries(given.speed, "--speed", quantities.parse_rate, "6.28, 60rpm or 360deg/s")
     if rates is None:
         assert counts is not None
         if duration is None:
