@@ -18,7 +18,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import load
-from robodyn.simulation.benchmark import Measurement, benchmark
+from robodyn.simulation.benchmark import benchmark
 
 MOST_REPEATS = 10_000
 COLUMNS = (
@@ -83,28 +83,20 @@ def bench(
         result = benchmark(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
+    short = default_format(format, out) == "table"  # two digits for people
     with row_writer(format, out, COLUMNS) as writer:
-        digits = 2 if default_format(format, out) == "table" else 17
-        for measurement in result.measurements:
-            writer.write_row([_shown(value, digits) for value in _row(measurement)])
+        for x in result.measurements:
+            values: list[float | str] = [x.method, x.tolerance, x.error, x.error_end]
+            values += [x.drift, x.gap, float(x.evaluations), float(x.steps)]
+            values += [1e3 * x.median, 1e3 * x.least]
+            if x.outcome != "finished":
+                values[2:4], values[8:10] = [x.outcome, ""], ["", ""]
+            for k, value in enumerate(values):
+                if isinstance(value, float) and short and not value.is_integer():
+                    values[k] = f"{value:.2g}"
+            writer.write_row([*values, "*" if x.front else ""])
     for line in result.left_out:
         note(f"left out: {line}")
     note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
     if plot is not None:
         work_precision(result, f"{mechanism.name}, {duration:g} s", plot)
-
-
-def _shown(value: float | str, digits: int) -> float | str:
-    """Two digits for people, who read it on a terminal."""
-    if isinstance(value, str) or digits > 15 or value.is_integer():
-        return value
-    return f"{value:.{digits}g}"
-
-
-def _row(x: Measurement) -> list[float | str]:
-    finished = x.outcome == "finished"
-    error: list[float | str] = [x.error, x.error_end] if finished else [x.outcome, ""]
-    times: list[float | str] = [1e3 * x.median, 1e3 * x.least] if finished else ["", ""]
-    counts = float(x.evaluations), float(x.steps)
-    front = "*" if x.front else ""
-    return [x.method, x.tolerance, *error, x.drift, x.gap, *counts, *times, front]

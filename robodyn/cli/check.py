@@ -198,13 +198,12 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             facts.append([label, " to ".join(span)])
     if content["closing"] is not None:
         facts.append(["closes at", f"{100 * content['closing']:.0f} % of positions"])
-    proof = [[item.name, *_verdict(item)] for item in results]
+    proof = []
+    for item in results:
+        verdict = ["", "M is singular"]
+        if item.residual is not None:
+            verdict = [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
+        proof.append([item.name, *verdict])
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
     read = Grid(columns, rows, mechanism.name)
     return [read, Grid(["", ""], facts), Grid(["identity", "residual", ""], proof, title)]
-
-
-def _verdict(item: Identity) -> list[str]:
-    if item.residual is None:
-        return ["", "M is singular"]
-    return [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]

@@ -157,12 +157,16 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
 
 def _tell(mechanism: Mechanism, facts: Report) -> None:
     """The summary on stderr."""
-    drift = "energy balance" if facts.work else "energy drift"
+    moving = facts.energy_in_motion
+    drift = f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"
+    if moving <= AT_REST * max(abs(facts.energy_start), moving):
+        drift = f"{facts.energy_drift * moving:.2g} J, at rest"
+    drift = f"energy {'balance' if facts.work else 'drift'}: {drift}"
     lines = [
         f"{facts.outcome}: t = {facts.t_reached:.6g} s, {facts.method} (rtol {facts.rtol:g}, "
         f"atol {facts.atol:g}), {facts.steps} steps, {facts.evaluations} evaluations, "
         f"{facts.seconds:.3g} s",
-        f"{drift}: {_part(facts)}" + (f"; work done {facts.work:.6g} J" if facts.work else ""),
+        drift + (f"; work done {facts.work:.6g} J" if facts.work else ""),
     ]
     if mechanism.rows:
         lines.append(
@@ -188,11 +192,3 @@ def _tell(mechanism: Mechanism, facts: Report) -> None:
     if facts.missed:
         lines.append(facts.missed)
     note("\n".join(lines))
-
-
-def _part(facts: Report) -> str:
-    """The drift as a part of the energy in motion, where there is more of that than rounding."""
-    moving = facts.energy_in_motion
-    if moving <= AT_REST * max(abs(facts.energy_start), moving):
-        return f"{facts.energy_drift * moving:.2g} J, at rest"
-    return f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"

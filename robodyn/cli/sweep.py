@@ -83,7 +83,8 @@ def sweep(
                 outcomes.update(rows.outcomes)
                 show((first + outcomes.total()) / size)
 
-    if out is None or out == "-" or not _is_file(out):
+    # devices and pipes are written as they come
+    if out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
         from robodyn.tables.output_file import open_output
 
         with open_output(out) as stream:
@@ -107,12 +108,6 @@ def sweep(
             file.finish()
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
-
-
-def _is_file(out: str) -> bool:
-    """Whether --out names a file, or one to be; devices and pipes are written as they come."""
-    path = Path(out)
-    return path.is_file() or not path.exists()
 
 
 def _lines(rows: Rows) -> bytes:

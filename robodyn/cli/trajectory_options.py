@@ -77,10 +77,13 @@ class TrajectoryOptions:
         return value_from(self.time, quantities.parse_time, "--time", "2, 0.5s, 20ms or min")
 
     def limits(self, mechanism: Mechanism) -> Limits:
+        def acceleration(text: str) -> float:
+            return quantities.parse_angle(text.removesuffix("/s^2"))
+
         return limits_of(
             mechanism,
             _entries(self.max_qd, "--max-qd", quantities.parse_rate, "6.28, 60rpm or 90deg/s"),
-            _entries(self.max_qdd, "--max-qdd", _angular_acceleration, "20 or 90deg/s^2"),
+            _entries(self.max_qdd, "--max-qdd", acceleration, "20 or 90deg/s^2"),
             _entries(self.max_tau, "--max-tau", quantities.parse_number, "25"),
         )
 
@@ -93,10 +96,6 @@ def _entries(
         if text is None
         else quantities.parse_entries(text, parse, where=option, example=example)
     )
-
-
-def _angular_acceleration(text: str) -> float:
-    return quantities.parse_angle(text.removesuffix("/s^2"))
 
 
 @dataclass(frozen=True, slots=True)
