@@ -32,8 +32,9 @@ def progress(
                 from rich.console import Console
                 from rich.progress import Progress
 
-                bar = shown.enter_context(Progress(console=Console(stderr=True), transient=True))
+                bar = Progress(console=Console(stderr=True), transient=True)
                 bar.add_task(doing, total=1.0)
+                shown.enter_context(bar)
             due = time.monotonic() + LIVELY
             bar.update(bar.task_ids[0], completed=part)
 
