@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 import tempfile
@@ -137,7 +136,7 @@ def test_the_numbers_of_a_shipped_scene_are_those_that_its_yaml_has(name: str) -
         numbers = {key: value for key, value in entry.items() if key != "from"}
         if isinstance(entry["r"], list):
             numbers["r"] = complex(*entry["r"])
-        assert numbers.items() <= dataclasses.asdict(link).items()
+        assert numbers.items() <= link._asdict().items()
     driven = plain.get("actuated", [entry["name"] for entry in plain["links"]])
     assert [found.links[k].name for k in build(found).actuated] == driven
 
@@ -217,7 +216,7 @@ def test_line_ends_byte_order_mark_and_document_marks_do_not_matter(
     text: str, scene: Callable[[str], Path]
 ) -> None:
     path = scene(text)
-    assert read(path) == dataclasses.replace(from_text(ARM, ""), source=str(path))
+    assert read(path) == from_text(ARM, "")._replace(source=str(path))
 
 
 # Files that are none

@@ -315,7 +315,7 @@ def wrong_closure(mech):
     """One link of the loop a tenth longer than the links are."""
     row = mech.rows[0]
     (k, p), *rest = row.P
-    rows = (dataclasses.replace(row, P=((k, 1.1 * p), *rest)), *mech.rows[1:])
+    rows = (row._replace(P=((k, 1.1 * p), *rest)), *mech.rows[1:])
     return dataclasses.replace(mech, rows=rows)
 
 

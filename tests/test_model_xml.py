@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields, replace
+from collections import namedtuple
 from xml.etree import ElementTree
 
 import pytest
@@ -28,8 +28,8 @@ def named(*names):
     """An arm with links of these names."""
     arm = robodyn.load(ROOT / "robots/3r.yaml").description
     link = arm.links[0]
-    links = (replace(link, name=name) for name in names)
-    return build(replace(arm, name=names[0], links=tuple(links)))
+    links = (link._replace(name=name) for name in names)
+    return build(arm._replace(name=names[0], links=tuple(links)))
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,9 @@ def test_any_names_make_models_that_can_be_read(names):
 def test_names_of_urdf_all_differ():
     """Joints and links too: some readers put both into one table."""
     arm = named("a", "a_link", "a_link_link", "ground", "a_payload")
-    links = tuple(replace(link, payload=0.5) for link in arm.description.links)
-    model = read_urdf(urdf(build(replace(arm.description, links=links))))
-    root = ElementTree.fromstring(urdf(build(replace(arm.description, links=links))))
+    links = tuple(link._replace(payload=0.5) for link in arm.description.links)
+    model = read_urdf(urdf(build(arm.description._replace(links=links))))
+    root = ElementTree.fromstring(urdf(build(arm.description._replace(links=links))))
     names = [element.get("name") for element in root if element.tag in ("link", "joint")]
     assert len(names) == 1 + 2 * 2 * arm.n
     assert len(set(names)) == len(names)
@@ -94,21 +94,15 @@ def test_numbers_read_back_exactly(value):
     assert number(-0.0) == "0.0"
 
 
-@dataclass(frozen=True, slots=True)
-class LaterLink(Link):
-    backlash: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class LaterDescription(Description):
-    magnets: tuple[str, ...] = ()
+LaterLink = namedtuple("LaterLink", (*Link._fields, "backlash"))
+LaterDescription = namedtuple("LaterDescription", (*Description._fields, "magnets"))
 
 
 def later(magnets=(), backlash=0.0):
     """A description with keys that a later scene format may add."""
     arm = robodyn.load(ROOT / "robots/2r.yaml").description
-    values = {field.name: getattr(arm, field.name) for field in fields(arm)}
-    first = {field.name: getattr(arm.links[0], field.name) for field in fields(Link)}
+    values = arm._asdict()
+    first = arm.links[0]._asdict()
     values["links"] = (LaterLink(**first, backlash=backlash), *arm.links[1:])
     return LaterDescription(**values, magnets=magnets)
 

@@ -66,11 +66,11 @@ class Entries:
                 return self._load(
                     weights=named.weights,
                     moments=named.moments,
-                    springs=tuple(replace(x, damping=0.0) for x in named.springs),
+                    springs=tuple(x._replace(damping=0.0) for x in named.springs),
                     joint_springs=named.joint_springs,
                 )
             case "Q":
-                springs = tuple(replace(x, stiffness=0.0) for x in named.springs if x.damping)
+                springs = tuple(x._replace(stiffness=0.0) for x in named.springs if x.damping)
                 forces, friction = named.forces, named.friction
                 load = self._load(
                     weights=self.drag, springs=springs, forces=forces, friction=friction

@@ -14,7 +14,7 @@ scene is no symbol: it drops out, and `zero` tells its name.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -78,9 +78,8 @@ class Parameters:
         for k, link in enumerate(description.links):
             if link.friction is not None and link.friction.torque:
                 numbers = self._numbers("friction", k, link.friction, link.name)
-                links[k] = replace(links[k], friction=replace(link.friction, **numbers))
-        self.scene: Any = replace(
-            description,
+                links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
+        self.scene: Any = description._replace(
             gravity=gravity,
             links=tuple(links),
             closures=tuple(closures),
@@ -103,7 +102,7 @@ class Parameters:
             name, place = f"p{k + 1}{{}}", (above, "p")
             meaning = f"pivot of {link.name} {self._on(link.hangs_from)}"
         hangs_from = self._point(link.hangs_from, name, place, meaning)
-        return replace(link, **numbers, hangs_from=hangs_from, friction=None)
+        return link._replace(**numbers, hangs_from=hangs_from, friction=None)
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along
@@ -159,27 +158,26 @@ class Parameters:
         told = f"spring {i + 1}"
         if isinstance(spring, JointSpring):
             told += f", at the joint of {self.description.links[spring.joint].name}"
-            return replace(spring, **self._numbers("joint_spring", i, spring, told))
+            return spring._replace(**self._numbers("joint_spring", i, spring, told))
         numbers = self._numbers("point_spring", i, spring, told)
         place = len(self.description.links) + i  # after lengths
         first, second = (
             self._point(end, f"{x}{i + 1}{{}}", (place, x), f"end of {told} {self._on(end)}")
             for x, end in (("e", spring.first), ("h", spring.second))
         )
-        return replace(spring, first=first, second=second, **numbers)
+        return spring._replace(first=first, second=second, **numbers)
 
     def _load(self, i: int, load: Load | Moment) -> Load | Moment:
         told = f"load {i + 1}"
         if isinstance(load, Moment):
             on = f"{told} on {self.description.links[load.link].name}"
             torque: Any = self._number("torque", "torque", i, load.torque, on, load.link)
-            return replace(load, torque=torque)
+            return load._replace(torque=torque)
         frame = "its link's frame" if load.turns else "the ground's frame"
         numbers = self._numbers("force", i, load, f"{told}, in {frame}")
         meaning = f"point of {told} {self._on(load.point)}"
-        return replace(
-            load, point=self._point(load.point, f"c{i + 1}{{}}", (i, "c"), meaning), **numbers
-        )
+        point = self._point(load.point, f"c{i + 1}{{}}", (i, "c"), meaning)
+        return load._replace(point=point, **numbers)
 
     # -- numbers and points --------------------------------------------------------------------
 

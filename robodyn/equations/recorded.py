@@ -7,7 +7,7 @@ these, record the equations of motion.
 from __future__ import annotations
 
 import math
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from typing import Any
@@ -18,7 +18,7 @@ from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
-from robodyn.equations.symbolic import Sum
+from robodyn.equations.symbolic import Planar, Sum
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
@@ -84,9 +84,9 @@ class _Numbers:
         if isinstance(item, Sum):
             return self._real(item)
         if isinstance(item, tuple):
-            return tuple(map(self, item))
-        if is_dataclass(item) and not isinstance(item, type):
-            return replace(item, **{x.name: self(getattr(item, x.name)) for x in fields(item)})
+            return item._make(map(self, item)) if hasattr(item, "_make") else tuple(map(self, item))
+        if isinstance(item, Planar):
+            return Planar(self(item.real), self(item.imag))
         return item
 
     def _real(self, sum_: Sum) -> Value:

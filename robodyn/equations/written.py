@@ -235,15 +235,15 @@ class _Springs:
                 named = of(_pull("K", i)) if spring.length else spring.stiffness
                 pulls += _loads(spring, S * named)
             elif spring.stiffness:
-                left.append(replace(spring, damping=ZERO))
+                left.append(spring._replace(damping=ZERO))
             if spring.damping:
                 drags += _loads(spring, S * of(_pull("P", i)))
         loads = (*scene.loads, *pulls)
-        self.mechanism = constants(replace(scene, springs=tuple(left), loads=loads))
-        nothing = replace(scene, gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
+        self.mechanism = constants(scene._replace(springs=tuple(left), loads=loads))
+        nothing = scene._replace(gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
         self.drag = constants(nothing).weights
         pins = tuple(Closure(x.first, x.second) for x in self.springs.values())
-        rows = tuple(closure_rows(replace(scene, closures=pins), self.tree))
+        rows = tuple(closure_rows(scene._replace(closures=pins), self.tree))
         gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
         self.gaps = dict(zip(self.springs, zip(gaps[::2], gaps[1::2], strict=True), strict=True))
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import fields
 from xml.etree import ElementTree
 
 from robodyn import __version__
@@ -103,7 +102,7 @@ def refuse_unsaid(
     links = enumerate(description.links)
     holders += [(f"links[{k}] ({link.name}).", link, LINK_SAID) for k, link in links]
     for place, holder, said in holders:
-        for key in (field.name for field in fields(holder) if field.name not in {*said, *more}):
+        for key in (name for name in holder._fields if name not in {*said, *more}):
             value = getattr(holder, key)
             if value and getattr(value, "torque", True):  # friction without torque is none
                 shown = value if isinstance(value, (int, float, str)) else None

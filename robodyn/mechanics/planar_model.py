@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar, overload
+from typing import TYPE_CHECKING, NamedTuple, TypeVar, overload
 
 from robodyn.scene.scene import Description, Friction, JointSpring
 
@@ -50,16 +50,14 @@ class OnDemand(Sequence[T]):
         return {"_recipe": self._recipe}
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarPoint:
+class PlanarPoint(NamedTuple):
     """A point `constant + sum_k coefficient_k E_k` of the mechanism, m."""
 
     constant: complex
     terms: Terms
 
 
-@dataclass(frozen=True, slots=True)
-class ClosureRow:
+class ClosureRow(NamedTuple):
     """One real equation `Re(sum_k P_k E_k) + sum_k angles_k alpha_k + offset = 0`, m.
 
     Of a closure it has no `angles`.  `direction` is the unit vector along which the gap (first side
@@ -81,8 +79,7 @@ class ClosureRow:
         return sum(abs(p) for _, p in self.P) + sum(abs(a) for _, a in self.angles)
 
 
-@dataclass(frozen=True, slots=True)
-class PointSpring:
+class PointSpring(NamedTuple):
     """A spring between points of two links (None: the ground): `between`, first less second."""
 
     first: int | None
@@ -94,8 +91,7 @@ class PointSpring:
     damping: float  # N s/m
 
 
-@dataclass(frozen=True, slots=True)
-class Force:
+class Force(NamedTuple):
     """A constant force at a point of a link, N; one that turns with the link has no potential."""
 
     link: int
@@ -175,8 +171,7 @@ class Mechanism:
         return {key: value for key, value in self.__dict__.items() if key != "arrays"}
 
 
-@dataclass(frozen=True, slots=True)
-class Arrays:
+class Arrays(NamedTuple):
     """The constants of a mechanism as read-only dense arrays; n links, r closure rows."""
 
     A: NDArray[np.complex128]  # (n, n) Hermitian, kg m^2
@@ -222,8 +217,8 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         weights=np.array(mechanism.weights, complex),
         moments=np.array(mechanism.moments, float),
     )
-    for name in Arrays.__slots__:
-        getattr(arrays, name).flags.writeable = False
+    for array in arrays:
+        array.flags.writeable = False
     return arrays
 
 

@@ -6,30 +6,27 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
+class Point(NamedTuple):
     """A point of a link (its index; `at` in the link's frame) or of the ground (link None), m."""
 
     link: int | None
     at: complex
 
 
-@dataclass(frozen=True, slots=True)
-class Friction:
+class Friction(NamedTuple):
     """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it."""
 
     torque: float
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
-class Link:
+class Link(NamedTuple):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs."""
 
     name: str
@@ -43,8 +40,7 @@ class Link:
     friction: Friction | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Spring:
+class Spring(NamedTuple):
     """A spring (N/m, free length m) and damper (N s/m) between two points."""
 
     first: Point
@@ -54,8 +50,7 @@ class Spring:
     damping: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class JointSpring:
+class JointSpring(NamedTuple):
     """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint."""
 
     joint: int
@@ -64,8 +59,7 @@ class JointSpring:
     damping: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(NamedTuple):
     """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
 
     point: Point
@@ -73,16 +67,14 @@ class Load:
     turns: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """A constant torque on a link, N m."""
 
     link: int
     torque: float
 
 
-@dataclass(frozen=True, slots=True)
-class Closure:
+class Closure(NamedTuple):
     """Two points that coincide, or, with `along`, a point held on the line through `second`."""
 
     first: Point
@@ -90,8 +82,7 @@ class Closure:
     along: complex | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Coupling:
+class Coupling(NamedTuple):
     """A gear or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`, rad."""
 
     joint: int
@@ -99,8 +90,7 @@ class Coupling:
     angle: float
 
 
-@dataclass(frozen=True, slots=True)
-class Description:
+class Description(NamedTuple):
     """What a scene file says; `source` is the file's name for messages."""
 
     source: str

@@ -9,7 +9,7 @@ part of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -270,9 +270,8 @@ def _rates(mechanism: Mechanism, actuation: Actuation) -> Callable[[Any, Long], 
 
 def _constants(mechanism: Mechanism) -> Any:
     """The arrays of the mechanism in extended precision."""
-    given = {name: getattr(mechanism.arrays, name) for name in Arrays.__slots__}
-    kinds = {name: COMPLEX if np.iscomplexobj(x) else LONG for name, x in given.items()}
-    return Arrays(**{name: x.astype(kinds[name]) for name, x in given.items()})
+    given: Iterable[Any] = mechanism.arrays
+    return Arrays(*(x.astype(COMPLEX if np.iscomplexobj(x) else LONG) for x in given))
 
 
 def solve_columns(matrix: Long, columns: Long) -> Long:

@@ -22,7 +22,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -61,7 +61,7 @@ TARGETS = (1e-6, 1e-9, 1e-12)
 
 def opened(mechanism: Mechanism) -> Mechanism:
     """The tree of a mechanism, every joint actuated."""
-    parts = replace(mechanism.description, closures=(), branches=(), actuated=None)
+    parts = mechanism.description._replace(closures=(), branches=(), actuated=None)
     return build(parts)
 
 
