@@ -77,12 +77,6 @@ def absolute_inertia(mechanism: Mechanism, E: NDArray[np.complex128]) -> NDArray
     return W
 
 
-def absolute_gravity(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
-    """G in alpha, of weights and constant forces and torques, (..., n)."""
-    G: Array = (mechanism.arrays.weights * E).imag - mechanism.arrays.moments
-    return G
-
-
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     """M of equation (1), (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
 
@@ -111,7 +105,8 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     with a free length coincide.
     """
     E = phases(mechanism, q)
-    G: Array = absolute_gravity(mechanism, E) @ mechanism.arrays.J
+    arrays = mechanism.arrays
+    G: Array = ((arrays.weights * E).imag - arrays.moments) @ arrays.J
     if mechanism.springs or mechanism.joint_springs:
         G = G - forces.potential_torques(mechanism, np.asarray(q, float), E)
     return G
@@ -128,23 +123,16 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def scene_torques(
-    mechanism: Mechanism,
-    q: Array,
-    qd: Array,
-    E: NDArray[np.complex128],
-    rates: Array | None = None,
+    mechanism: Mechanism, q: Array, qd: Array, E: NDArray[np.complex128], rates: Array
 ) -> Array:
-    """The joint torques of springs and of Q together, (..., n), N m; `rates` is alphad if known."""
-    rates = absolute_rates(mechanism, qd) if rates is None else rates
+    """The joint torques of springs and of Q together, (..., n), N m; `rates` is alphad."""
     torques = forces.potential_torques(mechanism, q, E)
     return torques + forces.other_torques(mechanism, qd, E, rates)
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """KE = 1/2 qd^T M qd, (...), J."""
-    v = phases(mechanism, q) * absolute_rates(mechanism, qd)
-    KE: Array = 0.5 * np.einsum("...j,...j->...", v.conj(), v @ mechanism.arrays.A.T).real
-    return KE
+    return energies(mechanism, q, qd)[0]
 
 
 def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -153,25 +141,20 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
     That of gravity is zero at the origin's height, that of a force where its point is at the
     origin, that of a torque where its link points along +X.
     """
-    return _potential(mechanism, q, phases(mechanism, q))
+    return energies(mechanism, q, np.zeros(mechanism.n))[1]
 
 
-def _potential(mechanism: Mechanism, q: ArrayLike, E: NDArray[np.complex128]) -> Array:
-    arrays = mechanism.arrays
+def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """KE and PE, (...), J, of the same states: the links' directions are found once."""
+    arrays, E = mechanism.arrays, phases(mechanism, q)
+    v = E * absolute_rates(mechanism, qd)
+    KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
     PE: Array = mechanism.energy_offset - (E @ arrays.weights).real
     if any(mechanism.moments):
         PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
     if mechanism.springs or mechanism.joint_springs:
         PE = PE + forces.spring_energy(mechanism, np.asarray(q, float), E)
-    return PE
-
-
-def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
-    """KE and PE, (...), J, of the same states: the links' directions are found once."""
-    E = phases(mechanism, q)
-    v = E * absolute_rates(mechanism, qd)
-    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
-    return KE, _potential(mechanism, q, E)
+    return KE, PE
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -217,16 +200,11 @@ def point_motion(
 
     Rates and accelerations not given are zero.
     """
-    coefficients = coefficient_matrix(points, mechanism.n)
-    E = phases(mechanism, q)
+    c, E = coefficient_matrix(points, mechanism.n), phases(mechanism, q)
     zero = np.zeros(mechanism.n)
     rates = absolute_rates(mechanism, zero if qd is None else qd)
-    accelerations = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
-
-    def cartesian(z: NDArray[np.complex128]) -> Array:
-        return np.stack([z.real, z.imag], axis=-1)
-
-    position = E @ coefficients.T + np.array([point.constant for point in points])
-    velocity = (1j * E * rates) @ coefficients.T
-    acceleration = (E * (1j * accelerations - rates**2)) @ coefficients.T
-    return cartesian(position), cartesian(velocity), cartesian(acceleration)
+    turning = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
+    position = E @ c.T + np.array([point.constant for point in points])
+    moved = position, (1j * E * rates) @ c.T, (E * (1j * turning - rates**2)) @ c.T
+    x, v, a = (np.stack([z.real, z.imag], axis=-1) for z in moved)
+    return x, v, a

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import (
-    absolute_gravity,
     absolute_inertia,
     absolute_jacobian,
     absolute_rates,
@@ -62,17 +61,25 @@ class Accelerations(NamedTuple):
 
 
 def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
-    """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m.
+    """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
+    links, joints = _loads(mechanism, q, qd, qdd)
+    load: Array = links @ mechanism.arrays.J + joints
+    return load
 
-    In absolute angles it is Re(conj(E) (A (E (alphadd + i alphad^2)))) + G.
+
+def _loads(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+    """The parts of `required_load` that act on links, in absolute angles, and at joints.
+
+    Those on links are Re(conj(E) (A (E (alphadd + i alphad^2)))) + Im(weights E) - moments.
     """
-    arrays = mechanism.arrays
-    E = phases(mechanism, q)
+    arrays, E = mechanism.arrays, phases(mechanism, q)
     rates = absolute_rates(mechanism, qd)
     inner = E * (absolute_rates(mechanism, qdd, "qdd") + 1j * rates**2)
-    load = (E.conj() * (inner @ arrays.A.T)).real + absolute_gravity(mechanism, E)
-    result: Array = load @ arrays.J + arrays.damping * qd
-    return result - scene_torques(mechanism, q, qd, E) if mechanism.has_state_forces else result
+    links = (E.conj() * (inner @ arrays.A.T)).real + (arrays.weights * E).imag - arrays.moments
+    joints = arrays.damping * qd
+    if mechanism.has_state_forces:
+        joints = joints - scene_torques(mechanism, q, qd, E, rates)
+    return links, joints
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -83,17 +90,14 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     n, actuated = mechanism.n, list(mechanism.actuated)
     s = _decompose(mechanism, closure_jacobian(mechanism, q))
     # a projector serves as N here: states of different rank go together
-    kept = s.V * s.keep[..., None, :]
+    kept = s.V * (np.arange(n) < s.rank[..., None])[..., None, :]
     freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
     driven = freedoms[..., :, actuated]
     wanted = _times(freedoms, load)
     tau = np.zeros_like(load)
     # cut against 1, the projector's size: at a dead centre nothing but rounding is driven
     U, drive, Vt = svd(driven)
-    counts = drive > RANK_CUT
-    inverse = np.where(counts, 1.0 / np.where(counts, drive, 1.0), 0.0)
-    drives = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
-    tau[..., actuated] = _times(drives, wanted)
+    tau[..., actuated] = _times(_pseudo_inverse(U, drive, Vt, RANK_CUT), wanted)
     missing = np.abs(wanted - _times(driven, tau[..., actuated])).max(axis=-1)
     excess = missing - BALANCE * np.abs(load).max(axis=-1)
     if (excess > 0.0).any():
@@ -104,10 +108,10 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         least = int((n - s.rank).min())
         freedom = "1 freedom" if least == 1 else f"{least} freedoms"
         remarks.insert(0, f"{len(actuated)} actuators on {freedom}: torques of least norm")
-    if (counts.sum(axis=-1) < np.minimum(len(actuated), n - s.rank)).any():
+    if ((drive > RANK_CUT).sum(axis=-1) < np.minimum(len(actuated), n - s.rank)).any():
         at = "dead centre: the actuators cannot drive every freedom here"
         remarks.insert(0, f"{at}: torques of least norm")
-    multipliers = _times(np.swapaxes(s.pseudo_inverse, -1, -2), load - tau)
+    multipliers = _times(np.swapaxes(s.inverse, -1, -2), load - tau)
     return Torques(tau, multipliers, "; ".join(remarks))
 
 
@@ -118,23 +122,18 @@ def forward(
 
     A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
     """
-    arrays = mechanism.arrays
-    E = phases(mechanism, q)
-    rates = absolute_rates(mechanism, qd)
-    W = absolute_inertia(mechanism, E)
-    M = W.real  # all of this in absolute angles
-    joint = tau - arrays.damping * qd
-    if mechanism.has_state_forces:
-        joint = joint + scene_torques(mechanism, q, qd, E)
-    force = joint @ np.linalg.inv(arrays.J)  # J^-1 has entries 0, 1, -1
-    force = force + _times(W.imag, rates**2) - absolute_gravity(mechanism, E)
+    E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
+    M = absolute_inertia(mechanism, E).real  # all of this in absolute angles
+    links, joints = _loads(mechanism, q, qd, np.zeros(mechanism.n))
+    force = (tau - joints) @ np.linalg.inv(mechanism.arrays.J)  # J^-1 has entries 0, 1, -1
+    force = force - links
     Psi = absolute_jacobian(mechanism, E)
     bend = closure_bias(mechanism, q, qd)
     if baumgarte:
         gapd = _times(Psi, rates)
         bend = bend + 2 * baumgarte * gapd + baumgarte**2 * closure_gap(mechanism, q)
     s = _decompose(mechanism, Psi)
-    particular = -_times(s.pseudo_inverse, bend)
+    particular = -_times(s.inverse, bend)
     right = force - _times(M, particular)
     free = np.zeros_like(right)
     for rank in np.unique(s.rank):  # as a rule there is one
@@ -142,7 +141,7 @@ def forward(
         free[at] = _along_freedoms(mechanism, s.V[at][..., rank:], M[at], right[at])
     acceleration = particular + free
     unbalanced = _times(M, acceleration) - force
-    multipliers = _times(np.swapaxes(s.pseudo_inverse, -1, -2), unbalanced)
+    multipliers = _times(np.swapaxes(s.inverse, -1, -2), unbalanced)
     qdd = acceleration.copy()
     for k, above in enumerate(mechanism.parent):
         if above is not None:
@@ -181,25 +180,26 @@ def check_actuators(mechanism: Mechanism, q: Array) -> None:
 
 
 class _Decomposition(NamedTuple):
-    """Psi = U diag(s) V^T: V (..., n, n), which s count (..., n), their number, Psi's inverse."""
+    """Psi = U diag(s) V^T: V (..., n, n), how many s count (...), and Psi's pseudo-inverse."""
 
     V: Array
-    keep: NDArray[np.bool_]
     rank: NDArray[np.int64]
-    pseudo_inverse: Array
+    inverse: Array
 
 
 def _decompose(mechanism: Mechanism, Psi: Array) -> _Decomposition:
-    r, n = Psi.shape[-2:]
     U, s, Vt = svd(Psi, full=True)
-    V = np.swapaxes(Vt, -1, -2)
-    counts = s > RANK_CUT * loop_size(mechanism)
+    k, cut = s.shape[-1], RANK_CUT * loop_size(mechanism)
+    inverse = _pseudo_inverse(U[..., :, :k], s, Vt[..., :k, :], cut)
+    return _Decomposition(np.swapaxes(Vt, -1, -2), (s > cut).sum(axis=-1), inverse)
+
+
+def _pseudo_inverse(U: Array, s: Array, Vt: Array, cut: float) -> Array:
+    """V diag(1/s) U^T, without the singular values up to `cut`."""
+    counts = s > cut
     inverse = np.where(counts, 1.0 / np.where(counts, s, 1.0), 0.0)
-    k = min(r, n)
-    pseudo_inverse = (V[..., :, :k] * inverse[..., None, :]) @ np.swapaxes(U[..., :, :k], -1, -2)
-    keep = np.zeros((*counts.shape[:-1], n), bool)
-    keep[..., :k] = counts
-    return _Decomposition(V, keep, counts.sum(axis=-1), pseudo_inverse)
+    found: Array = (np.swapaxes(Vt, -1, -2) * inverse[..., None, :]) @ np.swapaxes(U, -1, -2)
+    return found
 
 
 def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> Array:
@@ -216,8 +216,13 @@ def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> A
     if (least < MASS_CUT).any():
         worst = int(np.argmin(least))
         _, vectors = np.linalg.eigh(reduced[worst])
-        motion = N[worst] @ vectors[:, 0]
-        raise _no_inertia(mechanism, int(np.argmax(np.abs(motion))))
+        link = int(np.argmax(np.abs(N[worst] @ vectors[:, 0])))
+        raise SingularError(
+            f"link {mechanism.link_names[link]} can move without any inertia",
+            where=mechanism.source,
+            limit="its acceleration is undefined; give it, or what it carries, a mass or an "
+            "inertia",
+        )
     z = np.linalg.solve(scaled, (_times(Nt, right) / scale)[..., None])[..., 0] / scale
     return _times(N, z)
 
@@ -237,7 +242,7 @@ def _free_joint(mechanism: Mechanism, q: Array) -> str:
     """The joint that moves most when every actuated joint is held."""
     held = np.eye(mechanism.n)[list(mechanism.actuated)]
     s = _decompose(mechanism, np.vstack([closure_jacobian(mechanism, q), held]))
-    joint = int(np.argmax((s.V**2 * ~s.keep).sum(axis=-1)))
+    joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))
     return f"q{joint + 1} ({mechanism.link_names[joint]})"
 
 
@@ -249,12 +254,4 @@ def _cannot_drive(mechanism: Mechanism, q: Array, rank: int) -> SingularError:
         f"singular configuration ({kind}) at q = {at}",
         where=mechanism.source,
         limit=f"no torque of the actuated joints makes this motion: joint {joint} is free here",
-    )
-
-
-def _no_inertia(mechanism: Mechanism, link: int) -> SingularError:
-    return SingularError(
-        f"link {mechanism.link_names[link]} can move without any inertia",
-        where=mechanism.source,
-        limit="its acceleration is undefined; give it, or what it carries, a mass or an inertia",
     )

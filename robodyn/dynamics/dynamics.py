@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -45,11 +45,11 @@ PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivot
 BATCH = 200  # from so many states on generated array code wins, its generation included
 
 
+Solution = TypeVar("Solution", Torques, Accelerations)
+
+
 class RobodynWarning(UserWarning):
     """A result that is right but not the only one, or near a limit."""
-
-
-Solution = TypeVar("Solution", Torques, Accelerations)
 
 
 def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
@@ -61,25 +61,14 @@ def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: Arr
     where the mechanism has fewer actuators than freedoms, SingularError where no torque at the
     actuated joints can make the motion.
     """
-    return _inverse_batch(mechanism, q, qd, qdd, arrays=1).tau
+    return _batch(mechanism, "inverse", 1, q=q, qd=qd, qdd=qdd)[0]
 
 
 def inverse_dynamics_and_forces(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
 ) -> Torques:
     """`inverse_dynamics` and the multipliers of the closures; see there."""
-    return _inverse_batch(mechanism, q, qd, qdd, arrays=2)
-
-
-def _inverse_batch(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, arrays: int
-) -> Torques:
-    states = _states(mechanism, q=q, qd=qd, qdd=qdd)
-    check_actuators(mechanism, states["q"])
-    rows = _generated("inverse", mechanism) if _worth(mechanism, states["q"]) else None
-    if rows is None:
-        return _warned(_inverse(mechanism, *_finite(states)))
-    return _warned(Torques(*_run(mechanism, rows, _inverse, states, arrays)))
+    return Torques(*_batch(mechanism, "inverse", 2, q=q, qd=qd, qdd=qdd))
 
 
 def forward_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike) -> Array:
@@ -88,49 +77,109 @@ def forward_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: Arr
     q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
     Raises InputError for arrays that do not fit, SingularError where a freedom has no inertia.
     """
-    return _forward_batch(mechanism, q, qd, tau, arrays=1).qdd
+    return _batch(mechanism, "forward", 1, q=q, qd=qd, tau=tau)[0]
 
 
 def forward_dynamics_and_forces(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike
 ) -> Accelerations:
     """`forward_dynamics` and the multipliers of the closures; see there."""
-    return _forward_batch(mechanism, q, qd, tau, arrays=2)
+    return Accelerations(*_batch(mechanism, "forward", 2, q=q, qd=qd, tau=tau))
 
 
-def _forward_batch(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, arrays: int
-) -> Accelerations:
-    states = _states(mechanism, q=q, qd=qd, tau=tau)
+def _batch(
+    mechanism: Mechanism, kind: str, wanted: int, **given: ArrayLike
+) -> tuple[Array, Array, str]:
+    """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
+    each = [n_wide(mechanism, name, value) for name, value in given.items()]
+    try:
+        states = dict(zip(given, np.broadcast_arrays(*each), strict=True))
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in each)
+        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+
+    def check() -> None:
+        for name, array in states.items():
+            finite(name, array)
+
+    dense = _inverse if kind == "inverse" else _forward
+    q = states["q"]
+    if kind == "inverse":
+        check_actuators(mechanism, q)
     rows = None
-    if _worth(mechanism, states["q"]) and _regular_everywhere(mechanism):
-        rows = _generated("forward", mechanism)
+    if q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED:
+        rows = _generated(kind, mechanism)
     if rows is None:
-        return _warned(_forward(mechanism, *_finite(states)))
-    return _warned(Accelerations(*_run(mechanism, rows, _forward, states, arrays)))
+        check()
+        joints, forces, remark = dense(mechanism, *states.values())
+    else:
+        flat, remark = [state.reshape(-1, mechanism.n) for state in states.values()], ""
+        found, doubtful = rows.run(flat, wanted, check)
+        if doubtful.size:
+            solution = dense(mechanism, *(state[doubtful] for state in flat))
+            for array, values in zip(found, solution[:2], strict=False):
+                array[doubtful] = values
+            remark = solution.remark
+        joints, forces, *_ = (*found, np.zeros((0, 0)))
+        joints = joints.reshape(*q.shape[:-1], -1)
+        if wanted > 1:
+            forces = forces.reshape(*q.shape[:-1], forces.shape[1])
+    if remark:
+        warnings.warn(remark, RobodynWarning, stacklevel=3)
+    return joints, forces, remark
+
+
+@lru_cache(maxsize=64)
+def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
+    """The formula over batches; None where there is none.
+
+    M must be eliminated at every configuration, so that no state need be asked.  As x^T M x =
+    Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below A's least.
+    """
+
+    def record(parameters: bool) -> Formula | None:
+        if kind == "inverse":
+            return formulas.inverse_formula(mechanism, parameters)
+        return formulas.forward_formula(mechanism, parameters=parameters)
+
+    if kind == "forward":
+        if not elimination_is_safe(mechanism):
+            return None
+        A = mechanism.arrays.A
+        scale = np.sqrt(A.diagonal().real)
+        if not np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT:
+            return None
+    formula = record(False)
+    if formula is None:
+        return None
+    return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
+
+
+# -- few states, or near singular ones -------------------------------------------------------------
 
 
 def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
     """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
     if not mechanism.rows or not q.size:
         return dense_dynamics.forward(mechanism, q, qd, tau)
-    Psi = closed_form.closure_jacobian(mechanism, q)
-    near = change_points.nearness(mechanism, Psi)
+    near = change_points.nearness(mechanism, closed_form.closure_jacobian(mechanism, q))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
         q = q.copy()
         q[close] = close_positions(mechanism, q[close])
     found = dense_dynamics.forward(mechanism, q, qd, tau)
-    qdd, multipliers, quality = found.qdd, found.multipliers, near**2
-    for state in map(tuple, np.argwhere(quality < change_points.SUSPECT)):
-        beside = partial(_accelerations_beside, mechanism, tau[state])
-        led = _lead_across(mechanism, (q[state], qd[state]), beside)
+    suspect = near**2 < change_points.SUSPECT
+    for state in map(tuple, np.argwhere(suspect)):
+
+        def beside(q: Array, qd: Array, tau: Array = tau[state]) -> Array:
+            return dense_dynamics.forward(mechanism, q, qd, tau).qdd
+
+        led = _lead_across(mechanism, q[state], qd[state], beside)
         if led is not None:
-            qdd[state] = led
-            load = required_load(mechanism, q[state], qd[state], qdd[state]) - tau[state]
-            multipliers[state] = np.linalg.pinv(Psi[state].T, rcond=RANK_CUT) @ load
-    missed = change_points.miss_remark(mechanism, q[quality < change_points.SUSPECT])
-    return found._replace(remark="; ".join(filter(None, (found.remark, missed))))
+            found.qdd[state] = led
+            load = required_load(mechanism, q[state], qd[state], led) - tau[state]
+            found.multipliers[state] = _multipliers(mechanism, q[state], load)
+    return _missed(mechanism, found, q[suspect])
 
 
 def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -140,8 +189,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         if not mechanism.rows or not q.size:
             return found
         near = change_points.nearness(mechanism, closed_form.closure_jacobian(mechanism, q))
-        missed = change_points.miss_remark(mechanism, q[near < change_points.NEAR])
-        return found._replace(remark="; ".join(filter(None, (found.remark, missed))))
+        return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
         if not mechanism.rows:
             raise
@@ -153,48 +201,49 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             tau = np.reshape([x.tau for x in each], q.shape)
             multipliers = np.reshape([x.multipliers for x in each], (*q.shape[:-1], -1))
             return Torques(tau, multipliers, max((x.remark for x in each), key=len))
-        beside = partial(_torques_beside, mechanism, qdd)
-        led = _lead_across(mechanism, (q, qd), beside)
+
+        def beside(q: Array, qd: Array) -> Array:
+            """The torques of closed states (k, n) for what is nearest to qdd and closes."""
+            Psi = closed_form.closure_jacobian(mechanism, q)
+            opening = Psi @ qdd + closed_form.closure_bias(mechanism, q, qd)
+            closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+            return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
+
+        led = _lead_across(mechanism, q, qd, beside)
         if led is None:
             raise
-        tau = led
-    load = required_load(mechanism, q, qd, qdd) - tau
-    Psi_T = closed_form.closure_jacobian(mechanism, q).T
-    multipliers = np.linalg.pinv(Psi_T, rcond=RANK_CUT) @ load
+    multipliers = _multipliers(mechanism, q, required_load(mechanism, q, qd, qdd) - led)
     remark = "change point: torques of the motion straight across; pin forces are not unique there"
-    return Torques(tau, multipliers, remark)
+    return Torques(led, multipliers, remark)
 
 
-def _accelerations_beside(mechanism: Mechanism, tau: Array, q: Array, qd: Array) -> Array:
-    return dense_dynamics.forward(mechanism, q, qd, tau).qdd
+def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
+    """With a remark where one of the states is near a change point that the loops just miss."""
+    remarks = (found.remark, change_points.miss_remark(mechanism, states))
+    return found._replace(remark="; ".join(filter(None, remarks)))
 
 
-def _torques_beside(mechanism: Mechanism, qdd: Array, q: Array, qd: Array) -> Array:
-    """The torques of closed states (k, n) for the accelerations nearest to qdd (n,) that close."""
+def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
+    """Those of least norm that balance a load at q (n,)."""
     Psi = closed_form.closure_jacobian(mechanism, q)
-    opening = np.einsum("kij,j->ki", Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
-    closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
-    return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
+    found: Array = np.linalg.pinv(Psi.T, rcond=RANK_CUT) @ load
+    return found
 
 
 def _lead_across(
-    mechanism: Mechanism,
-    state: tuple[Array, Array],
-    evaluate: Callable[[Array, Array], Array],
+    mechanism: Mechanism, q: Array, qd: Array, evaluate: Callable[[Array, Array], Array]
 ) -> Array | None:
     """`change_points.lead_across` of a function of q and qd."""
-    n = mechanism.n
-    near = change_points.nearest_singular(mechanism, state[0])
+    near = change_points.nearest_singular(mechanism, q)
     if near is None or not near.crosses:
         return None
-    closing = projection.dense_closing(mechanism)
+    closing, y = projection.dense_closing(mechanism), np.concatenate([q, qd])
     return change_points.lead_across(
-        mechanism,
-        closing,
-        np.concatenate(state),
-        near,
-        lambda states: evaluate(states[:, :n], states[:, n:]),
+        mechanism, closing, y, near, lambda states: evaluate(*np.split(states, 2, axis=1))
     )
+
+
+# -- what the multipliers are ----------------------------------------------------------------------
 
 
 def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
@@ -205,10 +254,9 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     lam = np.asarray(multipliers, float)
     forces = np.zeros((*lam.shape[:-1], len(mechanism.description.closures), 2))
     for row, entry in enumerate(mechanism.rows):
-        if entry.closure is None:
-            continue
-        forces[..., entry.closure, 0] += lam[..., row] * entry.direction.real
-        forces[..., entry.closure, 1] += lam[..., row] * entry.direction.imag
+        if entry.closure is not None:
+            along = entry.direction.real, entry.direction.imag
+            forces[..., entry.closure, :] += lam[..., row, None] * along
     return forces
 
 
@@ -229,81 +277,3 @@ def loop_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     pins = pin_forces(mechanism, multipliers)
     torques = coupling_torques(mechanism, multipliers)
     return np.concatenate([pins.reshape(*pins.shape[:-2], -1), torques], axis=-1)
-
-
-def _warned(solution: Solution) -> Solution:
-    if solution.remark:
-        warnings.warn(solution.remark, RobodynWarning, stacklevel=4)
-    return solution
-
-
-# -- generated code over batches -----------------------------------------------------------------
-
-
-def _states(mechanism: Mechanism, **values: ArrayLike) -> dict[str, Array]:
-    """Arrays (..., n) of one shape by their names; whether they are finite is not asked yet."""
-    arrays = [n_wide(mechanism, name, value) for name, value in values.items()]
-    try:
-        return dict(zip(values, np.broadcast_arrays(*arrays), strict=True))
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in arrays)
-        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
-
-
-def _finite(states: dict[str, Array]) -> list[Array]:
-    return [finite(name, array) for name, array in states.items()]
-
-
-def _worth(mechanism: Mechanism, q: Array) -> bool:
-    return q.size >= BATCH * mechanism.n and mechanism.n <= formulas.MAX_GENERATED
-
-
-@lru_cache(maxsize=64)
-def _regular_everywhere(mechanism: Mechanism) -> bool:
-    """Whether M can be eliminated at every configuration: no state of a batch need be asked.
-
-    x^T M x = Re((E x)^H A (E x)) in absolute angles: M has no eigenvalue below A's least, whatever
-    the angles.
-    """
-    if not elimination_is_safe(mechanism):
-        return False
-    A = mechanism.arrays.A
-    scale = np.sqrt(A.diagonal().real)
-    return bool(np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT)
-
-
-@lru_cache(maxsize=64)
-def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
-    """The formula over batches; None where there is none."""
-
-    def record(parameters: bool) -> Formula | None:
-        if kind == "inverse":
-            return formulas.inverse_formula(mechanism, parameters)
-        return formulas.forward_formula(mechanism, parameters=parameters)
-
-    formula = record(False)
-    if formula is None:
-        return None
-    return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)
-
-
-def _run(
-    mechanism: Mechanism,
-    rows: FormulaRows,
-    dense: Callable[[Mechanism, Array, Array, Array], Torques | Accelerations],
-    states: dict[str, Array],
-    arrays: int,
-) -> tuple[Array, Array, str]:
-    """Joint values (..., n), multipliers (..., r) where two `arrays` are wanted, and a remark."""
-    shape, remark = states["q"].shape[:-1], ""
-    flat = [state.reshape(-1, mechanism.n) for state in states.values()]
-    found, doubtful = rows.run(flat, arrays, check=lambda: _finite(states))
-    if doubtful.size:
-        solution = dense(mechanism, *(state[doubtful] for state in flat))
-        for array, values in zip(found, solution[:2], strict=False):
-            array[doubtful] = values
-        remark = solution.remark
-    joints, forces, *_ = (*found, np.zeros((0, 0)))
-    if arrays > 1:
-        forces = forces.reshape(*shape, -1) if forces.size else np.zeros((*shape, forces.shape[1]))
-    return joints.reshape(*shape, -1), forces, remark

@@ -6,38 +6,32 @@ with the closed form that they check.  Residuals are relative to the size of the
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.dynamics.differences import along
+from robodyn.dynamics.closed_form import absolute_rates, phases, point_motion
+from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.errors import SingularError
 from robodyn.loops import assembly, loop_rates
-from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene_bodies import (
-    gap as gap_of_bodies,
-)
-from robodyn.scene.scene_bodies import (
-    joint_damping,
-    other_power,
-    potential_energy,
-    sharpness,
-    spins,
-)
-from robodyn.scene.scene_bodies import (
-    kinetic_energy as kinetic_energy_of_bodies,
-)
+from robodyn.mechanics.mechanism import Mechanism, Tree, build
+from robodyn.mechanics.planar_model import PlanarPoint
+from robodyn.scene.scene import Moment, Point
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
 
 STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
+STEP = 3e-2  # rad, of the fastest link
+# f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
+WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 BALANCE = "M qdd + C qd + D qd + G = tau + Q + Psi^T lambda"
 FORCES = "Q qd = power of its forces"
 POWER = "power in = dE/dt"
@@ -73,18 +67,13 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
 
     Raises InputError where the mechanism cannot be assembled from its actuated joints.
     """
-    rng = np.random.default_rng(seed)
+    rng, n = np.random.default_rng(seed), mechanism.n
     driven = len(mechanism.actuated)
     if not mechanism.rows:
-        q, qd = (
-            rng.uniform(-np.pi, np.pi, (count, mechanism.n)),
-            rng.normal(size=(count, mechanism.n)),
-        )
-        return Sample(q, qd, 1.0)
-    if driven > mechanism.n - len(mechanism.rows):  # their angles depend on one another
-        q = assembly.close_positions(
-            mechanism, rng.uniform(-np.pi, np.pi, (4 * count, mechanism.n))
-        )
+        q = rng.uniform(-np.pi, np.pi, (count, n))
+        return Sample(q, rng.normal(size=(count, n)), 1.0)
+    if driven > n - len(mechanism.rows):  # their angles depend on one another
+        q = assembly.close_positions(mechanism, rng.uniform(-np.pi, np.pi, (4 * count, n)))
         missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     else:
@@ -103,43 +92,44 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     """Every identity at the sampled states.
 
-    Energies, gaps and dampers are those of the bodies as the scene describes them, found link by
-    link: a wrong constant of the numeric model shows.
+    Energies, gaps and dampers are those of the bodies as the scene describes them, each at its
+    own point: a wrong constant of the numeric model shows.
     """
-    q, qd = sample.q, sample.qd
+    q, qd, scene = sample.q, sample.qd, build(mechanism.description)
     M = closed_form.mass_matrix(mechanism, q)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
         Identity("M positive (least eigenvalue >= 0)", _negative_part(M)),
     ]
-    found += _energy_identities(mechanism, q, qd, M)
+    found += _energy_identities(mechanism, scene, q, qd, M)
     if mechanism.rows:
-        found += _closure_identities(mechanism, q, qd)
-    return found + _motion_identities(mechanism, q, qd)
+        found += _closure_identities(mechanism, scene, q, qd)
+    return found + _motion_identities(mechanism, scene, q, qd, M)
 
 
-def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> list[Identity]:
-    description = mechanism.description
-    turning = spins(description, qd)
+def _energy_identities(
+    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array, M: Array
+) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
-    half = 0.5 * _form(qd, M, qd)
-    bodies = kinetic_energy_of_bodies(description, q, qd)
+    half = 0.5 * _dot(qd, _times(M, qd))
+    bodies = _kinetic_energy(scene, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
+    turning = absolute_rates(mechanism, qd)
     Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), turning)
     skew = Mdot - 2 * C
     directions = np.random.default_rng(2).normal(size=q.shape)
-    ways = spins(description, directions)
+    ways = absolute_rates(mechanism, directions)
     # C qd = Mdot qd - d(1/2 qd^T M qd)/dq holds for the right C alone
-    convective = _form(directions, C, qd)
-    shown = _form(directions, Mdot, qd)
+    convective = _dot(directions, _times(C, qd))
+    shown = _dot(directions, _times(Mdot, qd))
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
-    sharp = sharpness(description, q)
-    slope = along(lambda s: potential_energy(description, q + s * directions), ways * sharp)
+    heights = _potential_energy(scene, q)
+    sharp = ways * _sharpness(scene, q)
+    slope = along(lambda s: _potential_energy(scene, q + s * directions), sharp)
     G = closed_form.gravity_vector(mechanism, q)
+    largest = max(_top(slope), _top(G), *map(abs, mechanism.weights))  # G's terms may balance
     PE = closed_form.potential_energy(mechanism, q)
-    work = np.einsum("...i,...i->...", G, directions)
-    heights = potential_energy(description, q)
-    return [
+    found = [
         Identity("KE = 1/2 qd^T M qd", max(_relative(KE - half, KE), _relative(KE - bodies, KE))),
         Identity(
             "Mdot - 2C skew-symmetric",
@@ -150,59 +140,42 @@ def _energy_identities(mechanism: Mechanism, q: Array, qd: Array, M: Array) -> l
             _relative(convective - (shown - bend), max(_top(M) * _top(qd) ** 2, _top(bend))),
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
-        Identity(
-            "G = dPE/dq", _relative(slope - work, max(_top(slope), _largest_term(mechanism, G)))
-        ),
-        *_force_identities(mechanism, q, qd, directions),
+        Identity("G = dPE/dq", _relative(slope - _dot(G, directions), largest)),
     ]
+    if scene.has_state_forces:  # of what has no potential, along any velocities
+        Q = closed_form.other_forces(mechanism, q, qd)
+        power = _dot(Q, directions)
+        off = power - _other_power(scene, q, qd, directions)
+        found.append(Identity(FORCES, _relative(off, max(_top(Q), _top(power)))))
+    return found
 
 
-def _largest_term(mechanism: Mechanism, G: Array) -> float:
-    """Of G, in which weights and springs may balance."""
-    return max(_top(G), max(map(abs, mechanism.weights)))
-
-
-def _force_identities(
-    mechanism: Mechanism, q: Array, qd: Array, directions: Array
+def _closure_identities(
+    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array
 ) -> list[Identity]:
-    """The power of what has no potential, along any velocities, of a scene that names such."""
-    if not mechanism.has_state_forces:
-        return []
-    Q = closed_form.other_forces(mechanism, q, qd)
-    power = np.einsum("...i,...i->...", Q, directions)
-    bodies = other_power(mechanism.description, q, qd, directions)
-    return [Identity(FORCES, _relative(power - bodies, max(_top(Q), _top(power))))]
-
-
-def _closure_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
+    opened = partial(_gap, scene, _sides(scene))
     gap = closed_form.closure_gap(mechanism, q)
-    arms = [row.arm for row in mechanism.rows if row.closure is None]
-    opened = partial(gap_of_bodies, mechanism.description, arms)
-    bodies = opened(q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(lambda s: opened(q + s * directions), spins(mechanism.description, directions))
-    moved = np.einsum("...ij,...j->...i", Psi, directions)
-    bias = closed_form.closure_bias(mechanism, q, qd)
+    slope = along(lambda s: opened(q + s * directions), absolute_rates(mechanism, directions))
     turned = along(
-        lambda s: np.einsum(
-            "...ij,...j->...i", closed_form.closure_jacobian(mechanism, q + s * qd), qd
-        ),
-        spins(mechanism.description, qd),
+        lambda s: _times(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
+        absolute_rates(mechanism, qd),
     )
-    speed = np.einsum("...ij,...j->...i", Psi, qd)
+    bias = closed_form.closure_bias(mechanism, q, qd)
     return [
-        Identity("gap = 0", max(_relative(gap, size), _relative(bodies, size))),
-        Identity("Psi = dgap/dq", _relative(slope - moved, size)),
-        Identity("Psi qd = 0", _relative(speed, size * _top(qd))),
+        Identity("gap = 0", max(_relative(gap, size), _relative(opened(q), size))),
+        Identity("Psi = dgap/dq", _relative(slope - _times(Psi, directions), size)),
+        Identity("Psi qd = 0", _relative(_times(Psi, qd), size * _top(qd))),
         Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
     ]
 
 
-def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identity]:
+def _motion_identities(
+    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array, M: Array
+) -> list[Identity]:
     """Forward dynamics against inverse dynamics, and power against the growth of energy."""
-    description = mechanism.description
     driven = list(mechanism.actuated)
     rng = np.random.default_rng(4)
     G = closed_form.gravity_vector(mechanism, q)
@@ -213,48 +186,138 @@ def _motion_identities(mechanism: Mechanism, q: Array, qd: Array) -> list[Identi
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
-    damping = joint_damping(description)
-    Q = (
-        closed_form.other_forces(mechanism, q, qd)
-        if mechanism.has_state_forces
-        else np.zeros(q.shape)
-    )
-    M = closed_form.mass_matrix(mechanism, q)
-    terms = [
-        np.einsum("...ij,...j->...i", M, qdd),
-        np.einsum("...ij,...j->...i", closed_form.coriolis_matrix(mechanism, q, qd), qd),
-        damping * qd,
-        G,
-        -tau,
-        -Q,
-    ]
+    damping = np.array(scene.damping)
+    Q = closed_form.other_forces(mechanism, q, qd)
+    C = closed_form.coriolis_matrix(mechanism, q, qd)
+    terms = [_times(M, qdd), _times(C, qd), damping * qd, G, -tau, -Q]
     found = []
     if mechanism.rows:
         Psi = closed_form.closure_jacobian(mechanism, q)
-        terms.append(-np.einsum("...ji,...j->...i", Psi, motion.multipliers))
-        opening = np.einsum("...ij,...j->...i", Psi, qdd)
-        opening = opening + closed_form.closure_bias(mechanism, q, qd)
+        terms.append(-_times(np.swapaxes(Psi, -1, -2), motion.multipliers))
+        opening = _times(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
         free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
         size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
     # the parts of M qdd are what rounds: in a long chain they are far larger than their sum
-    scale = max(*map(_top, terms), _top((np.abs(M) @ np.abs(qdd)[..., None])[..., 0]))
+    scale = max(*map(_top, terms), _top(_times(np.abs(M), np.abs(qdd))))
     found.insert(0, Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)))
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
     def energy(s: Array) -> Array:
         path, rate = q + s * qd + 0.5 * s**2 * qdd, qd + s * qdd
         KE = closed_form.kinetic_energy(mechanism, path, rate)
-        return KE + potential_energy(description, path)
+        return KE + _potential_energy(scene, path)
 
-    sharp = sharpness(description, q)
-    turning, bending = spins(description, qd), spins(description, qdd)
-    speed = sharp * np.maximum(np.abs(turning), np.sqrt(np.abs(bending)))
+    turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
+    speed = _sharpness(scene, q) * np.maximum(turning, np.sqrt(bending))
     growth = along(energy, speed)
-    power = np.einsum("...i,...i->...", tau + Q, qd) - (damping * qd**2).sum(axis=-1)
+    power = _dot(tau + Q - damping * qd, qd)
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
     size = max(scale * _top(qd), rounding)
     return [*found, Identity(POWER, _relative(growth - power, size))]
+
+
+# -- the scene's bodies, springs, loads and closures, each at its own point ------------------------
+
+
+def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
+    bodies, turning = bodies_of(scene), absolute_rates(scene, qd)
+    speeds = np.abs((1j * phases(scene, q) * turning) @ bodies.rho.T)
+    return np.asarray(0.5 * (speeds**2 @ bodies.mass + turning**2 @ bodies.inertia))
+
+
+def _potential_energy(scene: Mechanism, q: Array) -> Array:
+    """Of masses, springs, and constant forces and torques."""
+    bodies, description = bodies_of(scene), scene.description
+    places = phases(scene, q) @ bodies.rho.T + bodies.constant
+    PE = np.asarray(-(places * description.gravity.conjugate()).real @ bodies.mass)
+    angles = absolute_rates(scene, q, "q")
+    for moment in description.loads:
+        if isinstance(moment, Moment):
+            PE = PE - moment.torque * angles[..., moment.link]
+    for load in scene.forces:
+        if not load.turns:
+            PE = PE - (load.force.conjugate() * _moved(scene, [load.point], q)[0]).real
+    for spring in scene.springs:
+        first, second = _moved(scene, spring.ends, q)
+        PE = PE + 0.5 * spring.stiffness * (np.abs(first - second) - spring.length) ** 2
+    for turned in scene.joint_springs:
+        PE = PE + 0.5 * turned.stiffness * (q[..., turned.joint] - turned.angle) ** 2
+    return PE
+
+
+def _other_power(scene: Mechanism, q: Array, qd: Array, directions: Array) -> Array:
+    """The power along `directions` of dampers of springs, forces that turn, and friction."""
+    power = np.zeros(q.shape[:-1])
+    for spring in scene.springs:
+        if spring.damping:
+            first, second = _moved(scene, spring.ends, q)
+            unit = (first - second) / np.abs(first - second)
+            ends = [_moved(scene, spring.ends, q, v) for v in (qd, directions)]
+            speed, way = ((unit.conj() * (one - other)).real for one, other in ends)
+            power = power - spring.damping * speed * way
+    for load in scene.forces:
+        if load.turns:
+            force = load.force * phases(scene, q)[..., load.link]
+            (way,) = _moved(scene, [load.point], q, directions)
+            power = power + (force.conjugate() * way).real
+    for joint, friction in scene.friction:
+        smooth = np.tanh(qd[..., joint] / friction.speed)
+        power = power - friction.torque * smooth * directions[..., joint]
+    return power
+
+
+def _moved(
+    scene: Mechanism, points: Sequence[PlanarPoint], q: Array, qd: Array | None = None
+) -> list[Any]:
+    """Where points are, m, as complex numbers (...), or how fast they move where qd is given."""
+    found = point_motion(scene, points, q, qd)[0 if qd is None else 1] @ [1, 1j]
+    return list(np.moveaxis(found, -1, 0))
+
+
+def _sides(scene: Mechanism) -> list[PlanarPoint]:
+    """The first sides of all closures, then the second ones."""
+    closures, tree = scene.description.closures, Tree(scene.description.links)
+    sides: list[Point] = [x.first for x in closures] + [x.second for x in closures]
+    return list(map(tree.point, sides))
+
+
+def _gap(scene: Mechanism, sides: list[PlanarPoint], q: Array) -> Array:
+    rows: list[Array] = []
+    closures, places = scene.description.closures, _moved(scene, sides, q)
+    for closure, first, second in zip(
+        closures, places[: len(closures)], places[len(closures) :], strict=True
+    ):
+        apart = first - second
+        if closure.along is None:
+            rows += [apart.real, apart.imag]
+        else:
+            rows.append((apart * closure.along.conjugate()).imag)
+    arms = [row.arm for row in scene.rows if row.closure is None]
+    for coupling, arm in zip(scene.description.couplings, arms, strict=True):
+        others = sum(ratio * q[..., k] for k, ratio in coupling.terms) + coupling.angle
+        rows.append(arm * (q[..., coupling.joint] - others))
+    return np.stack(rows, axis=-1)
+
+
+def _sharpness(scene: Mechanism, q: Array) -> Array:
+    """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
+    sharp = np.ones(len(q))
+    reach = sum(link.l for link in scene.description.links)
+    for spring in scene.springs:
+        first, second = _moved(scene, spring.ends, q)
+        sharp = np.maximum(sharp, 2.0 * reach / np.maximum(np.abs(first - second), 1e-300))
+    return sharp[:, None]
+
+
+def along(function: Callable[[Array], Any], speed: Array) -> Any:
+    """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
+    fastest = np.abs(speed).max(axis=-1, keepdims=True)
+    step = STEP / np.where(fastest > 0.0, fastest, 1.0)
+    total: Any = 0.0
+    for k, weight in enumerate(WEIGHTS, start=1):
+        total = total + weight * (function(k * step) - function(-k * step))
+    return total / step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
 
 
 def _negative_part(M: Array) -> float:
@@ -264,10 +327,12 @@ def _negative_part(M: Array) -> float:
     return float(max(0.0, -least.min(initial=0.0)))
 
 
-def _form(left: Array, matrix: Array, right: Array) -> Array:
-    """left^T matrix right, (...)."""
-    form: Array = ((matrix @ right[..., None])[..., 0] * left).sum(axis=-1)
-    return form
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _dot(left: Array, right: Array) -> Array:
+    return np.asarray((left * right).sum(axis=-1))
 
 
 def _top(values: Array) -> float:

@@ -24,10 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import absolute_rates, as_states, closure_jacobian, phases
+from robodyn.dynamics.closed_form import absolute_rates, closure_jacobian, phases
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import coupling_torques, pin_forces
-from robodyn.dynamics.forces import forces_on_links, load_wrench
+from robodyn.dynamics.forces import forces_on_links, load_force
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
@@ -35,18 +35,18 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import coefficient_matrix
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 FELT = 1e-9  # part of the largest force of a null vector that is more than rounding
 
 
-class _Bodies(NamedTuple):
+class Bodies(NamedTuple):
     """The point masses (centres of gravity and payloads) of a mechanism: b of them, n links."""
 
     mass: Array  # (b,) kg
-    constant: NDArray[np.complex128]  # (b,) m
-    rho: NDArray[np.complex128]  # (b, n) m: s = constant + rho E
+    constant: Complex  # (b,) m
+    rho: Complex  # (b, n) m: s = constant + rho E
     below: Array  # (b, n), 1 where link k carries body b
-    sides: Array  # (closures, n), +1 and -1 where link k carries the first and the second side
     inertia: Array  # (n,) kg m^2
 
 
@@ -60,19 +60,17 @@ def reactions(
     `forward_dynamics_and_forces` for it, (..., 0) without closures.  Raises InputError for arrays
     that do not fit.
     """
-    bodies = _bodies(mechanism)
     lam = np.asarray(multipliers, float)
     if lam.shape[-1:] != (len(mechanism.rows),):
         limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
         raise InputError("multipliers.shape", value=lam.shape, limit=limit)
-    _, load = _motion(mechanism, bodies, q, qd, qdd)
-    forces = -(load @ bodies.below)
+    E, _, load = _motion(mechanism, q, qd, qdd)
+    forces = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
-        E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
-        forces = forces - forces_on_links(mechanism, E, rates) @ mechanism.arrays.J
-    if len(bodies.sides):
-        pins = pin_forces(mechanism, lam)
-        forces = forces - (pins[..., 0] + 1j * pins[..., 1]) @ bodies.sides
+        on_links = forces_on_links(mechanism, E, absolute_rates(mechanism, qd))
+        forces = forces - on_links @ mechanism.arrays.J
+    if mechanism.description.closures:
+        forces = forces - pin_forces(mechanism, lam) @ [1, 1j] @ _sides(mechanism)
     return np.stack([forces.real, forces.imag], axis=-1)
 
 
@@ -84,14 +82,15 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     it.  q, qd, qdd (..., n)
     are a motion that obeys equation (1), rad and s.  Raises InputError for arrays that do not fit.
     """
-    bodies = _bodies(mechanism)
-    place, load = _motion(mechanism, bodies, q, qd, qdd)
+    E, place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)
-    moment = (place.conj() * load).imag.sum(axis=-1)
-    moment = moment - absolute_rates(mechanism, qdd, "qdd") @ bodies.inertia
-    if mechanism.forces or any(mechanism.moments):
-        of_loads = load_wrench(mechanism, phases(mechanism, q))
-        force, moment = force + of_loads[0], moment + of_loads[1]
+    moment = (place.conj() * load).imag.sum(axis=-1) + sum(mechanism.moments)
+    turning = absolute_rates(mechanism, qdd, "qdd")
+    moment = moment - turning @ bodies_of(mechanism).inertia
+    for each in mechanism.forces:
+        F = load_force(each, E)
+        arm = each.point.constant + sum(c * E[..., k] for k, c in each.point.terms)
+        force, moment = force + F, moment + (np.conj(arm) * F).imag
     return np.stack([force.real, force.imag, moment], axis=-1)
 
 
@@ -111,58 +110,57 @@ def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tup
     lambda may change by any null vector of Psi^T, and equation (2) carries that change into the
     joints of the loops.  Both are empty where the closures are independent.
     """
-    if not mechanism.rows:
-        return (), ()
-    U, s, _ = svd(closure_jacobian(mechanism, q), full=True)
-    rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
-    pins = pin_forces(mechanism, U[:, rank:].T)
-    changes = pins[..., 0] + 1j * pins[..., 1]
-    at_closures = (np.abs(changes) > FELT).any(axis=0)
-    at_joints = (np.abs(changes @ _bodies(mechanism).sides) > FELT).any(axis=0)
-    closures, joints = np.flatnonzero(at_closures), np.flatnonzero(at_joints)
-    return tuple(closures.tolist()), tuple(joints.tolist())
+    changes = pin_forces(mechanism, _free_multipliers(mechanism, q)) @ [1, 1j]
+    return _felt(changes, FELT), _felt(changes @ _sides(mechanism), FELT)
 
 
 def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
     """The couplings whose torque is not unique at q (n,)."""
-    if not mechanism.description.couplings:
-        return ()
+    changes = coupling_torques(mechanism, _free_multipliers(mechanism, q))
+    return _felt(changes, FELT * loop_size(mechanism))
+
+
+def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """The null vectors of Psi^T at q (n,), (d, r)."""
     U, s, _ = svd(closure_jacobian(mechanism, q), full=True)
-    rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
-    changes = coupling_torques(mechanism, U[:, rank:].T)
-    found = np.flatnonzero((np.abs(changes) > FELT * loop_size(mechanism)).any(axis=0))
-    return tuple(found.tolist())
+    return U[:, int((s > RANK_CUT * loop_size(mechanism)).sum()) :].T
+
+
+def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
+    return tuple(np.flatnonzero((np.abs(changes) > least).any(axis=0)).tolist())
 
 
 def _motion(
-    mechanism: Mechanism, bodies: _Bodies, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
-    E = phases(mechanism, as_states(mechanism, "q", q))
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+) -> tuple[Complex, Complex, Complex]:
+    """E, where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
+    bodies, E = bodies_of(mechanism), phases(mechanism, q)
     turning = 1j * absolute_rates(mechanism, qdd, "qdd") - absolute_rates(mechanism, qd) ** 2
     acceleration = (E * turning) @ bodies.rho.T
-    return E @ bodies.rho.T + bodies.constant, bodies.mass * (mechanism.gamma - acceleration)
+    load: Complex = bodies.mass * (mechanism.gamma - acceleration)
+    return E, E @ bodies.rho.T + bodies.constant, load
 
 
 @lru_cache(maxsize=64)
-def _bodies(mechanism: Mechanism) -> _Bodies:
-    links, n = mechanism.description.links, mechanism.n
+def bodies_of(mechanism: Mechanism) -> Bodies:
+    """The bodies of a mechanism, at points summed from the ground."""
+    links = mechanism.description.links
     own = [(k, link.m, mechanism.centres[k]) for k, link in enumerate(links) if link.m]
     own += [(k, link.payload, mechanism.tips[k]) for k, link in enumerate(links) if link.payload]
-    rho = coefficient_matrix([point for _, _, point in own], n)
-    carried = mechanism.arrays.J  # row k has ones at the links that carry link k
-    closures = mechanism.description.closures
-    sides = np.zeros((len(closures), n))
-    for c, closure in enumerate(closures):
-        if closure.first.link is not None:
-            sides[c] += carried[closure.first.link]
-        if closure.second.link is not None:
-            sides[c] -= carried[closure.second.link]
-    return _Bodies(
+    return Bodies(
         mass=np.array([mass for _, mass, _ in own], float),
         constant=np.array([point.constant for _, _, point in own], complex),
-        rho=rho,
-        below=carried[[k for k, _, _ in own]],
-        sides=sides,
+        rho=coefficient_matrix([point for _, _, point in own], mechanism.n),
+        below=mechanism.arrays.J[[k for k, _, _ in own]],  # its ones are at what carries a link
         inertia=np.array([link.I for link in links], float),
     )
+
+
+def _sides(mechanism: Mechanism) -> Array:
+    """+1 and -1 where link k carries the first and the second side of a closure, (closures, n)."""
+    sides = np.zeros((len(mechanism.description.closures), mechanism.n))
+    for row, closure in zip(sides, mechanism.description.closures, strict=True):
+        for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
+            if side.link is not None:
+                row += sign * mechanism.arrays.J[side.link]
+    return sides
