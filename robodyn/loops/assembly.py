@@ -13,9 +13,9 @@ link reaches, by a circle and a line.  Each has two branches:
            A
 
 Joints that couplings tie to actuated ones are known like these.  Dyads (`dyads.py`) are solved one
-after another, each with what the earlier ones fixed, in the order of `assembly_plan.py`.  (Where
-both unknown links belong to one side, P is the joint between them.)  Loops that are no chain of
-dyads are closed by Newton's method along a path from the scene's `start` configuration.
+after another, each with what the earlier ones fixed.  (Where both unknown links belong to one side,
+P is the joint between them.)  Loops that are no chain of dyads are closed by Newton's method along
+a path from the scene's `start` configuration.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.loops.assembly_plan import Plan, joints_of
-from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
 from robodyn.loops.closing import NEAR_SINGULAR, singular_size
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
-from robodyn.loops.dyads import coupled_angle, known_angles, solve_dyad
+from robodyn.loops.dyads import Plan, coupled_angle, joints_of, solve_dyad
+from robodyn.loops.dyads import assembly_plan as assembly_plan
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -74,15 +73,16 @@ def attempt(
     if branches is None:
         branches = mechanism.description.branches
     plan = assembly_plan(mechanism)
-    q = np.zeros((*given.shape[:-1], mechanism.n))
-    q[..., list(mechanism.actuated)] = given
-    for joint, c in plan.coupled:
-        q[..., joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
+    q, off = _known(mechanism, plan, given)
     missing, flat = np.zeros(given.shape[:-1]), np.zeros(given.shape[:-1], bool)
-    for arm, off in _couplings_off(mechanism, q, plan):
-        missing = np.maximum(missing, arm * off)
+    for row, each in zip(mechanism.rows[len(mechanism.rows) - len(off) :], off, strict=True):
+        missing = np.maximum(missing, row.arm * each)
     known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
-    alpha = known_angles(mechanism, known, q)
+    alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
+    for k in mechanism.order:
+        if k in known:
+            above = mechanism.parent[k]
+            alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
         angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
@@ -92,28 +92,41 @@ def attempt(
                 if root == link:
                     alpha[..., k] += angle
     free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
-    for k in mechanism.passive:
-        if k in known:
-            continue
-        above = mechanism.parent[k]
+    for k in set(mechanism.passive) - known:
+        above, middle = mechanism.parent[k], free.get(k, 0.0)
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
-        middle = free.get(k, 0.0)
-        q[..., k] = np.remainder(relative - middle + np.pi, 2 * np.pi) - np.pi + middle
+        q[..., k] = half_turn(relative - middle) + middle
     if plan.rest:
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
-    flat &= missing <= 0.0
-    if flat.any():
-        q[flat] = _sharpened(mechanism, q[flat])
+    flat = np.array(flat & (missing <= 0.0))
+    if flat.any():  # to the last digit where Psi itself is nearly singular
+        s = np.linalg.svd(closure_jacobian(mechanism, q[flat]), compute_uv=False)
+        flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
+        q[flat] = close_positions(mechanism, q[flat], mechanism.actuated)
     return q, missing
 
 
-def _sharpened(mechanism: Mechanism, q: Array) -> Array:
-    """States (k, n) closed to the last digit where Psi itself is nearly singular."""
-    s = np.linalg.svd(closure_jacobian(mechanism, q), compute_uv=False)
-    near = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
-    q[near] = close_positions(mechanism, q[near], mechanism.actuated)
-    return q
+def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
+    """q (..., n) with what is given and follows from couplings, and how far each is off, rad."""
+    q = np.zeros((*given.shape[:-1], mechanism.n))
+    q[..., list(mechanism.actuated)] = given
+    couplings, known = mechanism.description.couplings, set(mechanism.actuated)
+    for joint, c in plan.coupled:
+        q[..., joint] = coupled_angle(couplings[c], joint, q)
+        known.add(joint)
+    found = []
+    for coupling in couplings:
+        wanted = coupled_angle(coupling, coupling.joint, q)
+        off = np.abs(q[..., coupling.joint] - wanted)
+        kept = off <= CLOSED * (1.0 + np.abs(wanted))
+        found.append(np.where(kept | (not joints_of(coupling) <= known), 0.0, off))
+    return q, found
+
+
+def half_turn(angle: Array) -> Array:
+    """The same angle from -pi on, less than half a turn from zero."""
+    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
 
 
 def reachable(
@@ -142,8 +155,7 @@ def reachable(
         same = closes(middle) == good[changes]
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends = list(0.5 * (low + high))
-    begins_inside = bool(good[0])
-    if begins_inside:  # the interval that runs through pi
+    if good[0]:  # the interval that runs through pi
         ends = [*ends[1:], ends[0] + 2 * np.pi]
     return list(zip(ends[::2], ends[1::2], strict=True))
 
@@ -153,39 +165,35 @@ def reachable(
 
 def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
     """Close what is left along a path of the actuated joints from the scene's start."""
-    given = mechanism.description.start
-    assert given is not None  # the plan checks it
-    actuated = list(mechanism.actuated)
+    start = mechanism.description.start
+    assert start is not None  # the plan checks it
+    actuated, passive = list(mechanism.actuated), list(mechanism.passive)
     target = q[..., actuated]
-    start = np.array([0.0 if angle is None else angle for angle in given])
-    begin = np.broadcast_to(start, q.shape).copy()
-    for place, k in enumerate(actuated):
-        if given[k] is None:
-            begin[..., k] = target[..., place]
-    held = actuated
+    unsaid = [k for k in actuated if start[k] is None]
+    begin = np.broadcast_to([angle or 0.0 for angle in start], q.shape).copy()
+    begin[..., unsaid] = q[..., unsaid]
     way = target - begin[..., actuated]
     geared = mechanism.description.couplings
     if not geared:  # turns count where joints are coupled
-        way = np.remainder(way + np.pi, 2 * np.pi) - np.pi
+        way = half_turn(way)
     steps = int(np.ceil(np.abs(way).max(initial=0.0) / PATH_STEP))
-    here = close_positions(mechanism, begin, held)
-    lost = _open(mechanism, here)
+    here = close_positions(mechanism, begin, actuated)
+    lost = _gap(mechanism, here) > CLOSED
     first = here[..., actuated].copy()
-    passive = list(mechanism.passive)
     for s in range(1, steps + 1):
         there = here.copy()
         there[..., actuated] = first + way * (s / steps)
-        there = close_positions(mechanism, there, held)
+        there = close_positions(mechanism, there, actuated)
         # beyond a limit nothing closes, or only after a leap to another branch: the path ends
         leap = np.abs(there[..., passive] - here[..., passive]).max(axis=-1, initial=0.0) > LEAP
-        lost |= leap | _open(mechanism, there)
+        lost |= leap | (_gap(mechanism, there) > CLOSED)
         here = np.where(lost[..., None], here, there)
     here[..., actuated] = target
-    gap = np.linalg.norm(closure_gap(mechanism, here), axis=-1)
+    missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
     counting = set().union(*map(joints_of, geared))
     turning = [k for k in passive if k not in counting]
-    here[..., turning] = np.remainder(here[..., turning] + np.pi, 2 * np.pi) - np.pi
-    return here, np.where(lost, np.maximum(gap, CLOSED * loop_size(mechanism)), 0.0)
+    here[..., turning] = half_turn(here[..., turning])
+    return here, np.where(lost, missing, 0.0)
 
 
 def _reachable_from_start(
@@ -194,35 +202,34 @@ def _reachable_from_start(
     """The interval of one actuated joint about its start that a path can reach, rad."""
     start = mechanism.description.start
     assert start is not None  # the plan checks it
-    actuated = list(mechanism.actuated)
-    target = np.array(q_actuated)
-    given = start[actuated[joint]]
-    target[joint] = 0.0 if given is None else given
-    here = np.zeros(mechanism.n)
-    here[actuated] = target
+    actuated, moved = list(mechanism.actuated), mechanism.actuated[joint]
+    here, middle = np.zeros(mechanism.n), start[moved] or 0.0
+    here[actuated] = q_actuated
+    here[moved] = middle
     here, missing = _from_start(mechanism, here)
     if missing > 0.0:
         return []
     ends = []
     for direction in (-1.0, 1.0):
         at, step = here.copy(), PATH_STEP
-        while step > 1e-7 and abs(at[actuated[joint]] - target[joint]) < np.pi - 1e-9:
+        while step > 1e-7 and abs(at[moved] - middle) < np.pi - 1e-9:
             there = at.copy()
-            left = np.pi - abs(at[actuated[joint]] - target[joint])  # the way round is no shorter
-            there[actuated[joint]] += direction * min(step, left * (1 - 1e-12))
+            left = np.pi - abs(at[moved] - middle)  # the way round is no shorter
+            there[moved] += direction * min(step, left * (1 - 1e-12))
             there = close_positions(mechanism, there, actuated)
-            if np.abs(there - at).max() > LEAP * step / PATH_STEP or _open(mechanism, there):
+            leap = np.abs(there - at).max() > LEAP * step / PATH_STEP
+            if leap or _gap(mechanism, there) > CLOSED:
                 step /= 4.0  # the limit is nearer than this
             else:
                 at = there
-        ends.append(float(at[actuated[joint]]))
+        ends.append(float(at[moved]))
     return [(ends[0], ends[1])]
 
 
-def _open(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
-    """Which states (..., n) do not close."""
-    gap: Array = np.linalg.norm(closure_gap(mechanism, q), axis=-1)
-    return np.asarray(gap > CLOSED * loop_size(mechanism))
+def _gap(mechanism: Mechanism, q: Array) -> Array:
+    """How far states (..., n) are open, as a part of the loop's size."""
+    gap = np.linalg.norm(closure_gap(mechanism, q), axis=-1)
+    return np.asarray(gap / loop_size(mechanism))
 
 
 # -- input and faults ----------------------------------------------------------------------------
@@ -246,22 +253,6 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
     return array
 
 
-def _couplings_off(mechanism: Mechanism, q: Array, plan: Plan) -> list[tuple[float, Array]]:
-    """Of each coupling between known joints its arm, m, and by how much it is not kept, rad."""
-    known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
-    found: list[tuple[float, Array]] = []
-    arms = [row.arm for row in mechanism.rows if row.closure is None]
-    for arm, coupling in zip(arms, mechanism.description.couplings, strict=True):
-        if not joints_of(coupling) <= known:
-            found.append((arm, np.zeros(q.shape[:-1])))
-            continue
-        wanted = coupled_angle(coupling, coupling.joint, q)
-        off = np.abs(q[..., coupling.joint] - wanted)
-        size = 1.0 + np.abs(wanted)
-        found.append((arm, np.where(off > CLOSED * size, off, 0.0)))
-    return found
-
-
 def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
@@ -269,12 +260,7 @@ def _cannot_close(
         f"q{k + 1} = {np.degrees(angle):.6g} deg"
         for k, angle in zip(mechanism.actuated, given, strict=True)
     )
-    plan = assembly_plan(mechanism)
-    q = np.zeros(mechanism.n)
-    q[list(mechanism.actuated)] = given
-    for joint, c in plan.coupled:
-        q[joint] = coupled_angle(mechanism.description.couplings[c], joint, q)
-    off = [float(x) for _, x in _couplings_off(mechanism, q, plan)]
+    off = [float(x) for x in _known(mechanism, assembly_plan(mechanism), given)[1]]
     if any(off):
         worst = int(np.argmax(off))
         joint = mechanism.description.couplings[worst].joint
@@ -285,9 +271,8 @@ def _cannot_close(
     freedoms = mechanism.n - len(mechanism.rows)
     if len(mechanism.actuated) > freedoms:
         limit = f"{len(mechanism.actuated)} joints are actuated, more than the freedoms "
-        limit += (
-            f"({freedoms}), so their angles depend on one another: give all {mechanism.n} angles"
-        )
+        limit += f"({freedoms}), so their angles depend on one another: "
+        limit += f"give all {mechanism.n} angles"
         return AssemblyError(what, where=mechanism.source, limit=limit)
     ranges = []
     for place, k in enumerate(mechanism.actuated):
