@@ -20,6 +20,7 @@ is Q (`forces.py`).  States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +55,11 @@ def finite(name: str, array: Array) -> Array:
         place = f"{name}[{', '.join(map(str, where))}]"
         raise InputError(place, value=array[tuple(where)], limit="must be finite")
     return array
+
+
+def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
+    """Matrices (..., r, n) times vectors (..., n)."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 def phases(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.complex128]:

@@ -24,12 +24,13 @@ from robodyn.dynamics.closed_form import (
     closure_bias,
     closure_gap,
     closure_jacobian,
+    matvec,
     phases,
     scene_torques,
 )
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
-from robodyn.loops.closing import loop_size
+from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -93,12 +94,12 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     kept = s.V * (np.arange(n) < s.rank[..., None])[..., None, :]
     freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
     driven = freedoms[..., :, actuated]
-    wanted = _times(freedoms, load)
+    wanted = matvec(freedoms, load)
     tau = np.zeros_like(load)
     # cut against 1, the projector's size: at a dead centre nothing but rounding is driven
     U, drive, Vt = svd(driven)
-    tau[..., actuated] = _times(_pseudo_inverse(U, drive, Vt, RANK_CUT), wanted)
-    missing = np.abs(wanted - _times(driven, tau[..., actuated])).max(axis=-1)
+    tau[..., actuated] = matvec(_pseudo_inverse(U, drive, Vt, RANK_CUT), wanted)
+    missing = np.abs(wanted - matvec(driven, tau[..., actuated])).max(axis=-1)
     excess = missing - BALANCE * np.abs(load).max(axis=-1)
     if (excess > 0.0).any():
         state = np.unravel_index(np.argmax(excess), q.shape[:-1])
@@ -111,7 +112,7 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     if ((drive > RANK_CUT).sum(axis=-1) < np.minimum(len(actuated), n - s.rank)).any():
         at = "dead centre: the actuators cannot drive every freedom here"
         remarks.insert(0, f"{at}: torques of least norm")
-    multipliers = _times(np.swapaxes(s.inverse, -1, -2), load - tau)
+    multipliers = matvec(np.swapaxes(s.inverse, -1, -2), load - tau)
     return Torques(tau, multipliers, "; ".join(remarks))
 
 
@@ -130,18 +131,18 @@ def forward(
     Psi = absolute_jacobian(mechanism, E)
     bend = closure_bias(mechanism, q, qd)
     if baumgarte:
-        gapd = _times(Psi, rates)
+        gapd = matvec(Psi, rates)
         bend = bend + 2 * baumgarte * gapd + baumgarte**2 * closure_gap(mechanism, q)
     s = _decompose(mechanism, Psi)
-    particular = -_times(s.inverse, bend)
-    right = force - _times(M, particular)
+    particular = -matvec(s.inverse, bend)
+    right = force - matvec(M, particular)
     free = np.zeros_like(right)
     for rank in np.unique(s.rank):  # as a rule there is one
         at = s.rank == rank
         free[at] = _along_freedoms(mechanism, s.V[at][..., rank:], M[at], right[at])
     acceleration = particular + free
-    unbalanced = _times(M, acceleration) - force
-    multipliers = _times(np.swapaxes(s.inverse, -1, -2), unbalanced)
+    unbalanced = matvec(M, acceleration) - force
+    multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
     qdd = acceleration.copy()
     for k, above in enumerate(mechanism.parent):
         if above is not None:
@@ -223,13 +224,8 @@ def _along_freedoms(mechanism: Mechanism, N: Array, M: Array, right: Array) -> A
             limit="its acceleration is undefined; give it, or what it carries, a mass or an "
             "inertia",
         )
-    z = np.linalg.solve(scaled, (_times(Nt, right) / scale)[..., None])[..., 0] / scale
-    return _times(N, z)
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    product: Array = (matrix @ vector[..., None])[..., 0]
-    return product
+    z = np.linalg.solve(scaled, (matvec(Nt, right) / scale)[..., None])[..., 0] / scale
+    return matvec(N, z)
 
 
 def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
@@ -248,10 +244,6 @@ def _free_joint(mechanism: Mechanism, q: Array) -> str:
 
 def _cannot_drive(mechanism: Mechanism, q: Array, rank: int) -> SingularError:
     kind = "dead centre" if rank == len(mechanism.rows) else "change point or dependent closures"
-    joint = _free_joint(mechanism, q)
-    at = ", ".join(f"{x:.9g}" for x in q)
-    return SingularError(
-        f"singular configuration ({kind}) at q = {at}",
-        where=mechanism.source,
-        limit=f"no torque of the actuated joints makes this motion: joint {joint} is free here",
-    )
+    limit = "no torque of the actuated joints makes this motion: "
+    limit += f"joint {_free_joint(mechanism, q)} is free here"
+    return singular_at(mechanism, kind, q, limit)

@@ -206,7 +206,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             """The torques of closed states (k, n) for what is nearest to qdd and closes."""
             Psi = closed_form.closure_jacobian(mechanism, q)
             opening = Psi @ qdd + closed_form.closure_bias(mechanism, q, qd)
-            closing = np.einsum("kij,kj->ki", np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+            closing = closed_form.matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
 
         led = _lead_across(mechanism, q, qd, beside)

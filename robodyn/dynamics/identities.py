@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.dynamics.closed_form import absolute_rates, phases, point_motion
+from robodyn.dynamics.closed_form import absolute_rates, matvec, phases, point_motion
 from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.errors import SingularError
 from robodyn.loops import assembly, loop_rates
@@ -111,7 +111,7 @@ def _energy_identities(
     mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array, M: Array
 ) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
-    half = 0.5 * _dot(qd, _times(M, qd))
+    half = 0.5 * _dot(qd, matvec(M, qd))
     bodies = _kinetic_energy(scene, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
     turning = absolute_rates(mechanism, qd)
@@ -120,8 +120,8 @@ def _energy_identities(
     directions = np.random.default_rng(2).normal(size=q.shape)
     ways = absolute_rates(mechanism, directions)
     # C qd = Mdot qd - d(1/2 qd^T M qd)/dq holds for the right C alone
-    convective = _dot(directions, _times(C, qd))
-    shown = _dot(directions, _times(Mdot, qd))
+    convective = _dot(directions, matvec(C, qd))
+    shown = _dot(directions, matvec(Mdot, qd))
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
     heights = _potential_energy(scene, q)
     sharp = ways * _sharpness(scene, q)
@@ -160,14 +160,14 @@ def _closure_identities(
     Psi = closed_form.closure_jacobian(mechanism, q)
     slope = along(lambda s: opened(q + s * directions), absolute_rates(mechanism, directions))
     turned = along(
-        lambda s: _times(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
+        lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
         absolute_rates(mechanism, qd),
     )
     bias = closed_form.closure_bias(mechanism, q, qd)
     return [
         Identity("gap = 0", max(_relative(gap, size), _relative(opened(q), size))),
-        Identity("Psi = dgap/dq", _relative(slope - _times(Psi, directions), size)),
-        Identity("Psi qd = 0", _relative(_times(Psi, qd), size * _top(qd))),
+        Identity("Psi = dgap/dq", _relative(slope - matvec(Psi, directions), size)),
+        Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
         Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
     ]
 
@@ -189,17 +189,17 @@ def _motion_identities(
     damping = np.array(scene.damping)
     Q = closed_form.other_forces(mechanism, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
-    terms = [_times(M, qdd), _times(C, qd), damping * qd, G, -tau, -Q]
+    terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
     found = []
     if mechanism.rows:
         Psi = closed_form.closure_jacobian(mechanism, q)
-        terms.append(-_times(np.swapaxes(Psi, -1, -2), motion.multipliers))
-        opening = _times(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
+        terms.append(-matvec(np.swapaxes(Psi, -1, -2), motion.multipliers))
+        opening = matvec(Psi, qdd) + closed_form.closure_bias(mechanism, q, qd)
         free = max(map(_top, terms)) / _top(M)  # an acceleration that nothing holds
         size = assembly.loop_size(mechanism) * (max(_top(qdd), free) + _top(qd) ** 2)
         found.append(Identity("Psi qdd + Psidot qd = 0", _relative(opening, size)))
     # the parts of M qdd are what rounds: in a long chain they are far larger than their sum
-    scale = max(*map(_top, terms), _top(_times(np.abs(M), np.abs(qdd))))
+    scale = max(*map(_top, terms), _top(matvec(np.abs(M), np.abs(qdd))))
     found.insert(0, Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)))
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
@@ -325,10 +325,6 @@ def _negative_part(M: Array) -> float:
     scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
     least = np.linalg.eigvalsh(M / (scale[..., :, None] * scale[..., None, :]))[..., 0]
     return float(max(0.0, -least.min(initial=0.0)))
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 def _dot(left: Array, right: Array) -> Array:

@@ -119,28 +119,35 @@ def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     Closures may depend on one another along the branch that q is on, and nowhere else.
     """
     Psi = closed_form.closure_jacobian(mechanism, q)
-    rank, size = regular_rank(mechanism), loop_size(mechanism)
-    if rank == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
+    regular, size = regular_rank(mechanism), loop_size(mechanism)
+    if regular == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
         least = float(np.linalg.eigvalsh(Psi @ Psi.T)[0])
         if least > (COARSE * size) ** 2:
-            return rank, math.sqrt(least) / singular_size(mechanism)
+            return regular, math.sqrt(least) / singular_size(mechanism)
     s = np.linalg.svd(Psi, compute_uv=False)
-    if s[rank - 1] <= FOUND * size:
-        rank = _branch_rank(mechanism, tuple(q.tolist()))
-    return rank, float(s[rank - 1] / singular_size(mechanism))
+    if s[regular - 1] <= FOUND * size:
+        if mechanism not in _branch_ranks:  # of the first that is asked for
+            _branch_ranks[mechanism] = max(1, rank_beside(mechanism, q, 1e-2, 8))
+        regular = _branch_ranks[mechanism]
+    return regular, float(s[regular - 1] / singular_size(mechanism))
 
 
 _branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()
 
 
-def _branch_rank(mechanism: Mechanism, q: tuple[float, ...]) -> int:
-    """The rank of Psi at closed states beside q; of the first that is asked for."""
-    if mechanism not in _branch_ranks:
-        noise = np.random.default_rng(0).normal(size=(8, mechanism.n))
-        beside = close_positions(mechanism, np.array(q) + 1e-2 * noise)
-        s = np.linalg.svd(closed_form.closure_jacobian(mechanism, beside), compute_uv=False)
-        _branch_ranks[mechanism] = max(1, int((s > LOST * loop_size(mechanism)).sum(-1).max()))
-    return _branch_ranks[mechanism]
+def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
+    """The largest rank of Psi at closed states about so many rad from q (n,)."""
+    noise = np.random.default_rng(0).normal(size=(count, mechanism.n))
+    beside = close_positions(mechanism, q + away * noise)
+    gap = np.abs(closed_form.closure_gap(mechanism, beside)).max(axis=-1)
+    closed = beside[gap < 1e-9 * loop_size(mechanism)]
+    return int(rank(mechanism, closed_form.closure_jacobian(mechanism, closed)).max(initial=0))
+
+
+def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
+    """That of Psi (..., r, n), (...)."""
+    s = np.linalg.svd(Psi, compute_uv=False)
+    return np.asarray((s > LOST * loop_size(mechanism)).sum(axis=-1))
 
 
 # -- the nearest singular configuration ------------------------------------------------------------
@@ -152,43 +159,36 @@ def known(mechanism: Mechanism) -> list[Singular]:
     return []
 
 
-class _Searched(NamedTuple):
-    """Where searches began (rows of an array), and what each found."""
-
-    starts: Array
-    found: list[Singular | None]
-
-
 @lru_cache(maxsize=64)
-def _searched(mechanism: Mechanism) -> _Searched:
-    """The searches of a mechanism."""
-    return _Searched(np.zeros((MOST_SEARCHED, mechanism.n)), [])
+def _searched(mechanism: Mechanism) -> tuple[Array, list[Singular | None]]:
+    """Where the searches of a mechanism began (rows of an array), and what each found."""
+    return np.zeros((MOST_SEARCHED, mechanism.n)), []
 
 
 def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
     """The singular configuration that q (n,) is near; None where it is near none."""
     if not np.isfinite(q).all():
         return None
-    rank, near = _measured(mechanism, q)
+    regular, near = _measured(mechanism, q)
     if near > NEAR:
         return None
     if (old := known_near(mechanism, q, SAME)) is not None:
         return old
-    searched = _searched(mechanism)
-    if searched.found:
-        from_there = apart(mechanism, searched.starts[: len(searched.found)], q)
+    starts, ends = _searched(mechanism)
+    if ends:
+        from_there = apart(mechanism, starts[: len(ends)], q)
         nearest = int(np.argmin(from_there))
         if from_there[nearest] <= REPEATED:
-            return searched.found[nearest]
-    found = _search(mechanism, q, rank)
+            return ends[nearest]
+    found = _search(mechanism, q, regular)
     if found is not None:
         old = known_near(mechanism, found.q, 1e-6)
         if old is None:
             known(mechanism).append(found)
         found = old or found
-    if len(searched.found) < MOST_SEARCHED:
-        searched.starts[len(searched.found)] = q
-        searched.found.append(found)
+    if len(ends) < MOST_SEARCHED:
+        starts[len(ends)] = q
+        ends.append(found)
     return found
 
 
@@ -207,27 +207,28 @@ def known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None
     return known(mechanism)[best[1]] if best[0] <= within else None
 
 
-def _search(mechanism: Mechanism, q: Array, rank: int) -> Singular | None:
-    """Newton's method from q: close the regular part, move inside V0 until Psi vanishes there."""
+def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
+    """Where Psi loses its usual rank near q (n,): as much of it as is small there, or else one."""
     size = loop_size(mechanism)
-    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)[:rank]
+    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)[:usual]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
-    for corank in sorted({most, 1}, reverse=True):
-        found = _singular(mechanism, q, rank - corank, rank)
-        if found is not None:
-            return found
-    return None
+    tried = (_singular(mechanism, q, usual - lost, usual) for lost in sorted({most, 1})[::-1])
+    return next((found for found in tried if found is not None), None)
 
 
-def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Singular | None:
-    """Where Psi has the rank `regular`, near `start`, and what that is."""
+def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> Singular | None:
+    """Where Psi has the rank `regular`, near `start`, and what that is.
+
+    By Newton's method: close the regular part, move inside V0 until Psi vanishes there.
+    """
     size = loop_size(mechanism)
     q = start
     for _ in range(STEPS_TO_FIND):
-        U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
+        Psi = closed_form.closure_jacobian(mechanism, q)
+        U, s, Vt = svd(Psi, full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
-        slope = left.T @ closed_form.closure_jacobian(mechanism, q) @ right
+        slope = left.T @ Psi @ right
         z = np.linalg.lstsq(H.reshape(-1, H.shape[-1]), -slope.ravel(), rcond=1e-9)[0]
         gap = exact_gap(mechanism, q)
         step = right @ z - Vt[:regular].T @ ((U[:, :regular].T @ gap) / s[:regular])
@@ -237,8 +238,7 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
         if np.abs(step).max() <= FOUND:
             break
     U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
-    least = s[regular:rank]
-    if not np.abs(step).max() <= FOUND or not (least <= FOUND * size).all():
+    if not np.abs(step).max() <= FOUND or not (s[regular:usual] <= FOUND * size).all():
         return None
     regular = int((s > LOST * size).sum())  # there more may vanish than beside it
     left, right = U[:, regular:], Vt[regular:].T
@@ -246,11 +246,10 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, rank: int) -> Si
     values = np.linalg.eigvalsh(_curvature(mechanism, q, left, right))
     top = np.abs(values).max(axis=-1)
     definite = (values.min(axis=-1) > -DEFINITE * top) | (values.max(axis=-1) < DEFINITE * top)
-    may_cross = mechanism.n - rank == 1 and not (definite & (top > DEFINITE * size)).any()
-    crosses = may_cross and miss <= ROUNDING * size
-    misses = miss > ROUNDING * size
+    freedoms, misses = mechanism.n - usual, miss > ROUNDING * size
+    crosses = freedoms == 1 and not misses and not (definite & (top > DEFINITE * size)).any()
     said = misses and miss <= WORTH_SAYING * size
-    return Singular(q, miss, crosses, misses, mechanism.n - rank, said)
+    return Singular(q, miss, bool(crosses), misses, freedoms, said)
 
 
 def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Array:

@@ -15,13 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
 from robodyn.engines.singular_values import svd
+from robodyn.errors import SingularError
 from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
@@ -79,6 +80,13 @@ def singular_size(mechanism: Mechanism) -> float:
     s = np.linalg.svd(closed_jacobians(mechanism), compute_uv=False)
     usual = float(s[:, regular_rank(mechanism) - 1].max()) / USUAL
     return min(size, max(usual, size * 2.0 / loops))
+
+
+def singular_at(mechanism: Mechanism, kind: str, q: Array, limit: str) -> SingularError:
+    """The error of a singular configuration q (n,) of a kind."""
+    at = ", ".join(f"{x:.9g}" for x in q)
+    what = f"singular configuration ({kind}) at q = {at}"
+    return SingularError(what, where=mechanism.source, limit=limit)
 
 
 def newton(q: Any, evaluate: Evaluator) -> Any:
@@ -144,56 +152,32 @@ ONE = 1 << BITS
 HALF_PI = 0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C89 >> (257 - BITS)
 
 
-class _Row(NamedTuple):
-    terms: list[tuple[int, int, int]]  # link, real and imaginary part of P
-    angles: list[tuple[int, int]]
-    offset: int
-
-
-@lru_cache(maxsize=64)
-def _rows(mechanism: Mechanism) -> tuple[list[_Row], int]:
-    """The rows as integers, in units of 2^-BITS of a power of two of metres; its exponent."""
-    exponent = math.frexp(loop_size(mechanism))[1]
-
-    def whole(x: float) -> int:
-        return int(math.ldexp(x, BITS - exponent))
-
-    rows = [
-        _Row(
-            [(k, whole(p.real), whole(p.imag)) for k, p in row.P],
-            [(k, whole(a)) for k, a in row.angles],
-            whole(row.offset),
-        )
-        for row in mechanism.rows
-    ]
-    return rows, exponent
-
-
 def exact_gap(mechanism: Mechanism, q: Any) -> Array:
     """The gap (r) of one state q (n), of floats or of longdoubles, right to 1e-40 of the loop."""
-    rows, exponent = _rows(mechanism)
     if not np.isfinite(q).all():
-        return np.full(len(rows), np.nan)
+        return np.full(len(mechanism.rows), np.nan)
+    exponent = math.frexp(loop_size(mechanism))[1]  # in units of 2^-BITS of so many metres
+
+    def whole(x: float, power: int = BITS - exponent) -> int:
+        return int(math.ldexp(x, power))
+
     high = np.asarray(q, float)
     low = np.asarray(q - high, float)
-    alpha = [
-        int(math.ldexp(x, BITS)) + int(math.ldexp(y, BITS))
-        for x, y in zip(high.tolist(), low.tolist(), strict=True)
-    ]
+    parts = zip(high.tolist(), low.tolist(), strict=True)
+    alpha = [whole(x, BITS) + whole(y, BITS) for x, y in parts]
     for k in mechanism.order:
         above = mechanism.parent[k]
         if above is not None:
             alpha[k] += alpha[above]
     E: dict[int, tuple[int, int]] = {}
     gap = []
-    for row in rows:
-        total = 0
-        for k, re, im in row.terms:
+    for row in mechanism.rows:
+        total = sum(whole(a) * alpha[k] for k, a in row.angles)
+        for k, p in row.P:
             if k not in E:
                 E[k] = _cos_sin(alpha[k])
-            total += re * E[k][0] - im * E[k][1]
-        total += sum(a * alpha[k] for k, a in row.angles)
-        gap.append(math.ldexp(float((total >> BITS) + row.offset), exponent - BITS))
+            total += whole(p.real) * E[k][0] - whole(p.imag) * E[k][1]
+        gap.append(math.ldexp(float((total >> BITS) + whole(row.offset)), exponent - BITS))
     return np.array(gap)
 
 

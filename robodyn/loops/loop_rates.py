@@ -18,10 +18,11 @@ from robodyn.dynamics.closed_form import (
     closure_bias,
     closure_gap,
     closure_jacobian,
+    matvec,
 )
-from robodyn.errors import InputError, SingularError
-from robodyn.loops.change_points import nearest_singular
-from robodyn.loops.closing import close_positions, loop_size
+from robodyn.errors import InputError
+from robodyn.loops.change_points import nearest_singular, rank, rank_beside
+from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -56,10 +57,7 @@ def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Arr
     """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
     Psi = closure_jacobian(mechanism, q)
     rates = as_states(mechanism, "qd", qd)
-    excess = np.einsum("...ij,...j->...i", Psi, rates)
-    inverse = np.linalg.pinv(Psi, rcond=REDUNDANT)
-    closed: Array = rates - np.einsum("...ij,...j->...i", inverse, excess)
-    return closed
+    return rates - matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates))
 
 
 def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
@@ -80,12 +78,8 @@ def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
 
     Closures that depend on one another everywhere make no change point.
     """
-    here = np.asarray(q, float)
-    beside = here + 1e-3 * np.random.default_rng(0).normal(size=(4, mechanism.n))
-    beside = close_positions(mechanism, beside)
-    closed = np.abs(closure_gap(mechanism, beside)).max(axis=-1) < 1e-9 * loop_size(mechanism)
-    ranks = _rank(mechanism, closure_jacobian(mechanism, beside[closed]))
-    return bool((ranks > _rank(mechanism, closure_jacobian(mechanism, here))).any())
+    beside = rank_beside(mechanism, np.asarray(q, float), 1e-3, 4)
+    return bool(beside > rank(mechanism, closure_jacobian(mechanism, q)))
 
 
 def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
@@ -96,27 +90,15 @@ def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
     resting = q[~np.any(qd, axis=-1)]
     if not mechanism.rows or not len(resting):
         return
-    ranks = _rank(mechanism, closure_jacobian(mechanism, resting))
+    ranks = rank(mechanism, closure_jacobian(mechanism, resting))
     for state in resting[ranks < len(mechanism.rows)]:
         if change_point(mechanism, state):
-            at = ", ".join(f"{x:.9g}" for x in state)
-            raise SingularError(
-                f"singular configuration (change point) at q = {at}",
-                where=mechanism.source,
-                limit="the mechanism can go on in two ways: its acceleration is not unique",
-            )
-
-
-def _rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
-    s = np.linalg.svd(Psi, compute_uv=False)
-    return np.asarray((s > SINGULAR * loop_size(mechanism)).sum(axis=-1))
+            limit = "the mechanism can go on in two ways: its acceleration is not unique"
+            raise singular_at(mechanism, "change point", state, limit)
 
 
 def check_closed(
-    mechanism: Mechanism,
-    q: Array,
-    qd: Array | None = None,
-    qdd: Array | None = None,
+    mechanism: Mechanism, q: Array, qd: Array | None = None, qdd: Array | None = None
 ) -> tuple[int, InputError] | None:
     """The first of the states (..., n) that does not keep the closures, with the error to raise."""
     if not mechanism.rows or q.size == 0:
@@ -126,19 +108,16 @@ def check_closed(
     if qd is not None:
         Psi = closure_jacobian(mechanism, q)
         rates = np.abs(absolute_rates(mechanism, qd)).max(axis=-1, keepdims=True)
-        moving = np.einsum("...ij,...j->...i", Psi, qd)
-        checks.append(("velocity", "m/s", moving, sizes * rates))
+        checks.append(("velocity", "m/s", matvec(Psi, qd), sizes * rates))
         if qdd is not None:
             turning = np.abs(absolute_rates(mechanism, qdd)).max(axis=-1, keepdims=True)
-            bending = np.einsum("...ij,...j->...i", Psi, qdd) + closure_bias(mechanism, q, qd)
+            bending = matvec(Psi, qdd) + closure_bias(mechanism, q, qd)
             checks.append(("acceleration", "m/s^2", bending, sizes * (turning + rates**2)))
     for what, unit, gap, size in checks:
-        excess = np.abs(gap) > GAP_ALLOWED * np.broadcast_to(size, gap.shape)
-        wrong = np.flatnonzero(excess.reshape(-1, gap.shape[-1]).any(axis=-1))
+        wrong = np.flatnonzero((np.abs(gap) > GAP_ALLOWED * size).any(axis=-1))
         if wrong.size:
             state = int(wrong[0])
-            error = _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
-            return state, error
+            return state, _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
     return None
 
 
@@ -146,13 +125,10 @@ def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
     """The error of a state whose closures, or else couplings, are open by `gap` (r,)."""
     limit = "give a closed motion, or the actuated joints only (the rest is assembled)"
     pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
-    if np.abs(gap[pins]).max(initial=0.0) > GAP_ALLOWED * loop_size(mechanism) or not len(
-        mechanism.description.couplings
-    ):
-        distance = float(np.linalg.norm(gap[pins]))
-        return InputError(
-            f"the loops are open: gap in {what}", value=f"{distance:.6g} {unit}", limit=limit
-        )
+    apart = np.abs(gap[pins]).max(initial=0.0)
+    if apart > GAP_ALLOWED * loop_size(mechanism) or not mechanism.description.couplings:
+        value = f"{np.linalg.norm(gap[pins]):.6g} {unit}"
+        return InputError(f"the loops are open: gap in {what}", value=value, limit=limit)
     arms = np.array([row.arm or np.inf for row in mechanism.rows])
     turns = np.abs(gap / arms)
     worst = int(np.argmax(turns)) - len(pins)
@@ -177,32 +153,23 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
     values[..., driven] = actuated
     if not passive:
         return values
-    undetermined = len(passive) > len(mechanism.rows)
-    if undetermined and (np.any(actuated) or np.any(bias)):
+    if len(passive) > len(mechanism.rows) and (np.any(actuated) or np.any(bias)):
         limit = f"{len(driven)} actuated joints do not determine the {len(passive)} others: "
         limit += "name more in `actuated`, or give the values of all joints"
         raise InputError("rates", where=mechanism.source, limit=limit)
-    Psi = np.broadcast_to(
-        closure_jacobian(mechanism, q), (*values.shape[:-1], len(mechanism.rows), mechanism.n)
-    )
-    right = -np.einsum("...ij,...j->...i", Psi[..., driven], values[..., driven]) - bias
+    q = np.broadcast_to(q, values.shape)
+    Psi = closure_jacobian(mechanism, q)
+    right = -matvec(Psi[..., driven], values[..., driven]) - bias
     if not np.any(right):
         return values
     columns = Psi[..., passive]
     singular = (_smallest(mechanism, columns) <= SINGULAR) & np.any(right != 0.0, axis=-1)
     for state in map(tuple, np.argwhere(singular)):
-        configuration = np.broadcast_to(q, values.shape)[state]
-        near = nearest_singular(mechanism, configuration)
+        near = nearest_singular(mechanism, q[state])
         if near is not None and near.misses and _smallest(mechanism, Psi[state]) > REDUNDANT:
             continue  # as near as the loops ever come, and right to eps/s
-        kind = singular_kind(mechanism, configuration)
-        at = ", ".join(f"{x:.9g}" for x in configuration)
-        raise SingularError(
-            f"singular configuration ({kind}) at q = {at}",
-            where=mechanism.source,
-            limit="the actuated joints do not determine the motion of the others here; "
-            "give the values of all joints, or another configuration",
-        )
-    inverse = np.linalg.pinv(columns)
-    values[..., passive] = np.einsum("...ij,...j->...i", inverse, right)
+        limit = "the actuated joints do not determine the motion of the others here; "
+        limit += "give the values of all joints, or another configuration"
+        raise singular_at(mechanism, singular_kind(mechanism, q[state]), q[state], limit)
+    values[..., passive] = matvec(np.linalg.pinv(columns), right)
     return values

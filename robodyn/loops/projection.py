@@ -65,8 +65,12 @@ def dense_closing(mechanism: Mechanism) -> Closing:
     return nearest
 
 
-def straight_closing(mechanism: Mechanism) -> Closing:
-    """By generated straight-line floats, handed to `dense_closing` where a pivot is too small."""
+def best_closing(mechanism: Mechanism) -> Closing:
+    """What is fastest for its size: straight-line floats, or a sparse factorisation."""
+    if loop_terms(mechanism) > STRAIGHT:
+        from robodyn.engines import sparse
+
+        return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))
     close = float_closing(mechanism)
 
     def nearest(y: Array) -> tuple[Array, float]:
@@ -76,46 +80,33 @@ def straight_closing(mechanism: Mechanism) -> Closing:
     return nearest
 
 
-def best_closing(mechanism: Mechanism) -> Closing:
-    """What is fastest for its size: straight-line floats, or a sparse factorisation."""
-    if loop_terms(mechanism) <= STRAIGHT:
-        return straight_closing(mechanism)
-    from robodyn.engines import sparse
+def float_closing(mechanism: Mechanism) -> FloatClosing:
+    """`best_closing` on lists, for steps that never leave plain floats.
 
-    return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))
+    Straight-line code leaves to `dense_closing` the states at which a pivot is too small.
+    """
+    straight = loop_terms(mechanism) <= STRAIGHT
+    otherwise = dense_closing(mechanism) if straight else best_closing(mechanism)
+    close = _generated_closing(mechanism) if straight else None
+
+    def nearest(y: list[float]) -> tuple[list[float], float]:
+        try:
+            found = close(y) if close is not None else None
+        except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
+            found = None
+        if found is None:
+            if straight and not math.isfinite(sum(y)):
+                return y, 0.0
+            closed, quality = otherwise(np.array(y))
+            found = closed.tolist(), quality
+        return found
+
+    return nearest
 
 
 def loop_terms(mechanism: Mechanism) -> int:
     """Entries of A and P, which the cost of straight-line code grows with."""
     return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)
-
-
-def float_closing(mechanism: Mechanism) -> FloatClosing:
-    """`best_closing` on lists, for steps that never leave plain floats."""
-    if loop_terms(mechanism) > STRAIGHT:
-        closing = best_closing(mechanism)
-
-        def by_arrays(y: list[float]) -> tuple[list[float], float]:
-            closed, quality = closing(np.array(y))
-            return closed.tolist(), quality
-
-        return by_arrays
-    close = _generated_closing(mechanism)
-    dense = dense_closing(mechanism)
-
-    def nearest(y: list[float]) -> tuple[list[float], float]:
-        try:
-            found = close(y)
-        except (ZeroDivisionError, ValueError):  # a lost pivot, an infinite angle
-            found = None
-        if found is None:
-            if not math.isfinite(sum(y)):
-                return y, 0.0
-            closed, quality = dense(np.array(y))
-            return closed.tolist(), quality
-        return found
-
-    return nearest
 
 
 class Projection:
@@ -142,10 +133,9 @@ class Projection:
 @lru_cache(maxsize=64)
 def _generated_closing(
     mechanism: Mechanism,
-) -> Callable[[list[float]], tuple[list[float], float] | None]:
-    size = loop_size(mechanism)
-    formula = projection_formula(mechanism)
+) -> Callable[[list[float]], tuple[list[float], float] | None] | None:
+    size, formula = loop_size(mechanism), projection_formula(mechanism)
     if formula is None:
-        return lambda y: None
+        return None
     limits = EXACT * suspect_quality(mechanism), CLOSED * size, CONVERGED * size
     return straightline.compile_closing(formula, PASSES, *limits)

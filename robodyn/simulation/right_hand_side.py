@@ -34,9 +34,9 @@ from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import (
     STRAIGHT,
     Projection,
+    best_closing,
     dense_closing,
     loop_terms,
-    straight_closing,
 )
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -106,7 +106,7 @@ def right_hand_side(
     if kind == "sparse":
         closing = sparse.closing(system, dense_closing(mechanism))
     else:
-        closing = (dense_closing if kind == "dense" else straight_closing)(mechanism)
+        closing = (dense_closing if kind == "dense" else best_closing)(mechanism)
     project = Projection(mechanism, closing)
     if baumgarte:  # its restoring terms need the gap: no state is projected
         return RightHandSide(solved, project, kind)
