@@ -30,7 +30,7 @@ def close(found: np.ndarray, known: np.ndarray, rtol: float) -> bool:
 @pytest.mark.parametrize("natural", [False, True])
 def test_cubic_splines_are_those_of_scipy(count: int, natural: bool) -> None:
     knots, points = draw(count, count)
-    found = splines.cubic_spline(knots, points, natural)
+    found = splines.spline(knots, points, 3, natural)
     known = CubicSpline(knots, points, bc_type="natural" if natural else "clamped")
     t = np.linspace(knots[0], knots[-1], 997)
     for order in range(3):
@@ -42,7 +42,7 @@ def test_quintic_splines_are_those_of_scipy(count: int) -> None:
     knots, points = draw(count, count)
     rest = [(1, np.zeros(3)), (2, np.zeros(3))]
     known = make_interp_spline(knots, points, k=5, bc_type=(rest, rest))
-    found = splines.quintic_spline(knots, points)
+    found = splines.spline(knots, points, 5)
     t = np.linspace(knots[0], knots[-1], 997)
     for order in range(5):
         assert close(at(found, knots, t, order), known(t, order), 1e-9)
@@ -53,8 +53,8 @@ def test_quintic_splines_are_those_of_scipy(count: int) -> None:
 def test_smoothness_and_ends(kind: str, seed: int) -> None:
     """It goes through the points, is C2 or C4 at the inner ones, and rests at its ends."""
     knots, points = draw(seed, 9)
-    make = splines.cubic_spline if kind == "cubic" else splines.quintic_spline
-    found, highest = make(knots, points), 2 if kind == "cubic" else 4
+    degree, highest = (3, 2) if kind == "cubic" else (5, 4)
+    found = splines.spline(knots, points, degree)
     lengths, index = np.diff(knots), np.arange(8)
     for order in range(highest + 1):
         begins = splines.evaluate(found, index, np.zeros(8), order)
@@ -71,16 +71,15 @@ def test_smoothness_and_ends(kind: str, seed: int) -> None:
 
 def test_between_two_points_they_are_the_profiles_of_rest_to_rest() -> None:
     knots, points = np.array([0.0, 1.0]), np.array([[0.0], [1.0]])
-    assert splines.cubic_spline(knots, points)[0, :, 0] == pytest.approx([0, 0, 3, -2])
-    assert splines.quintic_spline(knots, points)[0, :, 0] == pytest.approx([0, 0, 0, 10, -15, 6])
+    assert splines.spline(knots, points, 3)[0, :, 0] == pytest.approx([0, 0, 3, -2])
+    assert splines.spline(knots, points, 5)[0, :, 0] == pytest.approx([0, 0, 0, 10, -15, 6])
 
 
 @pytest.mark.parametrize("kind", ["cubic", "quintic"])
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_largest_value_of_a_derivative(kind: str, order: int) -> None:
     knots, points = draw(7, 10)
-    make = splines.cubic_spline if kind == "cubic" else splines.quintic_spline
-    coefficients = make(knots, points)
+    coefficients = splines.spline(knots, points, 3 if kind == "cubic" else 5)
     found = splines.largest(coefficients, np.diff(knots), order)
     t = np.concatenate([np.linspace(a, b, 5001) for a, b in pairwise(knots)])
     sampled = np.abs(at(coefficients, knots, t, order)).max(axis=0)

@@ -45,6 +45,10 @@ RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
 NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
+STUCK = (
+    "too near a change point to tell the branches apart: end before it, or run across",
+    "that is as far as they can be closed on this branch",
+)
 
 
 class PathEndError(AssemblyError):
@@ -126,17 +130,16 @@ class _Follower:
         self.mechanism, self.path, self.watch = mechanism, path, watch
         self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._square = len(self._passive) == len(mechanism.rows)
-        self._least = DEAD * loop_size(mechanism)
         self._crossings: list[tuple[float, float]] = []
         self._returns: list[float] = path.returns().tolist()
         self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
 
     def nodes(self, start: Array) -> Nodes:
         here, closed = corrected(self.mechanism, start[None])
-        q, u = here[0], 0.0
+        first, q, u = here[0], here[0], 0.0
         if not closed[0]:
             raise self._ends(u, q, "the start does not close")
-        us, qs, begins, ends, pieces = [u], [q], [], [], []
+        taken: list[tuple[_Node, _Node, int]] = []  # the ends of each interval, and its piece
         self._check_travel()
         stops = [(piece, end) for piece, end in enumerate(self.path.breaks[1:].tolist())]
         stops[:0] = [(0, at) for at in self._returns]
@@ -145,7 +148,8 @@ class _Follower:
         for piece, end in stops:
             node = self._node(u, q, piece, self._held(u, piece))
             if node is None or (self._square and not node.sign):
-                reason = f"a {self._kind(q)}, from which the passive joints can go on in two ways"
+                kind = "dead centre" if self._size(q) > DEAD else "change point"
+                reason = f"a {kind}, from which the passive joints can go on in two ways"
                 raise self._ends(u, q, reason)
             h, moved = FIRST_STEP * (end - u), 0.0
             while node.u < end:
@@ -155,44 +159,40 @@ class _Follower:
                 if found is None:
                     h = 0.4 * step
                     if h < least:
-                        raise self._ends(node.u, node.q, self._obstacle(node))
+                        raise self._ends(node.u, node.q, STUCK[self._size(node.q) > NEAR])
                     continue
                 easy, following = found
-                begins.append(node.q1)
-                ends.append(following.q1)
-                pieces.append(piece)
-                us.append(following.u)
-                qs.append(following.q)
+                taken.append((node, following, piece))
                 fastest = float(np.abs(following.q1).max())
                 longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
                 h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
                 moved += float(np.abs(following.q - node.q)[self._actuated].max())
-                self._check_number(len(us), following.u, piece, moved)
+                self._check_number(len(taken) + 1, following.u, piece, moved)
                 node = following
                 self.watch(node.u)
             u, q = node.u, node.q
-            turns = np.round((q - qs[0]) / (2 * np.pi))
-            if u in self._returns and np.abs(q - qs[0] - 2 * np.pi * turns).max() < RETURNED:
-                rise = 2 * np.pi * turns
+            whole = 2 * np.pi * np.round((q - first) / (2 * np.pi))
+            if u in self._returns and np.abs(q - first - whole).max() < RETURNED:
+                rise = whole
                 break
+        begins, ends, pieces = zip(*taken, strict=True)
         return Nodes(
-            np.array(us),
-            np.array(qs),
-            np.array(begins),
-            np.array(ends),
-            np.array(pieces),
-            tuple(self._crossings),
-            u,
-            rise,
+            u=np.array([0.0, *(node.u for node in ends)]),
+            q=np.array([first, *(node.q for node in ends)]),
+            begins=np.array([node.q1 for node in begins]),
+            ends=np.array([node.q1 for node in ends]),
+            pieces=np.array(pieces),
+            crossings=tuple(self._crossings),
+            period=u,
+            rise=rise,
         )
 
     def _check_travel(self) -> None:
         """Raise TravelError for a path that is known to be too long before it is followed."""
         travel, pieces = self.path.travel, len(self.path.breaks) - 1
-        value = f"{travel:.6g} rad"
         if travel > FURTHEST:
             limit = f"must be at most {FURTHEST:g} rad: angles are not exact enough beyond"
-            raise TravelError(self.mechanism, value, limit)
+            raise TravelError(self.mechanism, f"{travel:.6g} rad", limit)
         if pieces > MOST_NODES // LEAST_NODES:
             limit = f"must be at most {MOST_NODES // LEAST_NODES:,} from point to point"
             raise TravelError(self.mechanism, f"{pieces} pieces", limit)
@@ -202,7 +202,7 @@ class _Follower:
             moves = travels(self.path, self.path.breaks) / TRAVEL
             self._least_nodes = np.append(0.0, np.cumsum(np.maximum(moves, LEAST_NODES)))
         if max(travel / TRAVEL, self._least_nodes[-1]) > MOST_NODES:
-            raise TravelError(self.mechanism, value, self._too_many())
+            raise self._too_many()
 
     def _check_number(self, nodes: int, u: float, piece: int, moved: float) -> None:
         """Raise TravelError where a path takes too many nodes, or is seen to do so.
@@ -217,13 +217,13 @@ class _Follower:
         if nodes > MOST_NODES or (
             judged and nodes > (1.0 + 0.5 * JUDGED / nodes) * MOST_NODES * done
         ):
-            raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", self._too_many())
+            raise self._too_many()
 
-    def _too_many(self) -> str:
+    def _too_many(self) -> TravelError:
         text = f"takes more than the {MOST_NODES:,} closed states that are kept"
         if isinstance(self.path, ConstantSpeed):
             text += ", as it does not repeat itself after a few turns"
-        return text
+        return TravelError(self.mechanism, f"{self.path.travel:.6g} rad", text)
 
     def _step(self, node: _Node, there: float, piece: int) -> tuple[bool, _Node] | None:
         """The node at `there`, and whether the step was easy; None where it is too long."""
@@ -233,8 +233,7 @@ class _Follower:
         guess[self._actuated] = held[0]
         if np.abs(guess - node.q).max() > TRAVEL:
             return None
-        closed_, closed = corrected(self.mechanism, guess[None])
-        q = closed_[0]
+        (q,), closed = corrected(self.mechanism, guess[None])
         miss = float(np.abs(q - guess).max())
         if not closed[0] or miss > CORRECTION or np.abs(q - node.q).max() > TRAVEL:
             return None
@@ -257,7 +256,7 @@ class _Follower:
         Psi = closure_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
         U, s, Vt = svd(columns)
-        if s[-1] <= self._least and not self._misses(q):
+        if s[-1] <= DEAD * loop_size(self.mechanism) and not self._misses(q):
             return None
         inverse = (Vt.T / s) @ U.T
         q1[self._passive] = -inverse @ (driving @ held[1])
@@ -278,10 +277,8 @@ class _Follower:
             if not closed[0]:
                 return False
             columns = closure_jacobian(self.mechanism, found[0])[:, self._passive]
-            if self._sign(columns) == one.sign:
-                low = middle, found[0]
-            else:
-                high = middle, found[0]
+            before = self._sign(columns) == one.sign
+            low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
         if np.abs(high[1] - low[1]).max() > TOGETHER or self._misses(low[1]):
             return False
         fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
@@ -293,17 +290,10 @@ class _Follower:
         near = nearest_singular(self.mechanism, q)
         return near is not None and not near.crosses
 
-    def _obstacle(self, node: _Node) -> str:
-        """Why the path does not go on from a node."""
-        Psi = closure_jacobian(self.mechanism, node.q)
-        if np.linalg.svd(Psi, compute_uv=False)[-1] > NEAR * loop_size(self.mechanism):
-            return "that is as far as they can be closed on this branch"
-        return "too near a change point to tell the branches apart: end before it, or run across"
-
-    def _kind(self, q: Array) -> str:
-        """What a configuration is at which Psi_p is singular."""
+    def _size(self, q: Array) -> float:
+        """The least singular value of Psi, as a part of the loop's size."""
         s = np.linalg.svd(closure_jacobian(self.mechanism, q), compute_uv=False)
-        return "dead centre" if s[-1] > self._least else "change point"
+        return float(s[-1] / loop_size(self.mechanism))
 
     def _sign(self, columns: Array) -> float:
         return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0
@@ -315,6 +305,6 @@ class _Follower:
     def _ends(self, u: float, q: Array, reason: str) -> PathEndError:
         driven, freedoms = len(self._actuated), self.mechanism.n - len(self.mechanism.rows)
         if driven > freedoms:
-            reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so their "
-            reason += "angles depend on one another"
+            reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so "
+            reason += "their angles depend on one another"
         return PathEndError(self.mechanism, u, q, reason)

@@ -6,9 +6,6 @@ between its `breaks`; at a break a value is that of the piece after it, unless `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,36 +23,24 @@ WHOLE = 1e-3  # rad, by which turns that count as whole may miss that in the end
 SPLINES = ("cubic", "quintic")  # through points in one sweep; the others stop at each
 
 
-class JointPath(Protocol):
+class JointPath:
     """A path of m joints."""
 
-    @property
-    def breaks(self) -> Array:
-        """The ends of its pieces, (K + 1,), from 0 to 1."""
-
-    @property
-    def scalable(self) -> bool:
-        """Whether it is the same path in any duration."""
+    breaks: Array  # the ends of its pieces, (K + 1,), from 0 to 1
+    travel: float  # how far the joint that moves most does, rad: that far at least
+    scalable = True  # it is the same path in any duration
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         """p, p', p'' at u (T,) in [0, 1]."""
-
-    @property
-    def travel(self) -> float:
-        """How far the joint that moves most does, rad: that far at least."""
+        raise NotImplementedError
 
     def returns(self) -> Array:
         """Parts u, in order, after which all joints stand as at the start and go on as there."""
+        return np.zeros(0)
 
     def peaks(self) -> tuple[Array, Array]:
-        """The largest |p'| and |p''| of each joint, (m,)."""
-
-
-class _Once:
-    """A path that does not repeat itself."""
-
-    def returns(self) -> Array:
-        return np.zeros(0)
+        """The largest |p'| and |p''| of each joint, (m,), of a scalable path."""
+        raise NotImplementedError
 
 
 def piece_at(breaks: Array, u: Array) -> Pieces:
@@ -79,24 +64,19 @@ def travels(path: JointPath, edges: Array) -> Array:
     return found
 
 
-class Legs(_Once):
+class Legs(JointPath):
     """Straight legs (in joint space) from point to point, at rest at each point.
 
     points (K, m); `times` (K,) increase from 0 to 1.
     """
-
-    scalable = True
 
     def __init__(self, points: Array, times: Array, profile: Profile) -> None:
         self.points, self.knots, self.profile = points, times, profile
         self._lengths = np.diff(times)
         inner = np.array(profile.breaks[:-1])
         starts = times[:-1, None] + self._lengths[:, None] * inner
-        self.breaks: Array = np.append(starts.reshape(-1), 1.0)
-
-    @property
-    def travel(self) -> float:
-        return _way(self.points)
+        self.breaks = np.append(starts.reshape(-1), 1.0)
+        self.travel = _way(points)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         if piece is None:
@@ -117,20 +97,16 @@ class Legs(_Once):
         return rates, (D / h**2).max(axis=0) * self.profile.peak_acceleration
 
 
-class Spline(_Once):
+class Spline(JointPath):
     """A spline through points (K, m) at `times` (K,) that increase from 0 to 1."""
-
-    scalable = True
 
     def __init__(self, points: Array, times: Array, kind: str, natural: bool = False) -> None:
         self.breaks = self.knots = times
         self._end, self._kind, self._natural = points[-1], kind, natural
         self.travel = _way(points)
         self._lengths = np.diff(times)
-        if kind == "cubic":
-            self._coefficients = splines.cubic_spline(times, points, natural)
-        else:
-            self._coefficients = splines.quintic_spline(times, points)
+        degree = 3 if kind == "cubic" else 5
+        self._coefficients = splines.spline(times, points, degree, natural)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         if piece is None:
@@ -150,7 +126,7 @@ class Spline(_Once):
         return first, second
 
 
-class Sweep(_Once):
+class Sweep(JointPath):
     """A chirp about a pose: p = pose + amplitude sin(phi), the frequency from first to last, Hz.
 
     phi = 2 pi T (f0 u + (f1 - f0) u^2 / 2): the frequency f0 + (f1 - f0) u grows in proportion
@@ -169,7 +145,7 @@ class Sweep(_Once):
         root = np.sqrt(np.maximum(self._start**2 + 2 * self._slope * halves, 0.0))
         inner = 2 * halves / (self._start + root)
         inner = inner[(inner > 1e-9) & (inner < 1 - 1e-9)]
-        self.breaks: Array = np.concatenate([[0.0], inner, [1.0]])
+        self.breaks = np.concatenate([[0.0], inner, [1.0]])
         self.travel = 2.0 * len(inner) * float(np.abs(amplitude).max(initial=0.0))
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
@@ -181,9 +157,6 @@ class Sweep(_Once):
             self.amplitude * cosine * rate,
             self.amplitude * (cosine * self._slope - sine * rate**2),
         )
-
-    def peaks(self) -> tuple[Array, Array]:
-        raise NotImplementedError("a sweep is another path in another duration")
 
 
 def path_through(
@@ -203,7 +176,14 @@ def path_through(
     if len(points) < 2:
         limit = "a motion needs two points or more"
         raise InputError("points", value=len(points), limit=limit)
-    u = spread(points) if times is None else _scaled(_as_times(times, len(points)))
+    if times is None:
+        u = spread(points)
+    else:
+        stamps = np.asarray(times, float)
+        if stamps.shape != (len(points),):
+            limit = f"must be ({len(points)},), one time a point"
+            raise InputError("times.shape", value=stamps.shape, limit=limit)
+        u = _scaled(stamps)
     if natural and not (name == "cubic" and len(points) > 2):
         raise InputError("ends", value="natural", limit="is for a cubic spline through points")
     if name in SPLINES and len(points) > 2:
@@ -246,26 +226,12 @@ def spread(points: Array) -> Array:
     return _scaled(np.concatenate([[0.0], np.cumsum(distances)]))
 
 
-def _as_times(times: ArrayLike, count: int) -> Array:
-    found = np.asarray(times, float)
-    if found.shape != (count,):
-        limit = f"must be ({count},), one time a point"
-        raise InputError("times.shape", value=found.shape, limit=limit)
-    return found
-
-
 def _scaled(times: Array) -> Array:
-    steps = np.diff(times)
-    if not (np.isfinite(times).all() and (steps > 0.0).all()):
-        limit = "must be finite and increase"
-        raise InputError("times", value=_listed(times), limit=limit)
+    shown = ", ".join(f"{t:g}" for t in times[:10]) + (", ..." if len(times) > 10 else "")
+    if not (np.isfinite(times).all() and (np.diff(times) > 0.0).all()):
+        raise InputError("times", value=shown, limit="must be finite and increase")
     u: Array = (times - times[0]) / (times[-1] - times[0])
     u[-1] = 1.0
     if not (np.diff(u) > 0.0).all():
-        raise InputError("times", value=_listed(times), limit="are too close to one another")
+        raise InputError("times", value=shown, limit="are too close to one another")
     return u
-
-
-def _listed(times: Sequence[float] | Array) -> str:
-    shown = ", ".join(f"{t:g}" for t in times[:10])
-    return shown + (", ..." if len(times) > 10 else "")

@@ -73,10 +73,7 @@ class LoopPath:
         self._nodes = follow(mechanism, path, start, watch)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """q, q', q'' of all joints at u (T,), each (T, n).
-
-        Raises SingularError at a configuration where the actuated joints do not determine them.
-        """
+        """As that of an `OpenPath`; SingularError where the actuated joints determine no others."""
         if piece is None:
             piece = piece_at(self.path.breaks, u)
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
@@ -106,10 +103,11 @@ class LoopPath:
             closed = self._closed(u[direct], piece[direct])
             for values, found in zip(result, closed, strict=True):
                 values[direct] = found
-        return result[0], result[1], result[2]
+        q, q1, q2 = result
+        return q, q1, q2
 
     def grid(self) -> tuple[Array, Pieces]:
-        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
+        """As that of an `OpenPath`."""
         pieces = self._nodes.pieces
         per_piece = np.bincount(pieces, minlength=len(self.path.breaks) - 1)
         least = max(8, FEWEST // len(per_piece))
@@ -168,11 +166,9 @@ def _repeated(u: Array, pieces: Pieces, period: float) -> tuple[Array, Pieces]:
 
 def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:
     """count + 1 samples of each interval, both ends included, each with the interval's piece."""
-    us, of = [], []
-    for begin, end, piece, count in zip(edges[:-1], edges[1:], pieces, counts, strict=True):
-        us.append(np.append(begin + (end - begin) / count * np.arange(count), end))
-        of.append(np.full(count + 1, piece))
-    return np.concatenate(us), np.concatenate(of)
+    each = zip(edges[:-1], edges[1:], counts, strict=True)
+    us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]
+    return np.concatenate(us), np.repeat(pieces, counts + 1)
 
 
 def _lagrange(nodes: Array, x: Array) -> Array:

@@ -67,26 +67,23 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
 
     Raises InputError for a name that is none, or alpha outside of 0 < alpha <= 1/2.
     """
-    if name not in NAMES:
+    if name in SMOOTH:
+        return Profile(name, (0.0, 1.0), *SMOOTH[name])
+    if name != "trapezoidal":
         raise InputError("profile", value=name, limit=f"must be one of {', '.join(NAMES)}")
-    if name == "trapezoidal":
-        if not (isfinite(acceleration) and 0.0 < acceleration <= 0.5):
-            limit = "must be > 0 and <= 0.5, a part of the duration"
-            raise InputError("acceleration", value=acceleration, limit=limit)
-        return _trapezoidal(acceleration)
-    ends = (0.0, 1.0)
-    match name:
-        case "cubic":
-            return Profile(name, ends, 1.5, 6.0, _cubic)
-        case "quintic":
-            return Profile(name, ends, 1.875, 10 / sqrt(3), _quintic)
-        case "cycloidal":
-            return Profile(name, ends, 2.0, 2 * pi, _cycloidal)
-    return Profile(name, ends, 1.0, 0.0, _constant)
+    alpha = acceleration
+    if not (isfinite(alpha) and 0.0 < alpha <= 0.5):
+        limit = "must be > 0 and <= 0.5, a part of the duration"
+        raise InputError("acceleration", value=alpha, limit=limit)
+    speed = 1 / (1 - alpha)
+    a = speed / alpha
 
+    def half(w: Array, ramp: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        s = np.where(ramp, 0.5 * a * w * w, speed * (w - 0.5 * alpha))
+        return s, np.where(ramp, a * w, speed), np.where(ramp, a, 0.0)
 
-def _cubic(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    return w * w * (3 - 2 * w), 6 * w * (1 - w), 6 - 12 * w
+    breaks = (0.0, 0.5, 1.0) if alpha == 0.5 else (0.0, alpha, 1 - alpha, 1.0)
+    return Profile(name, breaks, speed, a, half)
 
 
 def _quintic(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -99,17 +96,10 @@ def _cycloidal(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     return w - np.sin(angle) / (2 * pi), 2 * np.sin(pi * w) ** 2, 2 * pi * np.sin(angle)
 
 
-def _constant(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    return w, np.ones_like(w), np.zeros_like(w)
-
-
-def _trapezoidal(alpha: float) -> Profile:
-    speed = 1 / (1 - alpha)
-    a = speed / alpha
-
-    def half(w: Array, ramp: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        s = np.where(ramp, 0.5 * a * w * w, speed * (w - 0.5 * alpha))
-        return s, np.where(ramp, a * w, speed), np.where(ramp, a, 0.0)
-
-    breaks = (0.0, 0.5, 1.0) if alpha == 0.5 else (0.0, alpha, 1 - alpha, 1.0)
-    return Profile("trapezoidal", breaks, speed, a, half)
+# the largest |s'| and |s''|, and the half, of those that are smooth in all of the time
+SMOOTH: dict[str, tuple[float, float, Half]] = {
+    "cubic": (1.5, 6.0, lambda w, _: (w * w * (3 - 2 * w), 6 * w * (1 - w), 6 - 12 * w)),
+    "quintic": (1.875, 10 / sqrt(3), _quintic),
+    "cycloidal": (2.0, 2 * pi, _cycloidal),
+    "constant": (1.0, 0.0, lambda w, _: (w, np.ones_like(w), np.zeros_like(w))),
+}

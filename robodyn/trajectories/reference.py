@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import PathEndError, Watch
@@ -57,10 +57,13 @@ class ReferenceMotion:
         u[times.reshape(-1) >= self.end] = 1.0
         try:
             values = self.path.evaluate(u)
-        except SingularError:
-            for part in u:
-                with _placed(self.begin, self.duration, float(part)):
+        except SingularError:  # the time of the first belongs to it
+            for part in u.tolist():
+                try:
                     self.path.evaluate(np.array([part]))
+                except SingularError as error:
+                    error.add_place(f"t = {self.begin + part * self.duration:.6g} s")
+                    raise
             raise
         q, q1, q2 = (x.reshape(*times.shape, self.mechanism.n) for x in values)
         return q + 0.0, q1 / self.duration + 0.0, q2 / self.duration**2 + 0.0  # + 0.0: no -0.0
@@ -191,17 +194,3 @@ def _check_reached(mechanism: Mechanism, whole: LoopPath, knots: Array, points: 
         limit = f"on the branch of the first point q{joint + 1} = {reached[at, joint]:.9g} there"
         what = f"point {number}: q{joint + 1} ({mechanism.link_names[joint]})"
         raise InputError(what, value=f"{points[given][at, joint]:.9g}", limit=limit)
-
-
-class _placed:
-    """Names the time in an error of the block."""
-
-    def __init__(self, begin: float, duration: float, u: float) -> None:
-        self._place = f"t = {begin + u * duration:.6g} s"
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, RobodynError) and not isinstance(error, PathEndError):
-            error.add_place(self._place)
