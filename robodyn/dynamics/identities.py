@@ -6,9 +6,8 @@ with the closed form that they check.  Residuals are relative to the size of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.closed_form import absolute_rates, matvec, phases, point_motion
 from robodyn.dynamics.reaction_forces import bodies_of
+from robodyn.engines.series import Arithmetic, Series, State
 from robodyn.errors import SingularError
 from robodyn.loops import assembly, loop_rates
-from robodyn.mechanics.mechanism import Mechanism, Tree, build
-from robodyn.mechanics.planar_model import PlanarPoint
-from robodyn.scene.scene import Moment, Point
+from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.mechanism import Mechanism, build
 
 Array = NDArray[np.float64]
 
@@ -92,27 +91,27 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     """Every identity at the sampled states.
 
-    Energies, gaps and dampers are those of the bodies as the scene describes them, each at its
-    own point: a wrong constant of the numeric model shows.
+    The closed forms are held against the program of rows of the scene, built anew: a wrong
+    constant of the numeric model shows.
     """
-    q, qd, scene = sample.q, sample.qd, build(mechanism.description)
+    q, qd, rows = sample.q, sample.qd, _Rows(build(mechanism.description))
     M = closed_form.mass_matrix(mechanism, q)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
         Identity("M positive (least eigenvalue >= 0)", _negative_part(M)),
     ]
-    found += _energy_identities(mechanism, scene, q, qd, M)
+    found += _energy_identities(mechanism, rows, q, qd, M)
     if mechanism.rows:
-        found += _closure_identities(mechanism, scene, q, qd)
-    return found + _motion_identities(mechanism, scene, q, qd, M)
+        found += _closure_identities(mechanism, rows, q, qd)
+    return found + _motion_identities(mechanism, rows, q, qd, M)
 
 
 def _energy_identities(
-    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: _Rows, q: Array, qd: Array, M: Array
 ) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
     half = 0.5 * _dot(qd, matvec(M, qd))
-    bodies = _kinetic_energy(scene, q, qd)
+    bodies = _kinetic_energy(rows.scene, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
     turning = absolute_rates(mechanism, qd)
     Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), turning)
@@ -123,9 +122,9 @@ def _energy_identities(
     convective = _dot(directions, matvec(C, qd))
     shown = _dot(directions, matvec(Mdot, qd))
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
-    heights = _potential_energy(scene, q)
-    sharp = ways * _sharpness(scene, q)
-    slope = along(lambda s: _potential_energy(scene, q + s * directions), sharp)
+    heights = rows.potential_energy(q)
+    sharp = ways * _sharpness(rows.scene, q)
+    slope = along(lambda s: rows.potential_energy(q + s * directions), sharp)
     G = closed_form.gravity_vector(mechanism, q)
     largest = max(_top(slope), _top(G), *map(abs, mechanism.weights))  # G's terms may balance
     PE = closed_form.potential_energy(mechanism, q)
@@ -142,30 +141,28 @@ def _energy_identities(
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
         Identity("G = dPE/dq", _relative(slope - _dot(G, directions), largest)),
     ]
-    if scene.has_state_forces:  # of what has no potential, along any velocities
-        Q = closed_form.other_forces(mechanism, q, qd)
+    if rows.scene.has_state_forces:  # of what has no potential, at any velocities
+        Q = closed_form.other_forces(mechanism, q, directions)
         power = _dot(Q, directions)
-        off = power - _other_power(scene, q, qd, directions)
+        dampers = _dot(np.array(rows.scene.damping) * directions, directions)
+        off = power - dampers - rows.power(q, directions)
         found.append(Identity(FORCES, _relative(off, max(_top(Q), _top(power)))))
     return found
 
 
-def _closure_identities(
-    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array
-) -> list[Identity]:
+def _closure_identities(mechanism: Mechanism, rows: _Rows, q: Array, qd: Array) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
-    opened = partial(_gap, scene, _sides(scene))
     gap = closed_form.closure_gap(mechanism, q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(lambda s: opened(q + s * directions), absolute_rates(mechanism, directions))
+    slope = along(lambda s: rows.gap(q + s * directions), absolute_rates(mechanism, directions))
     turned = along(
         lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
         absolute_rates(mechanism, qd),
     )
     bias = closed_form.closure_bias(mechanism, q, qd)
     return [
-        Identity("gap = 0", max(_relative(gap, size), _relative(opened(q), size))),
+        Identity("gap = 0", max(_relative(gap, size), _relative(rows.gap(q), size))),
         Identity("Psi = dgap/dq", _relative(slope - matvec(Psi, directions), size)),
         Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
         Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
@@ -173,7 +170,7 @@ def _closure_identities(
 
 
 def _motion_identities(
-    mechanism: Mechanism, scene: Mechanism, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: _Rows, q: Array, qd: Array, M: Array
 ) -> list[Identity]:
     """Forward dynamics against inverse dynamics, and power against the growth of energy."""
     driven = list(mechanism.actuated)
@@ -186,7 +183,7 @@ def _motion_identities(
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
-    damping = np.array(scene.damping)
+    damping = np.array(rows.scene.damping)
     Q = closed_form.other_forces(mechanism, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
@@ -206,10 +203,10 @@ def _motion_identities(
     def energy(s: Array) -> Array:
         path, rate = q + s * qd + 0.5 * s**2 * qdd, qd + s * qdd
         KE = closed_form.kinetic_energy(mechanism, path, rate)
-        return KE + _potential_energy(scene, path)
+        return KE + rows.potential_energy(path)
 
     turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
-    speed = _sharpness(scene, q) * np.maximum(turning, np.sqrt(bending))
+    speed = _sharpness(rows.scene, q) * np.maximum(turning, np.sqrt(bending))
     growth = along(energy, speed)
     power = _dot(tau + Q - damping * qd, qd)
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
@@ -217,97 +214,58 @@ def _motion_identities(
     return [*found, Identity(POWER, _relative(growth - power, size))]
 
 
-# -- the scene's bodies, springs, loads and closures, each at its own point ------------------------
+# -- what the program of rows says of a scene ------------------------------------------------------
+
+ARRAYS = Arithmetic(cos=np.cos, sin=np.sin, power=np.power, functions={"tanh": np.tanh})
+
+
+class _Rows:
+    """The rows of a scene's program, at states q and qd (..., n)."""
+
+    def __init__(self, scene: Mechanism) -> None:
+        self.scene = scene
+        self.program = EquationsOfMotion(scene).write([None] * scene.n, work=True, chained=True)
+
+    def potential_energy(self, q: Array) -> Array:
+        PE: Array = self._values("PE", q, np.zeros_like(q))[..., 0]
+        return PE + self.scene.energy_offset
+
+    def power(self, q: Array, qd: Array) -> Array:
+        """Of dampers, friction and forces that turn."""
+        return np.asarray(self._values("power", q, qd).sum(axis=-1))
+
+    def gap(self, q: Array) -> Array:
+        return self._values("gap", q, np.zeros_like(q))
+
+    def _values(self, name: str, q: Array, qd: Array) -> Array:
+        alpha, w = absolute_rates(self.scene, q, "q"), absolute_rates(self.scene, qd)
+        given: dict[str, Any] = {
+            f"{each}{k}": (x,)
+            for each, values in (("q", q), ("qd", qd), ("alpha", alpha))
+            for k, x in enumerate(np.moveaxis(values, -1, 0))
+        }
+        E = [(np.cos(x), np.sin(x)) for x in np.moveaxis(alpha, -1, 0)]
+        state, wanted = State(E, list(np.moveaxis(w, -1, 0)), given), self.program.named[name]
+        numbers = self.program.numbers
+        series = Series(self.program, ARRAYS, numbers, 1, state, slots=wanted, grounded=True)
+        series.residuals(0)
+        found = [np.broadcast_to(series.real[slot][0], q.shape[:-1]) for slot in wanted]
+        return np.stack(found, axis=-1) if found else np.zeros((*q.shape[:-1], 0))
 
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
+    """Of the bodies, each at its own point."""
     bodies, turning = bodies_of(scene), absolute_rates(scene, qd)
     speeds = np.abs((1j * phases(scene, q) * turning) @ bodies.rho.T)
     return np.asarray(0.5 * (speeds**2 @ bodies.mass + turning**2 @ bodies.inertia))
 
 
-def _potential_energy(scene: Mechanism, q: Array) -> Array:
-    """Of masses, springs, and constant forces and torques."""
-    bodies, description = bodies_of(scene), scene.description
-    places = phases(scene, q) @ bodies.rho.T + bodies.constant
-    PE = np.asarray(-(places * description.gravity.conjugate()).real @ bodies.mass)
-    angles = absolute_rates(scene, q, "q")
-    for moment in description.loads:
-        if isinstance(moment, Moment):
-            PE = PE - moment.torque * angles[..., moment.link]
-    for load in scene.forces:
-        if not load.turns:
-            PE = PE - (load.force.conjugate() * _moved(scene, [load.point], q)[0]).real
-    for spring in scene.springs:
-        first, second = _moved(scene, spring.ends, q)
-        PE = PE + 0.5 * spring.stiffness * (np.abs(first - second) - spring.length) ** 2
-    for turned in scene.joint_springs:
-        PE = PE + 0.5 * turned.stiffness * (q[..., turned.joint] - turned.angle) ** 2
-    return PE
-
-
-def _other_power(scene: Mechanism, q: Array, qd: Array, directions: Array) -> Array:
-    """The power along `directions` of dampers of springs, forces that turn, and friction."""
-    power = np.zeros(q.shape[:-1])
-    for spring in scene.springs:
-        if spring.damping:
-            first, second = _moved(scene, spring.ends, q)
-            unit = (first - second) / np.abs(first - second)
-            ends = [_moved(scene, spring.ends, q, v) for v in (qd, directions)]
-            speed, way = ((unit.conj() * (one - other)).real for one, other in ends)
-            power = power - spring.damping * speed * way
-    for load in scene.forces:
-        if load.turns:
-            force = load.force * phases(scene, q)[..., load.link]
-            (way,) = _moved(scene, [load.point], q, directions)
-            power = power + (force.conjugate() * way).real
-    for joint, friction in scene.friction:
-        smooth = np.tanh(qd[..., joint] / friction.speed)
-        power = power - friction.torque * smooth * directions[..., joint]
-    return power
-
-
-def _moved(
-    scene: Mechanism, points: Sequence[PlanarPoint], q: Array, qd: Array | None = None
-) -> list[Any]:
-    """Where points are, m, as complex numbers (...), or how fast they move where qd is given."""
-    found = point_motion(scene, points, q, qd)[0 if qd is None else 1] @ [1, 1j]
-    return list(np.moveaxis(found, -1, 0))
-
-
-def _sides(scene: Mechanism) -> list[PlanarPoint]:
-    """The first sides of all closures, then the second ones."""
-    closures, tree = scene.description.closures, Tree(scene.description.links)
-    sides: list[Point] = [x.first for x in closures] + [x.second for x in closures]
-    return list(map(tree.point, sides))
-
-
-def _gap(scene: Mechanism, sides: list[PlanarPoint], q: Array) -> Array:
-    rows: list[Array] = []
-    closures, places = scene.description.closures, _moved(scene, sides, q)
-    for closure, first, second in zip(
-        closures, places[: len(closures)], places[len(closures) :], strict=True
-    ):
-        apart = first - second
-        if closure.along is None:
-            rows += [apart.real, apart.imag]
-        else:
-            rows.append((apart * closure.along.conjugate()).imag)
-    arms = [row.arm for row in scene.rows if row.closure is None]
-    for coupling, arm in zip(scene.description.couplings, arms, strict=True):
-        others = sum(ratio * q[..., k] for k, ratio in coupling.terms) + coupling.angle
-        rows.append(arm * (q[..., coupling.joint] - others))
-    return np.stack(rows, axis=-1)
-
-
 def _sharpness(scene: Mechanism, q: Array) -> Array:
     """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
-    sharp = np.ones(len(q))
-    reach = sum(link.l for link in scene.description.links)
-    for spring in scene.springs:
-        first, second = _moved(scene, spring.ends, q)
-        sharp = np.maximum(sharp, 2.0 * reach / np.maximum(np.abs(first - second), 1e-300))
-    return sharp[:, None]
+    ends, reach = [x.between for x in scene.springs], sum(x.l for x in scene.description.links)
+    lengths = np.linalg.norm(point_motion(scene, ends, q)[0], axis=-1)
+    sharp = 2.0 * reach / np.maximum(lengths, 1e-300)
+    return np.asarray(sharp.max(axis=-1, initial=1.0)[:, None])
 
 
 def along(function: Callable[[Array], Any], speed: Array) -> Any:
