@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.loops.closing import NEAR_SINGULAR, singular_size
+from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
@@ -122,11 +122,6 @@ def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[
         kept = off <= CLOSED * (1.0 + np.abs(wanted))
         found.append(np.where(kept | (not joints_of(coupling) <= known), 0.0, off))
     return q, found
-
-
-def half_turn(angle: Array) -> Array:
-    """The same angle from -pi on, less than half a turn from zero."""
-    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
 
 
 def reachable(

@@ -7,16 +7,12 @@ At a configuration q* where Psi loses rank, with U0 and V0 its left and right nu
 
 A **change point** has one freedom beside it, a miss of rounding, and an indefinite H: two branches
 cross there, and a motion runs straight on.  At a distance d from it rounding errs by eps/d^2 in the
-accelerations, and a state that strays from the closures by delta errs by delta/d, while the motion
-is smooth: so what is wanted there is interpolated along the branch, from K states before and K
-behind, at q + k step qd/max|qd|, where Psi is regular.  The wide step serves where two orders of it
-agree; where they do not (an inertia, or a spring's pull, that changes much on the way) the narrow
-one does.
+accelerations, while the motion is smooth: so what is wanted there is interpolated along the branch,
+from K states before and K behind, at q + k step qd/max|qd|, where Psi is regular.  The wide step
+serves where two orders of it agree, else the narrow one.
 
-Everywhere else, and there is nothing else near which that may be done, the plain equations hold, on
-states that are closed well (`closing.py`).  A loop that **misses** a change point turns back from
-it within sqrt(gamma): steps are kept shorter than the distance, or they would leap to the other
-branch before any error shows (`misses.py`).
+Everywhere else the plain equations hold, on states that are closed well (`closing.py`); what a loop
+does that **misses** a change point is in `misses.py`.
 
 How near a state is, is told by s/L: s the least singular value of Psi that matters, L the size of
 the loop (`singular_size`).  Solvers that have no singular values tell their pivots against squared
@@ -28,7 +24,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from math import comb
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -41,6 +36,7 @@ from robodyn.loops.closing import (
     close_positions,
     closed_jacobians,
     exact_gap,
+    half_turn,
     loop_size,
     regular_rank,
     singular_size,
@@ -76,7 +72,6 @@ STRAIGHT = 1e-9  # part of the loop's size that an interpolated position may be 
 STEPS = (0.1, 0.03)  # rad of the fastest joint; the first serves up to d = 0.046
 SMOOTH = 1e-9  # part of the largest value by which two orders may differ
 K = 6
-OFFSETS = np.array([k for k in range(-K, K + 1) if k])
 
 
 class Singular(NamedTuple):
@@ -114,10 +109,7 @@ def nearness(mechanism: Mechanism, Psi: Array) -> Array:
 
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
-    """The rank that Psi has about q (n,), and s/L there.
-
-    Closures may depend on one another along the branch that q is on, and nowhere else.
-    """
+    """The rank of Psi about q (n,), on the branch that q is on, and s/L there."""
     Psi = closed_form.closure_jacobian(mechanism, q)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
     if regular == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
@@ -194,17 +186,15 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
 
 def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
     """How far q (..., n) is from `other` (n,) in its farthest joint, turns not counted, rad."""
-    way = q - other
-    if not mechanism.description.couplings:
-        way = np.remainder(way + np.pi, 2 * np.pi) - np.pi
+    way = q - other if mechanism.description.couplings else half_turn(q - other)
     return np.asarray(np.abs(way).max(axis=-1))
 
 
 def known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None:
     """The nearest of those that were found, within so many rad of q (n,)."""
-    near = [(float(apart(mechanism, q, each.q)), k) for k, each in enumerate(known(mechanism))]
-    best = min(near, default=(np.inf, 0))
-    return known(mechanism)[best[1]] if best[0] <= within else None
+    found = known(mechanism)
+    nearest = min(found, key=lambda x: float(apart(mechanism, q, x.q)), default=None)
+    return nearest if nearest and apart(mechanism, q, nearest.q) <= within else None
 
 
 def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
@@ -277,16 +267,18 @@ def miss_remark(mechanism: Mechanism, states: Array) -> str:
 # -- what is taken from the branch ----------------------------------------------------------------
 
 
-def _weights(reach: int) -> Array:
-    """Of the values at -reach .. reach for the one in the middle."""
-    offsets = np.array([k for k in range(-reach, reach + 1) if k])
-    binomials = np.array([comb(2 * reach, reach + k) for k in offsets])
-    weights: Array = -((-1.0) ** offsets) * binomials / comb(2 * reach, reach)
+def lagrange(nodes: Array, x: Array) -> Array:
+    """Weights (T, nodes) of the polynomial through the nodes, at x (T,)."""
+    weights = np.ones((len(x), len(nodes)))
+    for i, node in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            weights[:, i] *= (x - other) / (node - other)
     return weights
 
 
-WEIGHTS = _weights(K)
-LOWER = np.concatenate([[0.0], _weights(K - 1), [0.0]])  # two orders less
+OFFSETS = np.array([k for k in range(-K, K + 1) if k])
+WEIGHTS = lagrange(OFFSETS, np.zeros(1))[0]  # of the values there for the one in the middle
+LOWER = np.pad(lagrange(OFFSETS[1:-1], np.zeros(1))[0], 1)  # two orders less
 
 
 def lead_across(
@@ -307,9 +299,8 @@ def lead_across(
         return None
     away = float(apart(mechanism, y[:n], near.q))
     for step in STEPS:
-        if away > 2.0 * BESIDE * K * step:
-            continue
-        around = _beside(mechanism, closing, y, step / fastest)
+        close = away <= 2.0 * BESIDE * K * step
+        around = _beside(mechanism, closing, y, step / fastest) if close else None
         if around is None:
             continue
         values = evaluate(around)

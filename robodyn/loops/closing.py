@@ -89,6 +89,11 @@ def singular_at(mechanism: Mechanism, kind: str, q: Array, limit: str) -> Singul
     return SingularError(what, where=mechanism.source, limit=limit)
 
 
+def half_turn(angle: Array) -> Array:
+    """The same angle from -pi on, less than half a turn from zero."""
+    return np.asarray(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
+
+
 def newton(q: Any, evaluate: Evaluator) -> Any:
     """Newton steps from q (..., n), each state until it is closed or rounding moves it."""
     before = np.full(q.shape[:-1], np.inf)

@@ -1,14 +1,15 @@
 """Motions that pass a near miss of a change point: steps short enough to stay on their branch.
 
-A loop that misses a change point by gamma turns back from it within sqrt(gamma).  A step that is
-as long as the distance leaps to the other branch before any error shows.  So steps near one are
-held, and one that leapt is taken again: across a singular configuration the orientation of a
-loop's rows in Psi turns over.
+A loop that misses a change point by gamma turns back from it within sqrt(gamma), and a step as long
+as the distance leaps to the other branch before any error shows.  So steps near one are held, and
+one that leapt is taken again: the orientation of a loop's rows in Psi turns over on its way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -44,14 +45,12 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
     for s, two in enumerate(other):
         for k in two:
             joined.setdefault(k, []).append(s)
-    rows: list[dict[int, Value]] = []
-    for one in Psi:
-        products: dict[int, Value] = {}
+    rows: list[dict[int, Value]] = [{} for _ in Psi]
+    for one, products in zip(Psi, rows, strict=True):
         for k, value in one.items():
             for s in joined[k]:
                 product = value * other[s][k]
                 products[s] = products[s] + product if s in products else product
-        rows.append(products)
     pivots: list[Value] = []
     for i, upper in enumerate(rows):
         pivots.append(upper.get(i, 0.0))
@@ -60,13 +59,7 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
             factor = rows[t][i] / pivots[i]
             for s in later:
                 rows[t][s] = rows[t].get(s, 0.0) - factor * upper[s]
-    found = []
-    for members in loops.values():
-        value = pivots[members[0]]
-        for r in members[1:]:
-            value = value * pivots[r]
-        found.append(value)
-    return found
+    return [reduce(mul, (pivots[r] for r in members)) for members in loops.values()]
 
 
 def sparse_rows(mechanism: Mechanism, E: NDArray[np.complex128]) -> list[dict[int, Value]]:
@@ -89,8 +82,6 @@ class Misses:
 
     def distance(self, q: Array) -> float:
         """To the nearest known one, rad; infinite where none is known."""
-        if not self._known:
-            return np.inf
         missed = [each for each in self._known if not each.crosses]
         least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
         return max(least, CLOSEST)
@@ -104,7 +95,7 @@ class Misses:
 
     def near(self, q: Array) -> bool:
         """Whether the nearest configuration that is known, if q is near one, is a miss."""
-        found = known_near(self.mechanism, q, SAME) if self._known else None
+        found = known_near(self.mechanism, q, SAME)
         return found is not None and not found.crosses
 
     def crosses(self, q: Array) -> bool:

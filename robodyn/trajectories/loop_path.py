@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.loops.change_points import OFFSETS
+from robodyn.loops.change_points import OFFSETS, lagrange
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import (
@@ -91,7 +91,7 @@ class LoopPath:
             near = np.flatnonzero(direct & (piece == of) & (np.abs(off) < 0.5 * step))
             if len(near):
                 beside = self._closed(at + step * offsets, np.full(len(offsets), of))
-                weights = _lagrange(offsets, off[near] / step)
+                weights = lagrange(offsets, off[near] / step)
                 held = self.path.evaluate(u[near], piece[near])
                 for values, known, given in zip(result, beside, held, strict=True):
                     values[near] = weights @ known
@@ -169,12 +169,3 @@ def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Ar
     each = zip(edges[:-1], edges[1:], counts, strict=True)
     us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]
     return np.concatenate(us), np.repeat(pieces, counts + 1)
-
-
-def _lagrange(nodes: Array, x: Array) -> Array:
-    """Weights (T, nodes) of the polynomial through the nodes, at x (T,)."""
-    weights = np.ones((len(x), len(nodes)))
-    for i, node in enumerate(nodes):
-        for other in np.delete(nodes, i):
-            weights[:, i] *= (x - other) / (node - other)
-    return weights

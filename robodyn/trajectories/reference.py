@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
+from robodyn.loops.closing import half_turn
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
@@ -133,8 +134,13 @@ def whole_path(
     """The path of all joints; `points` (K, n) as for `motion_along`."""
     if not mechanism.passive and not mechanism.rows:
         return OpenPath(mechanism, path)
-    _check_determined(mechanism)
-    driven = list(mechanism.actuated)
+    driven, passive = list(mechanism.actuated), list(mechanism.passive)
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(driven) < freedoms:
+        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in passive)
+        what = f"the actuated joints do not determine {names}"
+        limit = f"{freedoms} freedoms need as many actuated joints, {len(driven)} are named"
+        raise InputError(what, where=mechanism.source, limit=limit)
     first = path.evaluate(np.zeros(1))[0][0]
     if np.isnan(points[0]).any():
         start = assembly.assemble(mechanism, first)
@@ -145,8 +151,19 @@ def whole_path(
             raise fault[1]
     start[driven] = first
     whole = LoopPath(mechanism, path, start, watch)
-    if isinstance(path, Legs | Spline) and len(points) == len(path.knots):
-        _check_reached(mechanism, whole, path.knots, points)
+    given = ~np.isnan(points).any(axis=1)
+    if isinstance(path, Legs | Spline) and len(points) == len(path.knots) and given.any():
+        # the points given in full must be on the branch of the motion
+        reached = whole.evaluate(path.knots[given])[0]
+        miss = half_turn(reached - points[given])
+        for at, place in np.argwhere(np.abs(miss[:, passive]) > SAME):
+            number, joint = np.flatnonzero(given)[at], passive[place]
+            right = f"q{joint + 1} = {reached[at, joint]:.9g}"
+            raise InputError(
+                f"point {number + 1}: q{joint + 1} ({mechanism.link_names[joint]})",
+                value=f"{points[number, joint]:.9g}",
+                limit=f"on the branch of the first point {right} there",
+            )
     return whole
 
 
@@ -164,33 +181,3 @@ def all_joints(mechanism: Mechanism, points: ArrayLike) -> Array:
     full = np.full((len(given), n), np.nan)
     full[:, driven] = given
     return full
-
-
-def _check_determined(mechanism: Mechanism) -> None:
-    """Raise InputError where the actuated joints leave a freedom."""
-    passive, closures = mechanism.passive, len(mechanism.rows)
-    if len(passive) <= closures:
-        return
-    names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in passive)
-    freedoms = mechanism.n - closures
-    limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are named"
-    raise InputError(
-        f"the actuated joints do not determine {names}", where=mechanism.source, limit=limit
-    )
-
-
-def _check_reached(mechanism: Mechanism, whole: LoopPath, knots: Array, points: Array) -> None:
-    """Raise InputError where a point given in full is not on the branch of the motion."""
-    passive = list(mechanism.passive)
-    given = ~np.isnan(points).any(axis=1)
-    if not given.any() or not passive:
-        return
-    reached = whole.evaluate(knots[given])[0]
-    miss = np.remainder(reached - points[given] + np.pi, 2 * np.pi) - np.pi
-    wrong = np.argwhere(np.abs(miss[:, passive]) > SAME)
-    if len(wrong):
-        at, joint = int(wrong[0][0]), passive[int(wrong[0][1])]
-        number = int(np.flatnonzero(given)[at]) + 1
-        limit = f"on the branch of the first point q{joint + 1} = {reached[at, joint]:.9g} there"
-        what = f"point {number}: q{joint + 1} ({mechanism.link_names[joint]})"
-        raise InputError(what, value=f"{points[given][at, joint]:.9g}", limit=limit)

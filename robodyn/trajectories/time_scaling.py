@@ -4,13 +4,12 @@ A path q(u) run through in the time T has, with x = 1/T,
 
     qd = x q'(u)        qdd = x^2 q''(u)        tau = a(u) x^2 + b(u) x + g(u)
 
-for open and for closed mechanisms: M qdd + C qd is quadratic in x, viscous dampers are linear, and
-gravity does not depend on x.  (Hollerbach, Dynamic scaling of manipulator trajectories, 1984.)  So
-rates and accelerations bound T in closed form, by the profile's peaks.  For torques, a(u), b(u) and
-g(u) follow from inverse dynamics at three values of x, and each u has the least x > 0 at which
-|tau| reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.
-Coulomb friction is no such polynomial: with it the three values of x are taken about the bound that
-the ones before gave, from a slow motion on, until it stays.
+for open and for closed mechanisms (Hollerbach, Dynamic scaling of manipulator trajectories, 1984).
+So rates and accelerations bound T in closed form, by the profile's peaks.  For torques, a, b and g
+follow from inverse dynamics at three values of x, and each u has the least x > 0 at which |tau|
+reaches its limit; the least of all these bounds T.  A slower motion keeps the limits too.  Coulomb
+friction is no such polynomial: with it the three values of x are taken about the bound that the
+ones before gave, from a slow motion on, until it stays.
 
 Extremes are those of `path_extremes.py`: limits hold between the rows too.
 """
@@ -55,7 +54,7 @@ class Limits:
 
     @property
     def given(self) -> list[tuple[str, Array]]:
-        pairs = [("qd", self.qd), ("qdd", self.qdd), ("tau", self.tau)]
+        pairs = zip(UNITS, (self.qd, self.qdd, self.tau), strict=True)
         return [(name, values) for name, values in pairs if values is not None]
 
 
@@ -83,14 +82,12 @@ def limits_of(
 ) -> Limits:
     """Limits from one value for all actuated joints, or one for each; InputError if not > 0."""
     found = {}
-    for name, given in (("qd", qd), ("qdd", qdd), ("tau", tau)):
-        if given is None:
-            continue
-        values = np.array(for_each_actuated(mechanism, given, f"max_{name}"))
-        if not (np.isfinite(values).all() and (values > 0.0).all()):
-            wrong = values[~(np.isfinite(values) & (values > 0.0))][0]
-            raise InputError(f"max_{name}", value=f"{wrong:g}", limit="must be > 0 and finite")
-        found[name] = values
+    for name, given in zip(UNITS, (qd, qdd, tau), strict=True):
+        if given is not None:
+            values = np.array(for_each_actuated(mechanism, given, f"max_{name}"))
+            for wrong in values[~(np.isfinite(values) & (values > 0.0))]:
+                raise InputError(f"max_{name}", value=f"{wrong:g}", limit="must be > 0 and finite")
+            found[name] = values
     return Limits(**found)
 
 
@@ -117,9 +114,8 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
     place, joint = divmod(column, len(driven))
     name, bound = limits.given[place]
     value = float(values(np.array([u]), np.array([piece]))[0, column])
-    k = driven[joint]
     raise LimitError(
-        f"{name}{k + 1} ({mechanism.link_names[k]}) at t = {motion.begin + u * T:.6g} s",
+        f"{_joint(mechanism, name, joint)} at t = {motion.begin + u * T:.6g} s",
         name,
         value=f"{value:.9g} {UNITS[name]}",
         limit=f"exceeds the limit of {bound[joint]:.9g} {UNITS[name]}",
@@ -199,14 +195,13 @@ def shortest_along(
     whole = whole_path(mechanism, path, points, watch)
     found = [(0.0, "")]
     rates, accelerations = path.peaks()
-    peaks = (("qd", rates, limits.qd, 1.0), ("qdd", accelerations, limits.qdd, 0.5))
-    for name, peak, largest, power in peaks:
-        if largest is not None:
-            each = (peak / largest) ** power
+    for name, most in limits.given:
+        if name == "tau":
+            found.append(_shortest_by_torque(mechanism, whole, most, begin))
+        else:
+            each = rates / most if name == "qd" else np.sqrt(accelerations / most)
             joint = int(np.argmax(each))
             found.append((float(each[joint]), _joint(mechanism, name, joint)))
-    if limits.tau is not None:
-        found.append(_shortest_by_torque(mechanism, whole, limits.tau, begin))
     duration, bound = max(found)
     if not (math.isfinite(duration) and duration > 0.0 and rates.any()):
         limit = "is not bounded: nothing moves, or no limit is reached however fast"
@@ -218,7 +213,6 @@ def _shortest_by_torque(
     mechanism: Mechanism, whole: OpenPath | LoopPath, limit: Array, begin: float
 ) -> tuple[float, str]:
     driven = list(mechanism.actuated)
-    both = np.concatenate([limit, limit])
 
     def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
         """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""
@@ -237,7 +231,7 @@ def _shortest_by_torque(
 
         def least_x(u: Array, piece: Pieces) -> Array:
             a, b, g = (np.concatenate([v, -v], axis=1) for v in parts(u, piece, scale))
-            c = np.minimum(g - both, 0.0)
+            c = np.minimum(g - np.tile(limit, 2), 0.0)
             root = b * b - 4 * a * c
             below = b + np.sqrt(np.maximum(root, 0.0))
             open_ = (root < 0.0) | (below <= 0.0)
@@ -246,18 +240,18 @@ def _shortest_by_torque(
         return least_x
 
     scale = _natural_scale(mechanism, whole)
-    slow, u, piece, column = least_along(
-        lambda u, piece: -_relative(parts(u, piece, scale)[2], both), whole
+    slow, *place, joint = least_along(
+        lambda u, piece: -np.abs(parts(u, piece, scale)[2]) / limit, whole
     )
     if -slow >= 1.0:
-        k = driven[column % len(driven)]
-        value = float(parts(np.array([u]), np.array([piece]), scale)[2][0, column % len(driven)])
-        q = whole.evaluate(np.array([u]), np.array([piece]))[0][0]
+        there, of = (np.array([x]) for x in place)
+        value = float(parts(there, of, scale)[2][0, joint])
+        at = ", ".join(f"{x:.6g}" for x in whole.evaluate(there, of)[0][0])
         raise LimitError(
-            f"tau{k + 1} ({mechanism.link_names[k]}) at q = {', '.join(f'{x:.6g}' for x in q)}",
+            f"{_joint(mechanism, 'tau', joint)} at q = {at}",
             "tau",
             value=f"{value:.9g} N m",
-            limit=f"holding this pose takes that, more than the limit of {both[column]:.9g} N m, "
+            limit=f"holding this pose takes that, more than the limit of {limit[joint]:.9g} N m, "
             "however slow the motion",
         )
     x, column = scale, 0
@@ -269,14 +263,8 @@ def _shortest_by_torque(
         if abs(x - before) <= SETTLED * x or math.isinf(x):
             break
     duration = (1.0 + MARGIN) / x
-    if duration == 0.0:
-        return 0.0, ""
     at = f" at t = {begin + u * duration:.6g} s"
     return duration, _joint(mechanism, "tau", column % len(driven)) + at
-
-
-def _relative(values: Array, both: Array) -> Array:
-    return np.concatenate([values, -values], axis=1) / both
 
 
 def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
