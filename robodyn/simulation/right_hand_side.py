@@ -31,13 +31,7 @@ from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
 from robodyn.loops.closing import regular_rank
-from robodyn.loops.projection import (
-    STRAIGHT,
-    Projection,
-    best_closing,
-    dense_closing,
-    loop_terms,
-)
+from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing, loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 
