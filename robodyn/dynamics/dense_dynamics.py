@@ -103,7 +103,11 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     excess = missing - BALANCE * np.abs(load).max(axis=-1)
     if (excess > 0.0).any():
         state = np.unravel_index(np.argmax(excess), q.shape[:-1])
-        raise _cannot_drive(mechanism, q[state], int(s.rank[state]))
+        full = s.rank[state] == len(mechanism.rows)
+        kind = "dead centre" if full else "change point or dependent closures"
+        limit = "no torque of the actuated joints makes this motion: "
+        limit += f"joint {_free_joint(mechanism, q[state])} is free here"
+        raise singular_at(mechanism, kind, q[state], limit)
     remarks = _dependence(mechanism, s.rank)
     if (len(actuated) > n - s.rank).any():
         least = int((n - s.rank).min())
@@ -240,10 +244,3 @@ def _free_joint(mechanism: Mechanism, q: Array) -> str:
     s = _decompose(mechanism, np.vstack([closure_jacobian(mechanism, q), held]))
     joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))
     return f"q{joint + 1} ({mechanism.link_names[joint]})"
-
-
-def _cannot_drive(mechanism: Mechanism, q: Array, rank: int) -> SingularError:
-    kind = "dead centre" if rank == len(mechanism.rows) else "change point or dependent closures"
-    limit = "no torque of the actuated joints makes this motion: "
-    limit += f"joint {_free_joint(mechanism, q)} is free here"
-    return singular_at(mechanism, kind, q, limit)

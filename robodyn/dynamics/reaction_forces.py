@@ -79,8 +79,8 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
 
     M is about the origin, counter-clockwise.  All joints that hang from the ground, closures to
     ground points, sliders, springs to the ground, and torques and dampers of ground joints are in
-    it.  q, qd, qdd (..., n)
-    are a motion that obeys equation (1), rad and s.  Raises InputError for arrays that do not fit.
+    it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s.  Raises InputError for
+    arrays that do not fit.
     """
     E, place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)

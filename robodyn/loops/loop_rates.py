@@ -73,26 +73,18 @@ def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     return "dead centre" if passive else ""
 
 
-def change_point(mechanism: Mechanism, q: ArrayLike) -> bool:
-    """Whether Psi has a lower rank at the closed configuration q (n,) than closely beside it.
-
-    Closures that depend on one another everywhere make no change point.
-    """
-    beside = rank_beside(mechanism, np.asarray(q, float), 1e-3, 4)
-    return bool(beside > rank(mechanism, closure_jacobian(mechanism, q)))
-
-
 def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
     """Raise SingularError for the first of the states (T, n) that rests at a change point.
 
-    From there the mechanism can go on in two ways; one that moves has chosen its way.
+    From there the mechanism can go on in two ways; one that moves has chosen its way.  Closures
+    that depend on one another everywhere make no change point.
     """
     resting = q[~np.any(qd, axis=-1)]
     if not mechanism.rows or not len(resting):
         return
     ranks = rank(mechanism, closure_jacobian(mechanism, resting))
-    for state in resting[ranks < len(mechanism.rows)]:
-        if change_point(mechanism, state):
+    for state, here in zip(resting, ranks, strict=True):
+        if here < len(mechanism.rows) and rank_beside(mechanism, state, 1e-3, 4) > here:
             limit = "the mechanism can go on in two ways: its acceleration is not unique"
             raise singular_at(mechanism, "change point", state, limit)
 

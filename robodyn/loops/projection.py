@@ -80,6 +80,7 @@ def best_closing(mechanism: Mechanism) -> Closing:
     return nearest
 
 
+@lru_cache(maxsize=64)
 def float_closing(mechanism: Mechanism) -> FloatClosing:
     """`best_closing` on lists, for steps that never leave plain floats.
 
@@ -87,7 +88,12 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
     """
     straight = loop_terms(mechanism) <= STRAIGHT
     otherwise = dense_closing(mechanism) if straight else best_closing(mechanism)
-    close = _generated_closing(mechanism) if straight else None
+    formula = projection_formula(mechanism) if straight else None
+    close = None
+    if formula is not None:
+        least, size = EXACT * suspect_quality(mechanism), loop_size(mechanism)
+        limits = least, CLOSED * size, CONVERGED * size
+        close = straightline.compile_closing(formula, PASSES, *limits)
 
     def nearest(y: list[float]) -> tuple[list[float], float]:
         try:
@@ -128,14 +134,3 @@ class Projection:
             return closed
         led = lead_across(self.mechanism, self.closing, y, near, lambda states: states)
         return closed if led is None else led
-
-
-@lru_cache(maxsize=64)
-def _generated_closing(
-    mechanism: Mechanism,
-) -> Callable[[list[float]], tuple[list[float], float] | None] | None:
-    size, formula = loop_size(mechanism), projection_formula(mechanism)
-    if formula is None:
-        return None
-    limits = EXACT * suspect_quality(mechanism), CLOSED * size, CONVERGED * size
-    return straightline.compile_closing(formula, PASSES, *limits)
