@@ -7,7 +7,7 @@ with the closed form that they check.  Residuals are relative to the size of the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -223,7 +223,7 @@ class _Rows:
     """The rows of a scene's program, at states q and qd (..., n)."""
 
     def __init__(self, scene: Mechanism) -> None:
-        self.scene = scene
+        self.scene = scene = replace(scene, A=())  # which none of these reads, and which is large
         self.program = EquationsOfMotion(scene).write([None] * scene.n, work=True, chained=True)
 
     def potential_energy(self, q: Array) -> Array:
