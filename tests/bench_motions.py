@@ -16,13 +16,12 @@ from scipy.integrate import ode
 import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
-from robodyn.engines.step_text import step_text
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.simulation.benchmark import benchmark
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
+from robodyn.taylor.python_series import InterpretedEngine, StraightEngine, step_text
 from robodyn.taylor.run import compiled_engine, stepping_engine
 
 TIME = 0.5  # s, of the N-four-bar falling from the vertical: before the horizontal

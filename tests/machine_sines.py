@@ -45,7 +45,7 @@ def sine_and_cosine(x, family="", level=2):
     """(2, T)."""
 
     def write(k, words):
-        return sines.circular(k, [sines.Circular(words[0], True, True)])[0]
+        return sines.sine_cosine(k, words[0])
 
     return run(write, x, family=family, level=level)
 

@@ -22,13 +22,12 @@ from robodyn import (
 from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.dynamics.evaluators import _accelerations
-from robodyn.engines.step_text import step_text
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.scene.quantities import parse_coupling
 from robodyn.simulation.extended import reference
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.python_series import InterpretedEngine
+from robodyn.taylor.python_series import InterpretedEngine, step_text
 
 FIVE_BAR = """
 gravity: 9.81

@@ -8,8 +8,8 @@ from mpmath import mp, mpf
 from program_cases import KINDS, ROBOTS, SEEDS, accelerations, cases, known, torques
 
 from robodyn.engines import array_blocks, formulas, machine, straightline
-from robodyn.engines.expansion import MotionProgram, expansion
-from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.expansion import MotionProgram, longest_formula
+from robodyn.engines.formulas import RECORDED, Formula, Recorded
 from robodyn.engines.machine_rows import Rows
 from robodyn.engines.series import FLOATS, Arithmetic, Series
 from robodyn.mechanics.actuation import Actuation, expressions
@@ -261,9 +261,11 @@ def test_recorded_series(name, engine):
     for one in cases(name, SEEDS[:seeds]):
         n = one.mech.n
         actuation = Actuation(tuple(one.tau.tolist()))
-        found = expansion(MotionProgram(one.mech, actuation, False), order)
+        motion = MotionProgram(one.mech, actuation, False)
+        start = motion.start()
+        found = motion.expand(RECORDED, start.numbers, order, start.state)
         outputs = tuple(x for part in (found.rho, found.theta) for c in part for x in c)
-        outputs = (*outputs, found.longest)
+        outputs = (*outputs, longest_formula(start.graph, found, start.state.w))
         names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
         formula = Formula((*names, "rtol", "atol"), outputs, ())
         if engine == "text":

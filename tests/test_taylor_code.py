@@ -11,10 +11,9 @@ from test_simulation import reference, scene, slope
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
 from robodyn import forward_dynamics
-from robodyn.engines.step_text import step_text
 from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.simulation.extended import _Series, _Task
-from robodyn.taylor.python_series import StraightEngine
+from robodyn.taylor.python_series import StraightEngine, step_text
 from robodyn.taylor.steps import relative_matrix
 
 ORDER = 12
@@ -44,7 +43,7 @@ def straight(mech, y, order=ORDER, tau=None, work=False):
     _, _, series = engine.expand(0.0, list(y), 1e-3, 1.0)
     n = mech.n
     z = np.array(series[:n]) + 1j * np.array(series[n : 2 * n])
-    return z, np.array(series[2 * n : 2 * n + engine.works])
+    return z, np.array(series[2 * n : 2 * n + engine._now.works])
 
 
 def apart(found, known):

@@ -1,5 +1,6 @@
 """Taylor series in machine code against known digits, DOP853, exact motions, its own restarts."""
 
+import ctypes
 import json
 import math
 from functools import cache
@@ -29,10 +30,11 @@ from robodyn.taylor import Status
 pytest.importorskip("llvmlite")
 
 from robodyn.engines import machine, machine_motion
+from robodyn.engines.expansion import longest_step
 from robodyn.engines.expression import Expression
-from robodyn.engines.machine_loop import LoopScene
-from robodyn.engines.machine_motion import RUNNING, Observer
+from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_steps import Scene
+from robodyn.engines.series import FLOATS
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.taylor import NoCodeError, compiled
@@ -313,31 +315,42 @@ class TestParallelBars:
         assert (chunk.status, len(chunk.t)) == (Status.SINGULAR, 0)
 
 
-def advanced(kind: type[Scene], mechanism, tau, y, lanes=1, **options):
-    """A block (items, lanes) after steps over 0.1 s, of code that is written so."""
-    made = kind(mechanism, tau, 12, work=True, **options)
+def expanded(mechanism, tau, y, lanes=1, **options):
+    """The code of a scene, and its block (items, lanes) after one expansion at y and t = 0."""
+    made = Scene(mechanism, tau, 12, work=True, **options)
     code = machine_motion.compile(made, Observer(), lanes)
-    block, place = np.zeros((code.items, lanes)), made.place
+    block = np.zeros((code.items, lanes))
     made.fill(block, 1e-10, 1e-10)
-    block[: len(y)] = block[len(y) : 2 * len(y)] = y[:, None]
-    for name, value in (("bound", 0.1), ("direction", 1.0), ("status", RUNNING)):
-        block[place[name]] = value
-    code.prepare(block.ctypes.data)
-    code.advance(block.ctypes.data, 1000, block.ctypes.data)
-    assert (block[place["status"]] == Status.REACHED).all()
+    block[: len(y)] = y[:, None]
+    code.code.function("expand", ctypes.c_void_p, result=None)(block.ctypes.data)
     return made, block
 
 
+def rates(rho, theta):
+    """The series of a link's rate, Im(conj(z) z'), order by order."""
+    z = np.array(rho) + 1j * np.array(theta)
+    slope = z[1:] * np.arange(1, len(z))
+    return [np.vdot(z[: m + 1], slope[m::-1]).imag for m in range(len(slope))]
+
+
 class TestOrderAsALoop:
-    """What is written order by order, and as a loop over orders, gives the same steps."""
+    """What code finds, its order a loop, are the series of the rows one by one."""
 
     def check(self, mechanism, tau, y, **options):
-        made, known = advanced(Scene, mechanism, tau, y, **options)
-        _, found = advanced(LoopScene, mechanism, tau, y, **options)
-        count = len(made.state)
-        assert (known[made.place["steps"]] == found[made.place["steps"]]).all()
-        size = max(1.0, np.abs(known[:count]).max())
-        assert np.abs(found[:count] - known[:count]).max() < 1e-13 * size
+        made, block = expanded(mechanism, tau, y, **options)
+        assert (block == block[:, :1]).all()
+        start = made.motion.state(FLOATS, 0.0, y, ((), ()))
+        found = made.motion.expand(FLOATS, made.motion.program.numbers, 12, start)
+        wide, first = len(made.loop.columns), made.whole["rows"]
+        columns = block[first : first + 14 * wide, 0].reshape(14, wide).T
+        turns = [x for pair in zip(found.rho, found.theta, strict=True) for x in pair]
+        series = [*turns, *found.watched, *([found.power] if found.power else [])]
+        longest = longest_step(found, start.w, 1e-10, 1e-10)
+        assert block[made.place["longest"], 0] == pytest.approx(longest, rel=0.1)  # rough roots
+        for known, column in zip(series, columns, strict=False):
+            terms = np.array(known) * longest ** np.arange(len(known))
+            there = column[: len(known)] * longest ** np.arange(len(known))
+            assert np.abs(there - terms).max() < 1e-13 * max(1.0, np.abs(terms).max())
 
     @pytest.mark.parametrize("path", sorted((ROOT / "robots").glob("*.yaml")), ids=lambda p: p.stem)
     def test_robots(self, path):
@@ -360,22 +373,23 @@ class TestOrderAsALoop:
     def test_series_of_rates(self):
         mechanism, _, states = reference("five-bar")
         y, still = np.append(states[0], 0.0), constant(mechanism, [0.0] * mechanism.n)
-        kept = {
-            kind: advanced(kind, mechanism, still, y, lanes=2, rate_series=True, link=1)
-            for kind in (Scene, LoopScene)
-        }
-        for name in (f"{x}_{m}" for x in ("rate0", "rate3", "link0") for m in range(13)):
-            found, known = (block[made.whole[name]] for made, block in kept.values())
-            assert np.abs(found - known).max() <= 1e-11 * max(1.0, np.abs(known).max())
+        made, block = expanded(mechanism, still, y, lanes=2, rate_series=True, link=1)
+        start = made.motion.state(FLOATS, 0.0, y, ((), ()))
+        found = made.motion.expand(FLOATS, made.motion.program.numbers, 12, start)
+        w = np.array([rates(*z) for z in zip(found.rho, found.theta, strict=True)])
+        above = np.array([0.0 * w[0] if x is None else w[x] for x in mechanism.parent])
+        for name, known in (("rate0_0", (w - above).ravel()), ("link0_0", w[1])):
+            there = block[made.whole[name] :][: known.size]
+            assert np.abs(there - known[:, None]).max() <= 1e-11 * max(1.0, np.abs(known).max())
 
     def test_code_grows_with_loops_and_not_with_orders(self):
         still = Actuation((0.0,) * n_four_bar(20).n)
         sizes = []
         for n, order in ((10, 12), (10, 24), (20, 12)):
             mechanism = n_four_bar(n)
-            scene = LoopScene(mechanism, Actuation(still.constants[: mechanism.n]), order)
+            scene = Scene(mechanism, Actuation(still.constants[: mechanism.n]), order)
             nodes = (
-                scene.loop.start.recorded.graph.nodes,
+                scene.loop.start.graph.nodes,
                 next(x.graph for x in scene.closing.outputs if isinstance(x, Expression)).nodes,
             )
             sizes.append(sum(map(len, nodes)))

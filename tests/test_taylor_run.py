@@ -175,7 +175,7 @@ class TestEngines:
             kernels.append(arguments)
             return compile(*arguments) if len(kernels) == 1 else None
 
-        monkeypatch.setattr(compiled, "_codes", {})
+        compiled._kept.cache_clear()
         monkeypatch.setattr(machine_motion, "compile", one)
         motion = taylor(scene("2r"), *START, 1.0, tau, engine="compiled")
         assert len(kernels) > 1

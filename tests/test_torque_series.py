@@ -20,7 +20,8 @@ from robodyn.mechanics.actuation import FUNCTIONS, callback, expressions, table
 from robodyn.mechanics.program import Given, Program
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
 from robodyn.simulation.recording import Outcome
-from robodyn.taylor.python_series import StraightEngine, _agree
+from robodyn.taylor.python_series import StraightEngine
+from robodyn.taylor.steps import _agree
 
 ORDER = 10
 T0 = 0.3

@@ -66,6 +66,7 @@ class Kernel:
         self._slots: list[str] = []
         self._lines: list[str] = []
         self._count = 0
+        self._loops: list[dict[Word, tuple[str, str]]] = []  # what each carries: start and next
 
     # -- text ------------------------------------------------------------------------------------
 
@@ -105,10 +106,11 @@ class Kernel:
 
     def number(self, value: float) -> Word:
         """The same number in every lane."""
-        text = scalar(value)
-        if self.lanes == 1:
-            return Word(text, SCALAR)
-        return Word(f"<{', '.join([f'double {text}'] * self.lanes)}>", self.numbers)
+        return self._everywhere(self.scalar(value))
+
+    def scalar(self, value: float) -> Word:
+        """One number, every bit of it."""
+        return Word("0x" + struct.pack(">d", value).hex().upper(), SCALAR)
 
     def whole(self, value: int) -> Word:
         """A whole number."""
@@ -116,9 +118,16 @@ class Kernel:
 
     def whole_lanes(self, value: int) -> Word:
         """The same whole number in every lane."""
+        return self._everywhere(self.whole(value))
+
+    def all_lanes(self, value: bool) -> Word:
+        """A mask, the same in every lane."""
+        return self._everywhere(Word(str(value).lower(), TRUTH))
+
+    def _everywhere(self, one: Word) -> Word:
         if self.lanes == 1:
-            return Word(str(value), WHOLE)
-        return Word(f"<{', '.join([f'i64 {value}'] * self.lanes)}>", self.wholes)
+            return one
+        return Word(f"<{', '.join([str(one)] * self.lanes)}>", f"<{self.lanes} x {one.type}>")
 
     # -- arithmetic ------------------------------------------------------------------------------
 
@@ -140,10 +149,6 @@ class Kernel:
 
     def negate(self, a: Word) -> Word:
         return self.op(a.type, f"fneg {a}")
-
-    def fused(self, a: Word, b: Word, c: Word) -> Word:
-        """a b + c with one rounding; slow where the processor has no such instruction."""
-        return self.intrinsic("fma", a, b, c)
 
     def intrinsic(self, name: str, *args: Word) -> Word:
         """llvm.sqrt, llvm.fabs and the like of numbers."""
@@ -181,13 +186,6 @@ class Kernel:
     def invert(self, mask: Word) -> Word:
         single = mask.type == TRUTH
         return self.binary("xor", mask, Word("true", TRUTH) if single else self.all_lanes(True))
-
-    def all_lanes(self, value: bool) -> Word:
-        """A mask, the same in every lane."""
-        text = "true" if value else "false"
-        if self.lanes == 1:
-            return Word(text, TRUTH)
-        return Word(f"<{', '.join([f'i1 {text}'] * self.lanes)}>", self.mask)
 
     def any(self, mask: Word) -> Word:
         """Whether the mask is set in any lane."""
@@ -274,26 +272,35 @@ class Kernel:
         head, body, after = f"head{name}", f"body{name}", f"after{name}"
         self.jump(head)
         self.start(head)
-        i, place = Word(f"%i{name}", WHOLE), len(self._lines)
-        self._lines.append("")  # the phi: where the body ends is not known yet
+        place = len(self._lines)
+        self._lines.append("")  # what is carried: where the body ends is not known yet
+        self._loops.append({})
+        i = self.carried(first or self.whole(0))
         self.branch(self.compare("slt", i, stop), body, after)
         self.start(body)
         yield i
-        following = self.add(i, self.whole(step))
-        start = (first or self.whole(0)).text
-        come = f"[ {start}, %{before} ], [ {following.text}, %{self.block} ]"
-        self._lines[place] = f"  {i.text} = phi i64 {come}"
+        self.becomes(i, self.add(i, self.whole(step)))
+        self._lines[place] = "\n".join(
+            f"  {word.text} = phi {word.type} [ {start}, %{before} ], [ {now}, %{self.block} ]"
+            for word, (start, now) in self._loops.pop().items()
+        )
         self.jump(head)
         self.start(after)
 
-    def each(self, count: int, write: Callable[[Word | int], None]) -> None:
-        """Write something for 0 .. count - 1, or a loop where text is short."""
-        if self.module.short:
-            with self.loop(self.whole(count)) as i:
-                write(i)
-        else:
-            for j in range(count):
-                write(j)
+    def carried(self, start: Word) -> Word:
+        """What the innermost loop changes: its value as a pass begins, and after the last."""
+        word = Word(f"%c{self.fresh()}", start.type)
+        self._loops[-1][word] = start.text, ""
+        return word
+
+    def becomes(self, carried: Word, value: Word) -> None:
+        """What it is in the next pass."""
+        self._loops[-1][carried] = self._loops[-1][carried][0], value.text
+
+    def each(self, count: int, write: Callable[[Word], None]) -> None:
+        """Write something for 0 .. count - 1."""
+        with self.loop(self.whole(count)) as i:
+            write(i)
 
     @contextmanager
     def forever(self) -> Iterator[str]:
@@ -329,11 +336,6 @@ class Kernel:
 
 
 _KIND = {name: (name, f"f{name} contract") for name in ("add", "sub", "mul")}
-
-
-def scalar(value: float) -> str:
-    """A float as LLVM writes it, every bit of it."""
-    return "0x" + struct.pack(">d", value).hex().upper()
 
 
 def _floats(word: Word) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from robodyn.engines import expression
 from robodyn.engines.expression import Value
-from robodyn.engines.formulas import RECORDED
+from robodyn.engines.formulas import RECORDED, absolute
 from robodyn.engines.series import Series, State
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
@@ -21,11 +21,7 @@ def energies(
     """KE and PE less the mechanism's constant, J, at q, qd (n)."""
     equations = EquationsOfMotion(mechanism)
     wanted = [equations.kinetic(), equations.potential()]
-    alpha, w = list(q), list(qd)
-    for k in mechanism.order:
-        above = mechanism.parent[k]
-        if above is not None:
-            alpha[k], w[k] = alpha[above] + alpha[k], w[above] + w[k]
+    alpha, w = absolute(mechanism, q), absolute(mechanism, qd)
     named = {"q": q, "qd": qd, "alpha": alpha}
     given: dict[str, Any] = {
         f"{name}{k}": (x,) for name, values in named.items() for k, x in enumerate(values)

@@ -1,6 +1,6 @@
 """One step of a motion's Taylor series as a formula: the series, the step's length, its end.
 
-Every engine that takes steps writes this formula out: as Python, or as machine code of many lanes.
+Every engine that takes steps runs this formula or writes it out.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.expression import Graph
-from robodyn.engines.formulas import RECORDED, Recorded
+from robodyn.engines.formulas import RECORDED, Recorded, absolute
 from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
@@ -20,6 +20,7 @@ from robodyn.mechanics.torque_rows import torque_slots
 
 Given = dict[str, Sequence[Value] | Callable[[int], Value]]
 
+KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 TINY = 1e-290  # in place of a coefficient that vanishes
 TURN = 2.0  # rad: a link that turns farther in a step may not have its turns counted
 
@@ -41,7 +42,7 @@ class Coefficients(NamedTuple):
 class Start(NamedTuple):
     """The state of a motion as formulas, and the numbers that its rows take."""
 
-    recorded: Recorded
+    graph: Graph
     numbers: list[Value]
     steady: list[Value]  # constant torques
     state: State
@@ -99,20 +100,16 @@ class MotionProgram:
 
         With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, ...
         """
-        recorded = Recorded(
-            self.mechanism, ("qd", "tau", "dtau"), by_direction=True, generic=generic
-        )
-        numbers = recorded.numbers(self.program)
+        names = ("qd", "tau", "dtau")
+        recorded = Recorded(self.mechanism, names, by_direction=True, generic=generic)
+        numbers, relative = recorded.numbers(self.program), recorded.relative
         steady = [
             recorded.parameter(f"u{j}", tau) if tau else 0.0
             for j, tau in enumerate(self.actuation.constants or ())
         ]
-        alpha, w = recorded.absolute("q"), recorded.absolute("qd")
-        relative, t = recorded.relative, recorded.graph.variable("t")
-        torques = relative["tau"], relative["dtau"]
-        given = self.given(t, relative["q"], relative["qd"], alpha, torques, steady)
-        E: list[Planar] = [(expression.cos(angle), expression.sin(angle)) for angle in alpha]
-        return Start(recorded, numbers, steady, State(E, w, given))
+        y, torques = [*relative["q"], *relative["qd"]], (relative["tau"], relative["dtau"])
+        state = self.state(RECORDED, recorded.graph.variable("t"), y, torques, steady)
+        return Start(recorded.graph, numbers, steady, state)
 
     def state(
         self,
@@ -120,17 +117,14 @@ class MotionProgram:
         t: Value,
         y: Sequence[Value],
         torques: tuple[Sequence[Value], Sequence[Value]],
+        steady: Sequence[Value] = (),
     ) -> State:
-        """Where the series start at the state y = (q, qd, ...)."""
+        """Where the series start at the state y = (q, qd, ...); see `given`."""
         n = self.mechanism.n
         q, qd = y[:n], y[n : 2 * n]
-        alpha, w = list(q), list(qd)
-        for k in self.mechanism.order:
-            above = self.mechanism.parent[k]
-            if above is not None:
-                alpha[k], w[k] = alpha[above] + alpha[k], w[above] + w[k]
+        alpha, w = absolute(self.mechanism, q), absolute(self.mechanism, qd)
         E = [(arithmetic.cos(angle), arithmetic.sin(angle)) for angle in alpha]
-        return State(E, w, self.given(t, q, qd, alpha, torques))
+        return State(E, w, self.given(t, q, qd, alpha, torques, steady))
 
     def expand(
         self,
@@ -164,51 +158,11 @@ class MotionProgram:
         )
 
 
-class Expansion(NamedTuple):
-    """Formulas of q, qd, t, tau and dtau (n each: what is linear, and its slope in time).
-
-    `given` tells whether there are such torques; `rho`, `theta`, `power` and `watched` are those of
-    `Coefficients`, `steady` (n) torques that are constant, whose work is not in the power,
-    `longest` the step that the tolerances `rtol` and `atol` allow; `arms` make torques of what is
-    watched.
-    """
-
-    graph: Graph
-    given: bool
-    rho: list[list[Value]]
-    theta: list[list[Value]]
-    power: list[Value]
-    steady: list[Value]
-    longest: Value
-    watched: list[list[Value]]
-    arms: list[float]
-
-
-def expansion(motion: MotionProgram, order: int, generic: bool = False) -> Expansion:
-    """The formulas of one step; see `Expansion`.
-
-    With `generic` the numbers of the rows are parameters c0, c1, ..., constant torques u0, u1, ...,
-    and roots are rough.  Raises ZeroDivisionError where no state has a series.
-    """
-    actuation, start = motion.actuation, motion.start(generic)
-    graph = start.recorded.graph
-    series = motion.expand(RECORDED, start.numbers, order, start.state)
-    return Expansion(
-        graph,
-        actuation.constants is None and actuation.linear,
-        series.rho,
-        series.theta,
-        series.power,
-        start.steady,
-        longest_formula(graph, series, start.state.w, generic),
-        series.watched,
-        motion.arms,
-    )
-
-
-def longest_formula(graph: Graph, series: Coefficients, w: Sequence[Value], generic: bool) -> Value:
-    """`longest_step` of tolerances that are variables, by rough roots where `generic`."""
-    power = _rough if generic else expression.power
+def longest_formula(
+    graph: Graph, series: Coefficients, w: Sequence[Value], rough: bool = False
+) -> Value:
+    """`longest_step` of tolerances that are variables, by rough roots where these serve."""
+    power = _rough if rough else expression.power
     return longest_step(series, w, graph.variable("rtol"), graph.variable("atol"), power)
 
 
@@ -268,35 +222,27 @@ def horner(coefficients: Sequence[Value], x: Value) -> tuple[Value, Value]:
     return value, slope
 
 
-def turned(rho: Sequence[Value], theta: Sequence[Value], x: Value) -> tuple[Planar, Value]:
-    """The turn r + i t of a link at x after the start, and its rate Im(conj(z) z')/|z|^2."""
-    (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
-    return (r, t), turning((r, t), (dr, dt))
-
-
 def turning(z: Planar, slope: Planar) -> Value:
     """Im(conj(z) z')/|z|^2."""
     (r, t), (dr, dt) = z, slope
     return (r * dt - t * dr) / (r * r + t * t)
 
 
-def rates(rho: Sequence[Value], theta: Sequence[Value], order: int) -> list[Value]:
-    """The series of a link's rate w = Im(conj(z) z'), up to an order below those of z."""
-    found: list[Value] = []
-    for m in range(order + 1):
-        total: Value = 0.0
-        for j in range(m + 1):
-            total = total + (j + 1.0) * (rho[m - j] * theta[j + 1] - theta[m - j] * rho[j + 1])
-        found.append(total)
-    return found
-
-
-def end_of_step(mechanism: Mechanism, found: Expansion, work: bool, graph: Graph) -> list[Value]:
+def end_of_step(
+    mechanism: Mechanism,
+    series: Coefficients,
+    steady: Sequence[Value],
+    work: bool,
+    given: Callable[[str], Value],
+) -> list[Value]:
     """q, qd (n each) and, if wanted, the work at the time x after the start."""
-    x = graph.variable("x")
-    turns = [turned(rho, theta, x) for rho, theta in zip(found.rho, found.theta, strict=True)]
-    power = integral(found.power, x) if work and found.power else 0.0
-    return ends(mechanism, turns, power, found.steady, work, graph)
+    x = given("x")
+    turns = []
+    for rho, theta in zip(series.rho, series.theta, strict=True):
+        (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
+        turns.append(((r, t), turning((r, t), (dr, dt))))
+    power = integral(series.power, x) if work and series.power else 0.0
+    return ends(mechanism, turns, power, steady, work, given)
 
 
 def ends(
@@ -305,7 +251,7 @@ def ends(
     power: Value,
     steady: Sequence[Value],
     work: bool,
-    graph: Graph,
+    given: Callable[[str], Value],
 ) -> list[Value]:
     """The same from the turns of the links, their rates, and the work of what has a power."""
     ways = [expression.arctangent(t, r) for (r, t), _ in turns]
@@ -315,11 +261,11 @@ def ends(
         if above is not None:
             way, rate = way - ways[above], rate - turns[above][1]
         own.append(way)
-        q.append(graph.variable(f"q{j}") + way)
+        q.append(given(f"q{j}") + way)
         qd.append(rate)
     if not work:
         return [*q, *qd]
-    total: Value = graph.variable("work") + power
+    total: Value = given("work") + power
     for tau, way in zip(steady, own, strict=False):
         total = total + tau * way
     return [*q, *qd, total]

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from robodyn.engines import expression
-from robodyn.engines.arithmetic import dot, entries
+from robodyn.engines.arithmetic import dot, entries, some
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
@@ -43,6 +43,16 @@ RECORDED = Arithmetic(
 def anything(i: int) -> float:
     """A number that stands for any: it is no 0, 1 or -1, and no sum of products of them is."""
     return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
+
+
+def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
+    """J times values of the joints, of any kind."""
+    values = list(relative)
+    for k in mechanism.order:
+        above = mechanism.parent[k]
+        if above is not None:
+            values[k] = values[above] + values[k]
+    return values
 
 
 class Formula(NamedTuple):
@@ -89,12 +99,7 @@ class Recorded:
 
     def absolute(self, name: str) -> list[Value]:
         """J times the relative values called `name`."""
-        values: list[Value] = list(self.relative[name])
-        for k in self.mechanism.order:
-            above = self.mechanism.parent[k]
-            if above is not None:
-                values[k] = values[above] + values[k]
-        return values
+        return absolute(self.mechanism, self.relative[name])
 
     def to_joints(self, values: Sequence[Value]) -> list[Value]:
         """J^T times values in alpha."""
@@ -122,8 +127,7 @@ class Recorded:
         for j in range(mechanism.n):
             tau = self.relative["tau"][j] if torques is None else torques[j]
             given[f"tau{j}"] = (tau,)
-            zero = isinstance(tau, float) and tau == 0.0
-            driven.append(None if zero else program.add(Given(f"tau{j}")))
+            driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         self.torques = equations.torques
         alpha = self.absolute("q")
@@ -186,9 +190,6 @@ def cheapest(
     return min(ways, key=lambda f: expression.cost(f.outputs + f.pivots))
 
 
-# -- inverse dynamics ----------------------------------------------------------------------------
-
-
 def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula | None:
     """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
 
@@ -246,9 +247,6 @@ def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:
     n = state.mechanism.n
     rows = series.matrix()[n:]
     return [state.to_joints([row.get(k, 0.0) for k in range(n)]) for row in rows]
-
-
-# -- forward dynamics ----------------------------------------------------------------------------
 
 
 def forward_formula(

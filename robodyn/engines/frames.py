@@ -8,6 +8,7 @@ once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from robodyn.engines.arithmetic import (
@@ -25,13 +26,29 @@ from robodyn.engines.arithmetic import (
     times,
     weighted,
 )
-from robodyn.engines.state import State
 from robodyn.mechanics.program import (
     Coefficient,
     PlanarCoefficient,
     Program,
     Slot,
 )
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Where a series starts: the links' directions E (n), rates w, and the values of `Given`s.
+
+    `given` maps a name to its first coefficients, or to a function of the order that returns one.
+    `turn` (j, k) gives conj(E_j) E_k where there is a cheaper way than to multiply.  Where the
+    links' `accelerations` (n) are given, the residuals of order 0 are what they leave open.
+    """
+
+    E: Sequence[Planar]
+    w: Sequence[Value]
+    given: dict[str, Sequence[Value] | Callable[[int], Value]]
+    turn: Callable[[int, int], Planar] | None = None
+    accelerations: Sequence[Value] | None = None
+
 
 # frame (a link, or None: the ground's), coefficient that is not yet multiplied, value
 Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
@@ -62,14 +79,16 @@ class Frames:
             return c
         return times(c.sign, self.numbers[c.place])
 
+    def _pair(self, c: PlanarCoefficient) -> Planar:
+        return self.coefficient(c[0]), self.coefficient(c[1])
+
     def factor(self, to: int | None, frame: int | None, c: PlanarCoefficient | None) -> Planar:
         """c E_frame in the frame `to`: conj(E_to) c E_frame."""
         key = (to, frame, c)
         found = self._factor.get(key)
         if found is None:
             if c is not None:
-                number = self.coefficient(c[0]), self.coefficient(c[1])
-                found = planar_times(number, self.factor(to, frame, None))
+                found = planar_times(self._pair(c), self.factor(to, frame, None))
                 found = self.arithmetic.keep(found[0]), self.arithmetic.keep(found[1])
             elif to == frame:
                 found = (1.0, 0.0)

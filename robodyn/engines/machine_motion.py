@@ -9,19 +9,27 @@ its neighbours.
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from robodyn.engines import machine
 from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
+from robodyn.engines.expression import Expression, Graph
+from robodyn.engines.formulas import Formula
 from robodyn.engines.machine import Code, Processor
-from robodyn.engines.machine_closing import SINGULAR
-from robodyn.engines.machine_steps import Scene
-from robodyn.loops.misses import SLOWEST, TURN
-from robodyn.taylor import Status
+from robodyn.engines.machine_steps import ALIGNED, Scene
+from robodyn.engines.segment import Segment
+from robodyn.loops.misses import SLOWEST, TURN, orientation
+from robodyn.loops.projection import PASSES
+from robodyn.taylor import PARTS, Status
 
 RUNNING = -1.0
-LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
+KEPT = 128  # codes in a process
+SINGULAR = 1e-6  # relative pivot below which a Newton step is not trusted
 ULPS = 2.0**-50  # of a time: a step below this part is none
 
 
@@ -46,28 +54,41 @@ class Observer:
 class Loaded(NamedTuple):
     """The kernels that Python calls, of blocks at an address."""
 
-    prepare: Callable[[int], Any]
     close: Callable[[int], Any] | None  # where there are closures to keep
     advance: Callable[[int, int, int], int]
     items: int
     lanes: int
     code: Code
 
+    def block(self) -> NDArray[np.float64]:
+        """A block of zeros, whose vectors cross no line of the cache."""
+        room = np.zeros(self.items * self.lanes + ALIGNED)
+        return room[-(room.ctypes.data // 8) % ALIGNED :][: self.items * self.lanes]
 
-def compile(
-    scene: Scene, observer: Observer, lanes: int, family: str = "", level: int | None = None
-) -> Loaded | None:
-    """The machine code of a scene; None where there is none."""
 
-    def write(processor: Processor) -> str:
-        return text(scene, observer, processor)
+_made: dict[tuple[str, int, str], Loaded | None] = {}
+_making = threading.Lock()
 
-    key = f"{observer.key} {scene.key}"
-    code = machine.make(write, key=key, lanes=lanes, family=family, level=level)
-    if code is None:
-        return None
+
+def compile(scene: Scene, observer: Observer, lanes: int, family: str = "") -> Loaded | None:
+    """The machine code of a scene, made once a process for all of its shape; None: there is none.
+
+    Raises ZeroDivisionError where no state has a series.
+    """
+    key = f"{observer.key} {scene.key}", lanes, family
+    with _making:  # all threads get the same
+        if key not in _made:
+            while len(_made) >= KEPT:
+                _made.pop(next(iter(_made)))
+            code = machine.make(
+                lambda processor: text(scene, observer, processor), key[0], None, family, lanes
+            )
+            _made[key] = None if code is None else _loaded(scene, code)
+        return _made[key]
+
+
+def _loaded(scene: Scene, code: Code) -> Loaded:
     return Loaded(
-        code.function("prepare", ctypes.c_void_p, result=None),
         code.function("close", ctypes.c_void_p, result=None) if scene.closes else None,
         code.function("advance", ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p),
         code.function("size")(),
@@ -77,8 +98,12 @@ def compile(
 
 
 def text(scene: Scene, observer: Observer, processor: Processor) -> str:
-    module = Module(processor.lanes, scene.short)
+    """All kernels of a scene."""
+    module = Module(processor.lanes, short=True)
     scene.write(module)
+    if scene.closing is not None:
+        _write_close(scene, module, scene.closing)
+        _write_leaps(scene, module, scene.closing)
     observer.declare(scene, module)
     k = Kernel(module, "advance", (ADDRESS, WHOLE, ADDRESS))
     block, budget, own = k.arguments
@@ -96,6 +121,68 @@ def text(scene: Scene, observer: Observer, processor: Processor) -> str:
     k.done(k.get(taken, WHOLE))
     observer.finish(scene, module)
     return module.text
+
+
+def _write_close(scene: Scene, module: Module, formula: Formula) -> None:
+    """Newton's method as `straightline.compile_closing` has it, lane by lane."""
+    k, block = scene.kernel(module, "close")
+    n, rows = scene.mechanism.n, len(formula.pivots)
+    outputs = [*formula.outputs, *formula.pivots]
+    names = scene.there([f"{name}{j}" for name in ("q", "qd") for j in range(n)])
+    segment = scene.segment(k, block, outputs, scene.closing_names | names)
+    moving, passes = k.slot(k.all_lanes(True)), k.slot(k.whole(0))
+    quality = k.slot(k.number(0.0))
+    speeds = [k.slot(scene.get(k, block, f"to_qd{j}")) for j in range(n)]
+    with k.forever() as closed:
+        words = segment.write(outputs)
+        now = k.get(moving, k.mask)
+        pivots = words[2 * n + rows :]
+        least = pivots[0]
+        for pivot in pivots[1:]:
+            least = k.select(k.compare("ult", pivot, least), pivot, least)
+        k.set(quality, k.select(now, least, k.get(quality)))
+        now = k.both(now, k.less(k.number(SINGULAR), least))
+        gap = k.number(0.0)
+        for word in words[2 * n : 2 * n + rows]:
+            size = k.intrinsic("fabs", word)
+            gap = k.select(k.compare("ugt", size, gap), size, gap)
+        for slot, word in zip(speeds, words[n : 2 * n], strict=True):
+            k.set(slot, k.select(now, word, k.get(slot)))
+        now = k.both(now, k.compare("ugt", gap, scene.get(k, block, "rounding")))
+        for j in range(n):
+            before = scene.get(k, block, f"to_q{j}")
+            scene.put(k, block, f"to_q{j}", k.select(now, words[j], before))
+        now = k.both(now, k.compare("ugt", gap, scene.get(k, block, "converged")))
+        k.set(moving, now)
+        count = k.add(k.get(passes, "i64"), k.whole(1))
+        k.set(passes, count)
+        k.leave(k.invert(k.any(now)), closed)
+        k.leave(k.compare("sge", count, k.whole(PASSES)), closed)
+    for j, slot in enumerate(speeds):
+        scene.put(k, block, f"to_qd{j}", k.get(slot))
+    scene.put(k, block, "quality", k.get(quality))
+    k.done()
+
+
+def _write_leaps(scene: Scene, module: Module, formula: Formula) -> None:
+    """`leaps(block)`: no quality is left where a loop turns over between the step's ends."""
+    k, block = scene.kernel(module, "leaps")
+    names = [f"{name}{j}" for name in ("q", "qd") for j in range(scene.mechanism.n)]
+    entries = [(r, j, x) for r, row in enumerate(formula.Psi) for j, x in row.items()]
+    words, products = {}, Graph()
+    both: list[list[dict[int, Expression]]] = []
+    for side, inputs in (("from", {}), ("to", scene.there(names))):
+        both.append([{} for _ in formula.Psi])
+        values = [x for *_, x in entries]
+        found = scene.segment(k, block, values, scene.closing_names | inputs).write(values)
+        for (r, j, _), word in zip(entries, found, strict=True):
+            words[f"{side}{r}_{j}"] = word
+            both[-1][r][j] = products.variable(f"{side}{r}_{j}")
+    quality = scene.get(k, block, "quality")
+    for value in Segment(k, words).write(orientation(scene.mechanism, *both)):
+        quality = k.select(k.less(k.number(0.0), value), quality, k.number(-1.0))
+    scene.put(k, block, "quality", quality)
+    k.done()
 
 
 class _Step:
@@ -225,7 +312,7 @@ class _Step:
         poor = k.both(go, k.compare("ult", self.get("quality"), suspect))
         with k.when(k.any(poor)):
             left, best = k.slot(poor), k.slot(self.get("quality"))
-            for part in LANDINGS:
+            for part in PARTS[1:]:
                 waiting = k.get(left, k.mask)
                 shorter = k.multiply(whole, k.number(part))
                 there = k.select(waiting, shorter, whole)

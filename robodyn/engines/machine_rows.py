@@ -9,21 +9,19 @@ code runs.
 from __future__ import annotations
 
 import ctypes
-import os
-import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines import machine
+from robodyn.engines.array_blocks import shared
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.machine import Processor
 from robodyn.engines.segment import Segment
 
 SHARE = 50_000  # rows that are worth a thread
-MAX_THREADS = 4
 PIECE = 200_000  # rows of one call, which Ctrl-C does not end: some ms
 
 Array = NDArray[np.float64]
@@ -80,29 +78,9 @@ class Rows:
         apart = [a.strides[0] // 8 for a in held]  # from row to row, in doubles
         table = np.array([*places, doubtful.ctypes.data, *apart], np.int64)
         numbers = np.array([*self.parameters.values(), 0.0])
-        threads = max(1, min(MAX_THREADS, os.cpu_count() or 1, total // SHARE))
-        bounds = [total * k // threads for k in range(threads + 1)]
         place = (table.ctypes.data, numbers.ctypes.data)
         found: list[int] = []
-        stopped: list[bool] = []
-
-        def run(k: int) -> None:
-            for first in range(bounds[k], bounds[k + 1], PIECE):
-                if stopped:
-                    return
-                found.append(function(first, min(first + PIECE, bounds[k + 1]), *place))
-
-        others = [threading.Thread(target=run, args=(k,)) for k in range(1, threads)]
-        for thread in others:
-            thread.start()
-        try:
-            run(0)
-        except BaseException:  # Ctrl-C ends the others too
-            stopped.append(True)
-            raise
-        finally:
-            for thread in others:
-                thread.join()
+        shared(total, SHARE, PIECE, lambda _, *rows: found.append(function(*rows, *place)))
         return np.flatnonzero(doubtful) if any(found) else np.zeros(0, np.int64)
 
     def _padded(

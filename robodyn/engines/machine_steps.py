@@ -2,10 +2,9 @@
 
 All that belongs to the motions of one vector lies in a block of items of W doubles each, which
 `Scene.place` names: the state (q0, ..., qd0, ..., work), that at a step's end (to_q0, ...), the
-time, what is given, the scene's numbers, what follows from these alone, the series, and how things
-stand.  The kernels
+time, what is given, the scene's numbers and how things stand.  Behind them stands the series: a
+matrix of coefficients, a row an order and a column a series.  The kernels
 
-    prepare(block)     what follows from the numbers alone
     expand(block)      the series at the state, and the longest step
     evaluate(block)    the state at x after the start, from the series
     close(block)       that state moved to the nearest that closes, and its quality
@@ -20,17 +19,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property, partial
-from itertools import count, takewhile
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
-from robodyn.engines.expansion import Expansion, MotionProgram, end_of_step, expansion, rates
-from robodyn.engines.expression import INPUTS, Expression, Graph, Value, needed
+from robodyn.engines.expansion import KINK, MotionProgram
+from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula, projection_formula
-from robodyn.engines.machine_closing import write_close, write_leaps
+from robodyn.engines.machine_series import WIDE, Run, runs, write_evaluate, write_expand
+from robodyn.engines.order_loop import LoopExpansion, loop_expansion
 from robodyn.engines.segment import Segment
 from robodyn.loops.assembly import loop_size
 from robodyn.loops.change_points import suspect_quality
@@ -42,7 +41,7 @@ from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
 
-KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
+ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for
 COMMON = (
     "t", "bound", "direction", "status", "steps", "most_steps", "x", "t_there", "h", "longest",
@@ -55,11 +54,10 @@ class Scene:
     """A mechanism and its torques as a block's layout, code and numbers.
 
     Without `closes` closures are not kept by projection.  With `rate_series` the series of the
-    joints' rates are among the items, as rate0_0, rate0_1, ..., and that of `link` as link0_0, ...
+    joints' rates are among the items, from rate0_0 on, joint by joint, and that of `link` from
+    link0_0 on.
     `kept` are items of an observer's own, with what they are at first.
     """
-
-    short = False  # whether text is kept short, at some cost of speed
 
     def __init__(
         self,
@@ -94,14 +92,14 @@ class Scene:
             self.values |= {f"closing.c{i}": x for i, x in enumerate(closing.program.numbers)}
             self.values |= {f"closing.size{r}": x.size**2 for r, x in enumerate(mechanism.rows)}
             shapes.append(closing.program.shape)
-        self.key = f"{type(self).__name__} {shapes!r}"
+        self.key = repr(shapes)
 
     # -- formulas ----------------------------------------------------------------------------------
 
     @cached_property
-    def found(self) -> Expansion:
+    def loop(self) -> LoopExpansion:
         """The formulas of a step; raises ZeroDivisionError where no state has a series."""
-        return expansion(self.motion, self.order, generic=True)
+        return loop_expansion(self.motion, self.order)
 
     @cached_property
     def closing(self) -> Formula | None:
@@ -111,68 +109,10 @@ class Scene:
             raise ZeroDivisionError("closures that no state can keep")
         return formula
 
-    @cached_property
-    def series(self) -> dict[str, Value]:
-        """What `expand` finds, by name."""
-        found = self.found
-        named: dict[str, Value] = {}
-        parts = {"rho": found.rho, "theta": found.theta, "watched": found.watched}
-        parts["power"] = [found.power] if found.power else []
-        w = [rates(*z, self.order) for z in zip(found.rho, found.theta, strict=True)]
-        if self.rate_series:
-            parts["rate"] = [
-                each if above is None else [a - b for a, b in zip(each, w[above], strict=True)]
-                for each, above in zip(w, self.mechanism.parent, strict=True)
-            ]
-        if self.link >= 0:
-            parts["link"] = [w[self.link]]
-        for name, rows in parts.items():
-            for k, row in enumerate(rows):
-                named |= {f"{name}{k}_{m}": value for m, value in enumerate(row)}
-        return named
-
-    def _stored(self, name: str, value: Value) -> bool:
-        """Whether a coefficient is an item; those of rates are so that they stand side by side."""
-        return isinstance(value, Expression) or name.startswith(("rate", "link"))
-
-    def coefficients(self, graph: Graph, name: str) -> list[Value]:
-        """A series as variables of another graph; what is no variable stays a number."""
-        keys = takewhile(self.series.__contains__, (f"{name}_{m}" for m in count()))
-        found = ((key, self.series[key]) for key in keys)
-        return [graph.variable(k) if isinstance(x, Expression) else x for k, x in found]
-
-    @cached_property
-    def _held(self) -> dict[int, dict[int, str]]:
-        """By graph: what follows from numbers alone and is wanted by the rest, and its item."""
-        held: dict[int, dict[int, str]] = {}
-        for graph, outputs, prefix in self._graphs():
-            nodes = needed(outputs)
-            wanted = {
-                a.index: a
-                for node in nodes
-                for a in node.args
-                if not node.constant and isinstance(a, Expression) and a.constant
-            }
-            wanted |= {x.index: x for x in outputs if isinstance(x, Expression) and x.constant}
-            held[id(graph)] = {
-                index: f"{prefix}{node.args[0]}" if node.op in INPUTS else f"{prefix}k{index}"
-                for index, node in wanted.items()
-            }
-        return held
-
     @property
-    def _formulas(self) -> tuple[Graph, list[Value]]:
-        """Of `expand`."""
-        return self.found.graph, [self.found.longest, *self.series.values()]
-
-    def _graphs(self) -> list[tuple[Graph, list[Value], str]]:
-        parts = [(*self._formulas, "")]
-        if self.closing is not None:
-            outputs = [*self.closing.outputs, *self.closing.pivots]
-            outputs += [x for row in self.closing.Psi for x in row.values()]
-            graph = next(x.graph for x in outputs if isinstance(x, Expression))
-            parts.append((graph, outputs, "closing."))
-        return parts
+    def closing_names(self) -> dict[str, str]:
+        """The items of the numbers that it takes."""
+        return {name[8:]: name for name in self.values if name.startswith("closing.")}
 
     # -- the block ---------------------------------------------------------------------------------
 
@@ -192,17 +132,35 @@ class Scene:
         return {name: i for i, name in enumerate([*names, *self.values])}
 
     @cached_property
+    def runs(self) -> tuple[list[Run], dict[str, int], int]:
+        """See `machine_series.runs`."""
+        return runs(self.loop)
+
+    @cached_property
     def whole(self) -> dict[str, int]:
-        """All items, those of the code's own included."""
-        names = list(self.place)
-        names += [k for held in self._held.values() for k in held.values() if k not in self.place]
-        names += [k for k, x in self.series.items() if self._stored(k, x)]
-        return {name: i for i, name in enumerate(names)}
+        """Where all items stand, and where the tables of the code's own begin."""
+        whole = dict(self.place)
+        turns, orders = 2 * self.mechanism.n + WIDE, self.order + 1
+        sizes = {
+            "rows": (orders + 2) * len(self.loop.columns) + WIDE,
+            "sums": self.runs[2] + WIDE,
+            "value": turns,
+            "slope": turns,
+            "rate0_0": self.mechanism.n * orders if self.rate_series else 0,
+            "link0_0": orders if self.link >= 0 else 0,
+            "end": 0,
+        }
+        place = len(whole)
+        for name, size in sizes.items():
+            place += -place % ALIGNED
+            whole[name] = place
+            place += size
+        return whole
 
     @property
     def items(self) -> int:
         """How many a block has."""
-        return len(self.whole)
+        return self.whole["end"]
 
     def fill(self, block: Array, rtol: float, atol: float, project: float = 1.0) -> None:
         """The scene's numbers and limits into a block (items, ...)."""
@@ -229,9 +187,17 @@ class Scene:
         k = Kernel(module, name, (ADDRESS,), "void")
         return k, k.arguments[0]
 
-    def at(self, k: Kernel, block: Word, name: str) -> Word:
-        """The address of an item."""
-        return k.at(block, self.whole[name], k.numbers)
+    def at(self, k: Kernel, block: Word, name: str, place: int = 0) -> Word:
+        """The address of an item, or of one in a table."""
+        return k.at(block, self.whole[name] + place, k.numbers)
+
+    def row(self, k: Kernel, block: Word, m: Word | int, column: int = 0) -> Word:
+        """The address of coefficient m of a series."""
+        width = len(self.loop.columns)
+        if isinstance(m, int):
+            return self.at(k, block, "rows", m * width + column)
+        row = k.at(block, k.multiply(m, k.whole(width)), k.numbers)
+        return self.at(k, row, "rows", column)
 
     def get(self, k: Kernel, block: Word, name: str) -> Word:
         """An item."""
@@ -242,101 +208,58 @@ class Scene:
         k.store(value, self.at(k, block, name))
 
     def segment(
-        self, k: Kernel, block: Word, graph: Graph, names: Mapping[str, str] | None = None
+        self,
+        k: Kernel,
+        block: Word,
+        outputs: Sequence[Value],
+        read: Callable[[str], Word] | Mapping[str, str] | None = None,
     ) -> Segment:
-        """For a graph whose inputs are items; `names` gives those of other names."""
-        renamed = names or {}
-        return Segment(
-            k,
-            lambda name: self.get(k, block, renamed.get(name, name)),
-            self.held_words(k, block, graph),
-        )
+        """For outputs whose inputs are items, or what `read` says: their names, or their words.
 
-    def held_words(self, k: Kernel, block: Word, graph: Graph) -> dict[int, Callable[[], Word]]:
-        """What reads the nodes of a graph that `prepare` computes."""
+        What follows from numbers alone is written here, before any loop.
+        """
+        if not callable(read):
+            names = read or {}
 
-        def reader(item: str) -> Callable[[], Word]:
-            read = partial(self.get, k, block, item)
-            return cache(read) if self.short else read
+            def read(name: str) -> Word:
+                return self.get(k, block, names.get(name, name))
 
-        return {index: reader(item) for index, item in self._held.get(id(graph), {}).items()}
+        segment = Segment(k, read)
+        segment.constants(outputs)
+        return segment
 
     def write(self, module: Module) -> None:
         """The kernels into a module; `size` tells how many items a block has."""
         k = Kernel(module, "size", ())
         k.done(k.whole(self.items))
-        self._prepare(module)
-        self._expand(module)
-        self._evaluate(module)
-        if self.closing is not None:
-            write_close(self, module, self.closing)
-            write_leaps(self, module, self.closing)
+        write_expand(self, module)
+        write_evaluate(self, module)
         if self.bends:
             self._compare(module)
-
-    def _prepare(self, module: Module) -> None:
-        k, block = self.kernel(module, "prepare")
-        for graph, outputs, prefix in self._graphs():
-            held = self._held[id(graph)]
-            nodes = [x for x in needed(outputs) if x.index in held and x.op not in INPUTS]
-            names = {name: self.get(k, block, f"{prefix}{name}") for name in graph.parameters}
-            segment = Segment(k, names)
-            for node, word in zip(nodes, segment.write(nodes), strict=True):
-                self.put(k, block, held[node.index], word)
-        k.done()
-
-    def _expand(self, module: Module) -> None:
-        k, block = self.kernel(module, "expand")
-        segment = self.segment(k, block, self.found.graph)
-        own = {name: x for name, x in self.series.items() if self._stored(name, x)}
-        words = segment.write([self.found.longest, *own.values()])
-        for name, word in zip(("longest", *own), words, strict=True):
-            self.put(k, block, name, word)
-        k.done()
-
-    def _evaluate(self, module: Module) -> None:
-        k, block = self.kernel(module, "evaluate")
-        graph, n = Graph(), self.mechanism.n
-        found = self.found._replace(
-            rho=[self.coefficients(graph, f"rho{j}") for j in range(n)],
-            theta=[self.coefficients(graph, f"theta{j}") for j in range(n)],
-            power=self.coefficients(graph, "power0"),
-            steady=[graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(self.found.steady)],
-        )
-        outputs = end_of_step(self.mechanism, found, self.work, graph)
-        words = self.segment(k, block, graph).write(outputs)
-        for name, word in zip(self.state, words, strict=True):
-            self.put(k, block, f"to_{name}", word)
-        k.done()
 
     def there(self, names: Sequence[str]) -> dict[str, str]:
         """Inputs of a graph, taken from the state at a step's end."""
         return {name: f"to_{name}" for name in names} | {"t": "t_there"}
 
-    @property
-    def _bending(self) -> tuple[Graph, list[Value]]:
-        """Where what is watched starts."""
-        return self.found.graph, [x[0] for x in self.found.watched]
-
     def _terms(self, k: Kernel, block: Word, i: int, x: Word) -> tuple[Word, Word]:
         """The sum of a watched series at x, and its largest term."""
-        total = most = k.number(0.0)
-        power = k.number(1.0)
-        for m, value in enumerate(self.found.watched[i]):
-            stored, name = isinstance(value, Expression), f"watched{i}_{m}"
-            coefficient = self.get(k, block, name) if stored else k.number(float(value))
-            term = k.multiply(coefficient, power)
-            total, size = k.add(total, term), k.intrinsic("fabs", term)
-            most = k.select(k.less(most, size), size, most)
-            power = k.multiply(power, x)
+        with k.loop(k.whole(self.order)) as m:
+            total, most, power = (k.carried(k.number(i)) for i in (0.0, 0.0, 1.0))
+            c = k.load(self.row(k, block, m, 2 * self.mechanism.n + i))
+            term = k.multiply(c, power)
+            size = k.intrinsic("fabs", term)
+            k.becomes(total, k.add(total, term))
+            k.becomes(most, k.select(k.less(most, size), size, most))
+            k.becomes(power, k.multiply(power, x))
         return total, most
 
     def _compare(self, module: Module) -> None:
         """Whether what may bend is, at the state there, what its series gives at x."""
         k, block = self.kernel(module, "compare")
         names = self.there([f"{name}{j}" for name in ("q", "qd") for j in range(self.mechanism.n)])
-        graph, wanted = self._bending
-        values = self.segment(k, block, graph, names).write(wanted)
+        watched = self.loop.columns[2 * self.mechanism.n :][: self.loop.watched]
+        starts = [series.first[0] for series in watched]
+        values = self.segment(k, block, starts, names).write(starts)
         x, small, relative = (self.get(k, block, name) for name in ("x", "miss", "relative"))
         agrees = k.all_lanes(True)
         for i in range(len(self.bends)):

@@ -44,6 +44,12 @@ class Order:
     def __lt__(self, other: Any) -> bool:
         return isinstance(other, Order) and self.offset < other.offset
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Order) and self.offset == other.offset
+
+    def __hash__(self) -> int:
+        return hash((Order, self.offset))
+
 
 class Stored:
     """The coefficients of a series, as a list has them: of the first orders, and of this one."""
@@ -122,23 +128,14 @@ class Loop:
         return total
 
 
-class _PlanarStored:
+class _PlanarStored(dict[Any, Framed]):
     """The coefficients of a planar slot: those of earlier orders are read in the ground's frame."""
 
     def __init__(self, series: LoopSeries, slot: Slot) -> None:
         self.series, self.slot = series, slot
-        self.found: dict[tuple[bool, int], tuple[int | Order, Framed]] = {}
 
-    def __setitem__(self, m: int | Order, value: Framed) -> None:
-        self.found[_place(m)] = m, value
-
-    def __getitem__(self, m: int | Order) -> Framed:
-        place = _place(m)
-        return self.found[place][1] if place in self.found else self.series.earlier(self.slot, m)
-
-
-def _place(m: int | Order) -> tuple[bool, int]:
-    return (True, m.offset) if isinstance(m, Order) else (False, m)
+    def __missing__(self, m: int | Order) -> Framed:
+        return self.series.earlier(self.slot, m)
 
 
 class LoopSeries(Series):
@@ -157,7 +154,7 @@ class LoopSeries(Series):
             room = self.arithmetic.room
             self._ground[slot] = room(0), room(0)
             known: Any = self.planar[slot]
-            for each, _ in known.found.values():
+            for each in list(known):
                 self._remember(slot, each)
         x, y = self._ground[slot]
         return ((None, None, (x[m], y[m])),)
@@ -214,7 +211,7 @@ class LoopExpansion(NamedTuple):
 def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
     """The formulas of a step's series, numbers and torques as parameters; see `expansion`."""
     start = motion.start(generic=True)
-    loop = Loop(start.recorded.graph)
+    loop = Loop(start.graph)
     slots = [*motion.power, *motion.bends]
     series = LoopSeries(
         motion.program, loop.arithmetic, start.numbers, order, start.state, slots=slots

@@ -47,9 +47,9 @@ from robodyn.mechanics.program import (
 )
 
 
-def scaled(scale: float, framed: Framed) -> Framed:
-    """A planar coefficient times a number."""
-    return tuple((f, c, (times(scale, a), times(scale, b))) for f, c, (a, b) in framed)
+def planar_scaled(scale: Value, z: Planar) -> Planar:
+    """A planar number times a real one."""
+    return times(scale, z[0]), times(scale, z[1])
 
 
 class Rules(Frames):
@@ -70,29 +70,15 @@ class Rules(Frames):
                 return self._turn(slot, k, m)
             case Rate(turn=E):
                 return self._rate(E, m)
-            case Integral(x=x, start=start):
-                if m == 0:
-                    given = self.state.given[start]
-                    return given(0) if callable(given) else given[0]
-                return over(real[x][m - 1], m)
-            case Anchored(x=x, start=start):
-                return self.known(slot, Integral(x, start), 0) if m == 0 else real[x][m]
-            case Derivative(x=x) if x in planar:
-                return scaled(m + 1.0, planar[x][m + 1])
-            case Derivative(x=x):
-                return times(m + 1.0, real[x][m + 1])
-            case Sum(constant=constant, terms=terms):
-                total: Value = self.coefficient(constant) if m == 0 else 0.0
-                for c, x in terms:
-                    total = self._accumulate(total, c, real[x][m])
-                return total
-            case PlanarSum(constant=by, terms=planar_terms):
-                start_value: Framed = ()
-                if m == 0 and by != (0.0, 0.0):
-                    start_value = ((None, by, (1.0, 0.0)),)
-                return start_value + self._planar_sum(planar_terms, lambda z: self._value(z, m))
-            case RealPart(z=z):
-                return self.real_part(planar[z][m])
+            case Integral(start=start) | Anchored(start=start) if m == 0:
+                given = self.state.given[start]
+                return given(0) if callable(given) else given[0]
+            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+
+                def earlier(x: Slot, ahead: int) -> Any:
+                    return planar[x][m + ahead] if x in planar else real[x][m + ahead]
+
+                return self._linear(row, m, earlier, m == 0)
             case Product(x=x, y=y):
                 return self.convolve(real[x], real[y], m)
             case Scaled(x=x, z=z):
@@ -127,31 +113,54 @@ class Rules(Frames):
             return plus(total, times(self.coefficient(c), value))
         return difference(total, times(self.coefficient(-c), value))
 
-    def _value(self, z: Slot, m: int) -> Framed:
-        """Coefficient m of a planar or real slot, as a planar one."""
-        if z in self.planar:
-            return self.planar[z][m]
-        return ((None, None, (self.real[z][m], 0.0)),)
+    def _linear(
+        self, row: Row, m: int, of: Callable[[Slot, int], Any], begins: bool = False
+    ) -> Any:
+        """A row that is a sum of others, by what `of(slot, orders ahead)` gives; None adds nothing.
 
-    def _planar_sum(
-        self, terms: Sequence[tuple[PlanarCoefficient, Slot]], value: Callable[[Slot], Framed]
-    ) -> Framed:
+        Where it `begins`, with its constant.
+        """
+        match row:
+            case Integral(x=x):
+                return over(of(x, -1), m)
+            case Anchored(x=x):
+                return of(x, 0)
+            case Derivative(x=x) if x in self.planar:
+                return tuple((f, c, planar_scaled(m + 1.0, z)) for f, c, z in of(x, 1))
+            case Derivative(x=x):
+                return times(m + 1.0, of(x, 1))
+            case RealPart(z=z):
+                return self.real_part(of(z, 0))
+            case Sum(constant=constant, terms=terms):
+                total: Value = self.coefficient(constant) if begins else 0.0
+                for c, x in terms:
+                    if (value := of(x, 0)) is not None:
+                        total = self._accumulate(total, c, value)
+                return total
+            case PlanarSum(constant=by, terms=planar_terms):
+                start: Framed = ()
+                if begins and by != (0.0, 0.0):
+                    start = ((None, by, (1.0, 0.0)),)
+                given = ((c, z, of(z, 0)) for c, z in planar_terms)
+                framed = [
+                    (c, value if z in self.planar else ((None, None, (value, 0.0)),))
+                    for c, z, value in given
+                    if value is not None
+                ]
+                return start + self._planar_sum(framed)
+        raise AssertionError(row)
+
+    def _planar_sum(self, terms: Sequence[tuple[PlanarCoefficient, Framed]]) -> Framed:
         if self.grounded:  # one sum in the ground's frame
             total = ZERO
-            for c, z in terms:
-                number = self.coefficient(c[0]), self.coefficient(c[1])
-                total = planar_plus(total, planar_times(number, self.into(None, value(z))))
+            for c, framed in terms:
+                total = planar_plus(total, planar_times(self._pair(c), self.into(None, framed)))
             return ((None, None, total),)
-        parts: list[tuple[int | None, PlanarCoefficient | None, Planar]] = []
-        for c, z in terms:
-            framed = value(z)
-            for frame, inner, (a, b) in framed:
-                if inner is not None:
-                    a, b = planar_times(
-                        (self.coefficient(inner[0]), self.coefficient(inner[1])), (a, b)
-                    )
-                parts.append((frame, c, (a, b)))
-        return tuple(parts)
+        return tuple(
+            (frame, c, value if inner is None else planar_times(self._pair(inner), value))
+            for c, framed in terms
+            for frame, inner, value in framed
+        )
 
     def _turn(self, slot: Slot, link: int, m: int) -> Framed:
         rho, theta = self._moment[slot]
@@ -235,25 +244,8 @@ class Rules(Frames):
             case Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
-            case Derivative(x=x) if x in self.planar:
-                return scaled(m + 1.0, change[x])
-            case Derivative(x=x):
-                return times(m + 1.0, of(x))
-            case Integral(x=x):
-                return over(of(x), m)
-            case Anchored(x=x):
-                return of(x)
-            case Sum(terms=terms):
-                total: Value = 0.0
-                for c, x in terms:
-                    if x in change:
-                        total = self._accumulate(total, c, change[x])
-                return total
-            case PlanarSum(terms=planar_terms):
-                kept = [(c, z) for c, z in planar_terms if z in change]
-                return self._planar_sum(kept, lambda z: self._as_planar(change[z], z))
-            case RealPart(z=z):
-                return self.real_part(change[z])
+            case Integral() | Anchored() | Derivative() | Sum() | RealPart() | PlanarSum():
+                return self._linear(row, m, lambda x, _: change.get(x))
             case Product(x=x, y=y):
                 return plus(times(of(x), real[y][0]), times(real[x][0], of(y)))
             case Moment():
@@ -267,11 +259,11 @@ class Rules(Frames):
                         total = plus(total, plus(times(a, c), times(b, d)))
                 return total
             case Scaled(x=x, z=z):
-                a, b = self.ground(z, 0)
-                result = (times(of(x), a), times(of(x), b))
+                result = planar_scaled(of(x), self.ground(z, 0))
                 if z in change:
-                    c, d = self.into(None, change[z])
-                    result = planar_plus(result, (times(real[x][0], c), times(real[x][0], d)))
+                    result = planar_plus(
+                        result, planar_scaled(real[x][0], self.into(None, change[z]))
+                    )
                 return ((None, None, result),)
         raise AssertionError(row)
 
@@ -289,6 +281,3 @@ class Rules(Frames):
         row = self.program.rows[turn]
         assert isinstance(row, Turn)
         return row.link
-
-    def _as_planar(self, change: Any, z: Slot) -> Framed:
-        return change if z in self.planar else ((None, None, (change, 0.0)),)

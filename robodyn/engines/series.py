@@ -30,8 +30,8 @@ from robodyn.engines.arithmetic import conjugate_times as conjugate_times
 from robodyn.engines.arithmetic import plus, some, times
 from robodyn.engines.factors import Factors, PivotedFactors
 from robodyn.engines.frames import Framed
+from robodyn.engines.frames import State as State
 from robodyn.engines.rules import Rules
-from robodyn.engines.state import State as State
 from robodyn.mechanics.program import (
     Derivative,
     Function,

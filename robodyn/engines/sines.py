@@ -1,4 +1,4 @@
-"""Sine, cosine and arctangent in machine code, lane by lane without branches.
+"""Sine, cosine, arctangent and rough powers in machine code, lane by lane without branches.
 
 An angle x up to 1e5 rad is reduced by n quarter turns, n = round(x 2/pi) < 2^16.  pi/2 is the sum
 of two numbers of 37 bits and a rest, so n times either is exact, and the reduced angle is known as
@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import NamedTuple
 
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
+from robodyn.engines.assembler import SCALAR, Kernel, Word
 
 LARGEST = 1e5  # rad
+_PAIR = "{{ {0}, {0} }}"  # what functions return
 
 _HALF_PI = Fraction(0x3243F6A8885A308D313198A2E03707344A4093822299F31D0082EFA98EC4E6C8, 2**253)
 _FIRST = Fraction(int(_HALF_PI * 2**36), 2**36)
@@ -56,58 +56,56 @@ _ATAN_Q = (
 )
 
 
-class Circular(NamedTuple):
-    """An angle, and which of its functions are wanted."""
-
-    angle: Word
-    sine: bool
-    cosine: bool
-
-
-def circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
-    """(sine, cosine) of each angle; what is not wanted is any word."""
-    if kernel.module.short:
-        found = [_called(kernel, "sine_cosine", [x.angle], 2, _both) for x in wanted]
-        return [(sine, cosine) for sine, cosine in found]
-    return _circular(kernel, wanted)
-
-
 def _called(
-    kernel: Kernel,
-    name: str,
-    args: Sequence[Word],
-    count: int,
-    write: Callable[[Kernel, Sequence[Word]], Sequence[Word]],
+    kernel: Kernel, name: str, args: Sequence[Word], write: Callable[..., Sequence[Word]]
 ) -> list[Word]:
-    """The `count` numbers that `write` makes of others, by a function of this name."""
-    type = f"{{ {', '.join([kernel.numbers] * count)} }}"
+    """The numbers that `write` makes of others, by a function of this name."""
     if name not in kernel.module.functions:
         kernel.module.functions[name] = ""  # keeps its place
-        k = Kernel(kernel.module, name, [kernel.numbers] * len(args), type)
-        found = Word("poison", type)
-        for i, word in enumerate(write(k, k.arguments)):
-            found = k.op(type, f"insertvalue {found}, {word}, {i}")
+        k = Kernel(kernel.module, name, [kernel.numbers] * len(args), _PAIR.format(kernel.numbers))
+        found = Word("poison", k.result)
+        for i, word in enumerate(write(k, *k.arguments)):
+            found = k.op(k.result, f"insertvalue {found}, {word}, {i}")
         k.done(found)
+    type = _PAIR.format(kernel.numbers)
     whole = kernel.op(type, f"call {type} @{name}({', '.join(map(str, args))})")
-    return [kernel.op(kernel.numbers, f"extractvalue {whole}, {i}") for i in range(count)]
+    return [kernel.op(kernel.numbers, f"extractvalue {whole}, {i}") for i in range(2)]
 
 
-def _both(kernel: Kernel, angles: Sequence[Word]) -> tuple[Word, Word]:
-    return _circular(kernel, [Circular(angles[0], True, True)])[0]
+def sine_cosine(kernel: Kernel, angle: Word) -> Sequence[Word]:
+    """Both of an angle."""
+    if kernel.module.short:
+        return _called(kernel, "sine_cosine", [angle], _sine_cosine)
+    return _sine_cosine(kernel, angle)
 
 
-def _circular(kernel: Kernel, wanted: Sequence[Circular]) -> list[tuple[Word, Word]]:
-    found = [_reduced(kernel, *item) for item in wanted]
-    limit = kernel.number(LARGEST)
-    beyond = kernel.all_lanes(False)
-    for item in wanted:
-        size = kernel.intrinsic("fabs", item.angle)
-        beyond = kernel.either(beyond, kernel.compare("uge", size, limit))
-    flat = [word for pair in found for word in pair]
-    return _repaired(kernel, [item.angle for item in wanted], flat, kernel.any(beyond))
+def _sine_cosine(k: Kernel, x: Word) -> list[Word]:
+    found = _reduced(k, x)
+    beyond = k.compare("uge", k.intrinsic("fabs", x), k.number(LARGEST))
+    before, name = k.block, k.fresh()
+    k.branch(k.any(beyond), f"large{name}", f"usual{name}")
+    k.start(f"large{name}")
+    again = _called(k, "large_sines", [x, *found], _large)
+    k.jump(f"usual{name}")
+    k.start(f"usual{name}")
+    return [
+        k.joined(word, before, other, f"large{name}")
+        for word, other in zip(found, again, strict=True)
+    ]
 
 
-def _reduced(kernel: Kernel, x: Word, sine: bool, cosine: bool) -> tuple[Word, Word]:
+def _large(k: Kernel, x: Word, *found: Word) -> list[Word]:
+    """Sine and cosine, by the C library where an angle is large."""
+    beyond = k.compare("uge", k.intrinsic("fabs", x), k.number(LARGEST))
+    names = ("sin", "cos")
+    return [
+        k.select(beyond, each_lane(k, name, x), word)
+        for name, word in zip(names, found, strict=True)
+    ]
+
+
+def _reduced(kernel: Kernel, x: Word) -> tuple[Word, Word]:
+    """Of angles up to LARGEST."""
     k, number = kernel, kernel.number
     shifted = k.add(k.multiply(x, number(float(1 / _HALF_PI))), number(_ROUND))
     n = k.subtract(shifted, number(_ROUND))
@@ -133,13 +131,9 @@ def _reduced(kernel: Kernel, x: Word, sine: bool, cosine: bool) -> tuple[Word, W
 
     quarter = k.convert("bitcast", shifted, k.wholes)
     odd = k.compare("ne", k.binary("and", quarter, k.whole_lanes(1)), k.whole_lanes(0))
-    sin = cos = own_sine
-    if sine:
-        sin = _signed(k, k.select(odd, own_cosine, own_sine), quarter)
-    if cosine:
-        ahead = k.add(quarter, k.whole_lanes(1))
-        cos = _signed(k, k.select(odd, own_sine, own_cosine), ahead)
-    return sin, cos
+    ahead = k.add(quarter, k.whole_lanes(1))
+    sin = _signed(k, k.select(odd, own_cosine, own_sine), quarter)
+    return sin, _signed(k, k.select(odd, own_sine, own_cosine), ahead)
 
 
 def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
@@ -150,62 +144,15 @@ def _signed(kernel: Kernel, value: Word, quarter: Word) -> Word:
     return kernel.convert("bitcast", turned, kernel.numbers)
 
 
-def _repaired(
-    kernel: Kernel, angles: Sequence[Word], found: list[Word], beyond: Word
-) -> list[tuple[Word, Word]]:
-    """`found` (sine, cosine, sine, ...), by the C library where an angle is large."""
-    k, count = kernel, len(angles)
-    rooms = [k.room(k.numbers, n) for n in (count, 2 * count)]
-    before, name = k.block, k.fresh()
-    k.branch(beyond, f"large{name}", f"usual{name}")
-    k.start(f"large{name}")
-    for words, room in zip((angles, found), rooms, strict=True):
-        for i, word in enumerate(words):
-            k.store(word, k.at(room, i, k.numbers))
-    _define_large(k.module)
-    k.line(f"call void @large_sines({rooms[0]}, {rooms[1]}, i64 {count})")
-    again = [k.load(k.at(rooms[1], i, k.numbers)) for i in range(2 * count)]
-    k.jump(f"usual{name}")
-    k.start(f"usual{name}")
-    joined = [
-        k.joined(word, before, other, f"large{name}")
-        for word, other in zip(found, again, strict=True)
-    ]
-    return list(zip(joined[::2], joined[1::2], strict=True))
-
-
-def _define_large(module: Module) -> None:
-    """large_sines(angles, pairs, count): each sine and cosine beyond LARGEST, W lanes each."""
-    if "large_sines" in module.functions:
-        return
-    module.functions["large_sines"] = ""  # keeps its place
-    k = Kernel(module, "large_sines", (ADDRESS, ADDRESS, WHOLE), "void")
-    angles, pairs, count = k.arguments
-    lanes = k.whole(k.lanes)
-    with k.loop(count) as i, k.loop(lanes) as lane:
-        row = k.multiply(i, lanes)
-        x = k.load(k.at(angles, k.add(row, lane)), SCALAR)
-        large = k.compare("uge", k.intrinsic("fabs", x), Word("1.0e5", SCALAR))
-        with k.when(large):
-            place = k.add(k.multiply(row, k.whole(2)), lane)
-            for name, offset in (("sin", 0), ("cos", k.lanes)):
-                value = call_library(k, name, x)
-                k.store(value, k.at(pairs, k.add(place, k.whole(offset))))
-    k.done()
-
-
-def call_library(kernel: Kernel, name: str, *args: Word) -> Word:
-    """A function of the C library on scalars."""
-    kernel.module.declare(name, SCALAR, *[SCALAR] * len(args))
-    return kernel.op(SCALAR, f"call double @{name}({', '.join(map(str, args))})")
-
-
 def each_lane(kernel: Kernel, name: str, *args: Word) -> Word:
     """A function of the C library, lane by lane."""
-    lanes = range(kernel.lanes)
-    return kernel.gathered(
-        [call_library(kernel, name, *(kernel.lane(a, i) for a in args)) for i in lanes]
-    )
+    kernel.module.declare(name, SCALAR, *[SCALAR] * len(args))
+
+    def call(i: int) -> Word:
+        listed = ", ".join(str(kernel.lane(a, i)) for a in args)
+        return kernel.op(SCALAR, f"call double @{name}({listed})")
+
+    return kernel.gathered([call(i) for i in range(kernel.lanes)])
 
 
 def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
@@ -219,7 +166,7 @@ def polynomial(kernel: Kernel, x: Word, coefficients: Sequence[float]) -> Word:
 def arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
     """atan2(y, x) within 3 ulp; 0 of (0, 0), nan of nan or two infinities."""
     if kernel.module.short:
-        return _called(kernel, "arctangent", [y, x], 1, lambda k, z: [_arctangent(k, *z)])[0]
+        return _called(kernel, "arctangent", [y, x], lambda *given: [_arctangent(*given)] * 2)[0]
     return _arctangent(kernel, y, x)
 
 
@@ -242,3 +189,17 @@ def _arctangent(kernel: Kernel, y: Word, x: Word) -> Word:
     back = k.compare("slt", k.convert("bitcast", x, k.wholes), k.whole_lanes(0))
     angle = k.select(back, k.subtract(number(float(2 * _HALF_PI)), angle), angle)
     return k.intrinsic("copysign", angle, y)
+
+
+def rough_power(kernel: Kernel, x: Word, exponent: float) -> Word:
+    """x^exponent of x >= 0 within 7 % for |exponent| <= 1, without a logarithm.
+
+    The bits of x, read as a whole number, are its logarithm to base 2, but for a scale, a shift
+    and 9 % of one.  Zero counts as 2^-1023; nan and infinity give nan.
+    """
+    k = kernel
+    whole = k.convert("sitofp", k.convert("bitcast", x, k.wholes), k.numbers)
+    shift = 1023 * 2.0**52 * (1.0 - exponent)
+    power = k.add(k.multiply(whole, k.number(exponent)), k.number(shift))
+    found = k.convert("bitcast", k.convert("fptosi", power, k.wholes), k.numbers)
+    return k.add(found, k.multiply(k.number(0.0), x))

@@ -103,9 +103,9 @@ class ArrayMachine:
         return rows(x), rows(y - (terms - 1) * self.columns)[::-1]
 
     def polynomials(
-        self, M: Array, series: int, values: int, slopes: int, rows: int, wide: int, xs: Any
+        self, M: Array, series: int, values: int, slopes: int, rows: int, wide: int, place: int
     ) -> None:
-        x, wide = xs[0], wide // LANES
+        x, wide = M[place], wide // LANES
         value, slope = np.zeros((2, wide, M.shape[1]))
         for m in reversed(range(rows)):
             first = series + m * self.columns

@@ -108,7 +108,6 @@ class LaneObserver(Observer):
             with k.loop(count) as i:
                 item = k.load(k.at(columns, k.add(k.multiply(i, stride), lane)))
                 k.store(item, k.at(block, i, k.numbers))
-            k.line(f"call void @prepare({block})")
             fresh = k.compare("oeq", scene.get(k, block, "begun"), k.number(0.0))
             with k.when(k.any(fresh)):
                 k.line(f"call void @begin({block})")
@@ -136,7 +135,7 @@ class LaneObserver(Observer):
         names = [f"{x}{j}" for x in ("q", "qd") for j in range(mechanism.n)]
         state = [graph.variable(name) for name in names]
         found = energies(mechanism, number, state[: mechanism.n], state[mechanism.n :])
-        segment = self.scene.segment(k, block, graph, {name: f"to_{name}" for name in names})
+        segment = self.scene.segment(k, block, found, {name: f"to_{name}" for name in names})
         for name, word in zip(("longest", "miss"), segment.write(found), strict=True):
             self.scene.put(k, block, name, word)
         k.done()

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from robodyn.engines import machine_motion
 from robodyn.engines.machine import Processor
-from robodyn.engines.machine_loop import LoopScene
 from robodyn.engines.machine_motion import RUNNING, Loaded
 from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
@@ -28,12 +27,11 @@ from robodyn.sweeps.array_machine import LANES, ArrayMachine
 from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.step_extremes import crossings, extremes
 from robodyn.taylor import Status, best_order, default_order
-from robodyn.taylor.compiled import scene_kind, serves
+from robodyn.taylor.compiled import serves
 
 Array = NDArray[np.float64]
 
 KEPT = 64  # codes in a process
-UNROLLED = 1000  # as in `taylor/compiled.py`: where lanes fill vectors, calls gain less
 PIECE = 128  # lanes of one call of machine code, and
 BUDGET = 512  # steps of each: some 10 ms, which Ctrl-C does not end
 STEPS = 4  # of numpy's, after which lanes that have ended leave the arrays
@@ -143,9 +141,8 @@ def _scene(
     if not serves(mechanism):
         return None
     order = default_order(aims.rtol) if compiled else best_order(aims.rtol)
-    kind = scene_kind(mechanism, order, UNROLLED) if compiled else LoopScene
     try:
-        return kind(
+        return Scene(
             mechanism,
             Actuation(tuple(map(float, driven))),
             order,
@@ -172,7 +169,6 @@ def _made(scene: Scene | None, aims: Aims, compiled: bool) -> _Shape | None:
     observer = LaneObserver(scene, aims.extremes)
     try:
         if not compiled:
-            assert isinstance(scene, LoopScene)
             return _Shape(scene, _ArrayLanes(scene, observer).run)
         loaded = machine_motion.compile(scene, observer, 0)
         return None if loaded is None else _Shape(scene, _MachineLanes(scene, loaded).run)
@@ -231,7 +227,7 @@ class _MachineLanes:
         held[:, :L] = columns
         held[:, L:] = columns[:, -1:]  # what pads the last lanes idles
         held[self.idle, L:] = float(Status.REACHED)
-        block, wide = np.zeros(self.loaded.items * lanes), held.shape[1]
+        block, wide = self.loaded.block(), held.shape[1]
         for first in range(0, wide, PIECE):
             stop = min(first + PIECE, wide)
             while self.call(block.ctypes.data, held.ctypes.data, wide, first, stop, BUDGET):
@@ -242,7 +238,7 @@ class _MachineLanes:
 class _ArrayLanes(ArrayMachine):
     """Lanes in numpy; those that have ended leave the arrays, so that the last ones cost little."""
 
-    def __init__(self, scene: LoopScene, observer: LaneObserver) -> None:
+    def __init__(self, scene: Scene, observer: LaneObserver) -> None:
         processor = Processor("", "", LANES, False)
         text = machine_motion.text(scene, observer, processor)
         super().__init__(text, len(scene.loop.columns))
@@ -254,7 +250,6 @@ class _ArrayLanes(ArrayMachine):
         lanes, M = np.arange(L), np.zeros((self.scene.items, L))
         M[:count] = columns
         with np.errstate(all="ignore"):  # what leaves the floats is told by its status
-            self.prepare(M, 0)
             self.begin(M, 0)
             while True:
                 running = M[self.scene.place["status"]] == RUNNING

@@ -19,7 +19,7 @@ from robodyn.errors import RobodynError
 
 Array = NDArray[np.float64]
 
-TINY = 1e-290  # in place of a coefficient that vanishes
+PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 
 class Status(IntEnum):

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
-from robodyn.engines.machine_loop import LoopScene
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
@@ -25,11 +24,7 @@ from robodyn.taylor import Chunk, NoCodeError, Status, default_order
 
 Array = NDArray[np.float64]
 
-# Entries of A and P, times the order, up to which orders are written one by one: the code is made
-# more slowly than that of a loop, and runs the faster the smaller it is
-UNROLLED = 100
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
-KEPT = 64  # codes in a process
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends and states, how many times, rows so far
 TABLE = ("times", "rows", "ends", "states", "count", "given")
@@ -89,22 +84,6 @@ class Rows(Observer):
         k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(to, i)))
 
 
-_codes: dict[tuple[str, str], Loaded] = {}  # by the key of the scene, and the processor's family
-
-
-def _loaded(scene: Scene, family: str) -> Loaded:
-    """The code of a scene, made once a process for all scenes of its shape."""
-    found = _codes.get((scene.key, family))
-    if found is None:
-        found = machine_motion.compile(scene, Rows(scene), 1, family)
-        if found is None:
-            raise NoCodeError("no machine code can be made")
-        while len(_codes) >= KEPT:
-            _codes.pop(next(iter(_codes)), None)
-        _codes[scene.key, family] = found
-    return found
-
-
 class _Ready(NamedTuple):
     """A scene, its code, and a block with its numbers."""
 
@@ -122,12 +101,12 @@ def _ready(
     tolerances: tuple[float, float],
 ) -> _Ready:
     work, project, family = options
-    kind = scene_kind(mechanism, order, UNROLLED)
-    scene = kind(mechanism, actuation, order, work=work, closes=project, held=held)
-    code = _loaded(scene, family)
-    block = np.zeros(code.items)
+    scene = Scene(mechanism, actuation, order, work=work, closes=project, held=held)
+    code = machine_motion.compile(scene, Rows(scene), 1, family)
+    if code is None:
+        raise NoCodeError("no machine code can be made")
+    block = code.block()
     scene.fill(block, *tolerances)
-    code.prepare(block.ctypes.data)
     return _Ready(scene, code, block)
 
 
@@ -184,7 +163,9 @@ class CompiledEngine:
                     found = _ready(self.mechanism, given, *rest)
             except (ZeroDivisionError, InputError) as error:
                 raise NoCodeError("no state has a series") from error
-            found = self._blocks[held] = found._replace(block=found.block.copy())
+            block = found.code.block()
+            block[:] = found.block
+            found = self._blocks[held] = found._replace(block=block)
         return found
 
     @cached_property
@@ -238,11 +219,6 @@ class CompiledEngine:
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
         return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
-
-
-def scene_kind(mechanism: Mechanism, order: int, unrolled: int) -> type[Scene]:
-    """How code is written: order by order up to `unrolled` (as UNROLLED), or as a loop."""
-    return Scene if loop_terms(mechanism) * order <= unrolled else LoopScene
 
 
 def serves(mechanism: Mechanism) -> bool:

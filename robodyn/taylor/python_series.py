@@ -1,187 +1,158 @@
-"""The series that the Taylor integrator's steps in Python are made of.
+"""The steps of the Taylor series in Python, of one mechanism and its torques.
 
-Straight-line floats for most mechanisms; the rows one by one for those whose code would be long.
+As straight-line text; or the rows one by one, where text would be long or M is singular alone.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import accumulate, pairwise
 from typing import Any
 
-import numpy as np
-
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
-from robodyn.engines.expansion import MotionProgram, longest_step
-from robodyn.engines.series import FLOATS
-from robodyn.engines.step_text import StepText, step_text
+from robodyn.engines import source_text, straightline
+from robodyn.engines.expansion import (
+    Coefficients,
+    MotionProgram,
+    end_of_step,
+    longest_formula,
+    longest_step,
+)
+from robodyn.engines.expression import Expression
+from robodyn.engines.formulas import RECORDED
+from robodyn.engines.series import FLOATS, State
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.taylor.steps import Expanded, SteppingEngine
-
-Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
+from robodyn.taylor.steps import Expanded, SteppingEngine, Steps
 
 
-class _SeriesEngine(SteppingEngine):
-    """Series of the program, made anew where the switches of an expression stand otherwise."""
-
-    def prepare(self) -> None:
-        self._held: tuple[float, ...] | None = None
-        self._made: dict[tuple[float, ...] | None, Any] = {}
-        self._function = self.actuation.function(self.mechanism.n)
-        if self.actuation.pieces is not None:
-            with suppress(ZeroDivisionError):  # of numbers that no switch holds
-                self.make(None)  # every branch must have a series
-        self.at(0.0)
-
-    def make(self, held: tuple[float, ...] | None) -> Any:
-        """What expands the motion while switches are held so."""
-        raise NotImplementedError
-
-    def reads(self, made: Any) -> tuple[bool, list[float]]:
-        """Whether its series hold a power, and the arms of what is watched."""
-        raise NotImplementedError
-
-    def watched(self, made: Any, t: float, y: list[float], given: Pieces) -> Sequence[float]:
-        """The values of what is watched, at a state."""
-        raise NotImplementedError
-
-    @property
-    def works(self) -> bool:  # type: ignore[override]  # by how the switches stand
-        """Whether the series hold a power besides that of constant torques."""
-        return self.reads(self.now)[0]
-
-    @property
-    def bends(self) -> bool:  # type: ignore[override]
-        """Whether anything is watched."""
-        return bool(self.arms)
-
-    @property
-    def arms(self) -> list[float]:
-        """What make torques of what is watched."""
-        return self.reads(self.now)[1]
-
-    def at(self, t: float) -> Any:
-        """What expands the motion from t on."""
-        if self.actuation.pieces is not None:
-            self._held = self.actuation.pieces.at(t)
-        return self.now
-
-    @property
-    def now(self) -> Any:
-        """What expanded the motion last."""
-        if self._held not in self._made:
-            self._made[self._held] = self.make(self._held)
-        return self._made[self._held]
-
-    def given(self, t: float, y: list[float], direction: float) -> Pieces:
-        """The torques at t, and their slopes, of a table; else nothing."""
-        if self.actuation.constants is not None or not self.actuation.linear:
-            return (), ()
-        return linear_piece(self.actuation, self._function, t, y, direction)
-
-    def agrees(
-        self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
-    ) -> bool:
-        try:
-            values = self.watched(self.now, t, y, self.given(t, y, 1.0))
-        except (ArithmeticError, ValueError):  # outside the domain
-            return False
-        return all(
-            _agree(each, x, value, relative, small / arm)
-            for each, value, arm in zip(
-                series[len(series) - len(self.arms) :], values, self.arms, strict=True
-            )
-        )
+def _parts(found: Coefficients) -> list[list[Any]]:
+    """The series as `Steps` has them."""
+    return [*found.rho, *found.theta, *([found.power] if found.power else []), *found.watched]
 
 
-class StraightEngine(_SeriesEngine):
-    """Straight-line floats, generated for one mechanism and one order."""
-
-    def make(self, held: tuple[float, ...] | None) -> StepText:
-        return _step_text(self.mechanism, self.actuation, self.order, self.work, held)
-
-    def reads(self, made: StepText) -> tuple[bool, list[float]]:
-        return made.works, made.arms
-
-    def watched(self, made: StepText, t: float, y: list[float], given: Pieces) -> Sequence[float]:
-        return made.watched(t, y, *given)
-
-    def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
-        given = self.given(t, y, direction)
-        try:
-            found: Expanded = self.at(t).expand(t, y, *given, most, direction, *self.tolerances)
-        except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
-            return 0.0, y, ()
-        return found
-
-
-class InterpretedEngine(_SeriesEngine):
-    """The rows of the program one by one: for mechanisms whose straight-line code would be long."""
-
-    def make(self, held: tuple[float, ...] | None) -> MotionProgram:
-        return MotionProgram(self.mechanism, self.actuation, self.work, held)
-
-    def reads(self, made: MotionProgram) -> tuple[bool, list[float]]:
-        return bool(made.power), made.arms
-
-    def watched(
-        self, made: MotionProgram, t: float, y: list[float], given: Pieces
-    ) -> Sequence[float]:
-        start, pivoted = made.state(FLOATS, t, y, given), not elimination_is_safe(self.mechanism)
-        found = made.expand(FLOATS, made.program.numbers, 1, start, pivoted=pivoted)
-        return [each[0] for each in found.watched]
-
-    def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
-        made: MotionProgram = self.at(t)
-        try:
-            start = made.state(FLOATS, t, y, self.given(t, y, direction))
-            numbers, pivoted = made.program.numbers, not elimination_is_safe(self.mechanism)
-            found = made.expand(FLOATS, numbers, self.order, start, pivoted=pivoted)
-            longest = longest_step(found, start.w, *self.tolerances)
-        except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
-            return 0.0, y, ()
-        if math.isnan(longest):
-            return 0.0, y, ()
-        power = [found.power] if found.power else []
-        series = (*found.rho, *found.theta, *power, *found.watched)
-        h = min(most, longest)
-        closing, self.closing = self.closing, None
-        new = self.states(y, series, np.array([h * direction]))[0].tolist()
-        self.closing = closing
-        return h, new, series
-
-
-def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
-    """Whether a series gives a value at x; it may miss by `small`, or that part of its terms."""
-    total = most = 0.0
-    power = 1.0
-    for coefficient in series:
-        term = coefficient * power
-        total += term
-        most = max(most, abs(term))
-        power *= x
-    return abs(total - value) <= max(small, relative * most)
-
-
-@lru_cache(maxsize=64)
-def _made(
-    mechanism: Mechanism, order: int, constants: tuple[float, ...] | None, linear: bool, work: bool
-) -> StepText:
-    return step_text(mechanism, Actuation(constants, linear=linear), order, work)
-
-
-def _step_text(
+def step_text(
     mechanism: Mechanism,
     actuation: Actuation,
     order: int,
     work: bool,
-    held: tuple[float, ...] | None,
-) -> StepText:
-    """The code, kept where it depends on nothing but numbers."""
-    if actuation.constants is None and not actuation.linear:
-        return step_text(mechanism, actuation, order, work, held)
-    return _made(mechanism, order, actuation.constants, actuation.linear, work)
+    held: Sequence[float] | None = None,
+) -> Steps:
+    """As text; raises InputError where a torque has no series (for `held` see `torque_slots`)."""
+    motion, n = MotionProgram(mechanism, actuation, work, held), mechanism.n
+    start = motion.start()
+    found = motion.expand(RECORDED, start.numbers, order, start.state)
+    longest = longest_formula(start.graph, found, start.state.w)
+    state = end_of_step(mechanism, found, start.steady, work, start.graph.variable)
+    series = _parts(found)
+    lines, shown = source_text.float_source(
+        [longest, *state, *(x for each in series for x in each)]
+    )
+    last = longest.index if isinstance(longest, Expression) else -1
+    before = [line for line in lines if int(line[1 : line.index(" ")]) <= last]
+    end, written = shown[1 : 1 + len(state)], shown[1 + len(state) :]
+    bounds = [0, *accumulate(map(len, series))]
+    tuples = [f"({', '.join(written[a:b])},)" for a, b in pairwise(bounds)]
+    names = [f"{name}{k}" for name in ("q", "qd") for k in range(n)]
+    torques = [
+        f"{', '.join(f'{name}{k}' for k in range(n))}, = {name}"
+        for name in ("tau", "dtau")
+        if actuation.constants is None and actuation.linear
+    ]
+    expand = [
+        f"{', '.join(names + ['work'] * work)}, *_ = y",
+        *torques,
+        *before,
+        f"h = {shown[0]}",
+        "if h != h: return 0.0, y, ()",
+        "if h > most: h = most",
+        "x = h*direction",
+        *lines[len(before) :],
+        f"return h, [{', '.join(end)}], ({', '.join(tuples)},)",
+    ]
+    lines, shown = source_text.float_source([each[0] for each in found.watched])
+    watched = [f"{', '.join(names)}, *_ = y", *torques, *lines]
+    watched.append(f"return ({''.join(f'{x}, ' for x in shown)})")
+    return Steps(
+        _defined("expand", "t, y, tau, dtau, most, direction, rtol, atol", expand),
+        _defined("watched", "t, y, tau, dtau", watched),
+        motion.arms,
+        bool(found.power),
+    )
+
+
+def _defined(name: str, arguments: str, body: Sequence[str]) -> Callable[..., Any]:
+    text = "\n    ".join(body)
+    return straightline.define(f"def {name}({arguments}):\n    {text}\n", name)
+
+
+def step_rows(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    work: bool,
+    held: Sequence[float] | None = None,
+) -> Steps:
+    """The same by the rows of the program, one by one."""
+    motion = MotionProgram(mechanism, actuation, work, held)
+    numbers, pivoted = motion.program.numbers, not elimination_is_safe(mechanism)
+    names = [f"{name}{k}" for name in ("q", "qd") for k in range(mechanism.n)] + ["work"]
+
+    def expanded(order: int, t: float, y: list[float], *torques: Any) -> tuple[Coefficients, State]:
+        start = motion.state(FLOATS, t, y, torques)
+        return motion.expand(FLOATS, numbers, order, start, pivoted=pivoted), start
+
+    def expand(
+        t: float,
+        y: list[float],
+        tau: Sequence[float],
+        dtau: Sequence[float],
+        most: float,
+        direction: float,
+        rtol: float,
+        atol: float,
+    ) -> Expanded:
+        found, start = expanded(order, t, y, tau, dtau)
+        longest = longest_step(found, start.w, rtol, atol)
+        if math.isnan(longest):
+            return 0.0, y, ()
+        h = min(most, longest)
+        given = dict(zip(names, y, strict=False)) | {"x": h * direction}
+        steady = actuation.constants or ()
+        return (
+            h,
+            end_of_step(mechanism, found, steady, work, given.__getitem__),
+            tuple(_parts(found)),
+        )
+
+    def watched(t: float, y: list[float], *torques: Any) -> tuple[float, ...]:
+        return tuple(each[0] for each in expanded(1, t, y, *torques)[0].watched)
+
+    return Steps(expand, watched, motion.arms, bool(motion.power))
+
+
+class StraightEngine(SteppingEngine):
+    """Straight-line floats, generated for one mechanism and one order."""
+
+    def make(self, held: tuple[float, ...] | None) -> Steps:
+        given = self.actuation
+        if given.constants is None and not given.linear:
+            return step_text(self.mechanism, given, self.order, self.work, held)
+        return _kept(self.mechanism, self.order, given.constants, self.work)
+
+
+class InterpretedEngine(SteppingEngine):
+    """The rows of the program one by one: for mechanisms whose straight-line code would be long."""
+
+    def make(self, held: tuple[float, ...] | None) -> Steps:
+        return step_rows(self.mechanism, self.actuation, self.order, self.work, held)
+
+
+@lru_cache(maxsize=64)
+def _kept(
+    mechanism: Mechanism, order: int, constants: tuple[float, ...] | None, work: bool
+) -> Steps:
+    """Code that depends on nothing but numbers: constant torques, or those that are linear."""
+    return step_text(mechanism, Actuation(constants, linear=constants is None), order, work)

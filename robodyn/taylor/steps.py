@@ -4,34 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.engines.expansion import KINK
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import Misses
 from robodyn.loops.projection import FloatClosing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.taylor import Chunk, Status
+from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.taylor import PARTS, Chunk, Status
 
 Array = NDArray[np.float64]
-Expanded = tuple[float, list[float], Any]  # h, the state at its end, the series
+Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
 
-KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
-LANDINGS = (0.85, 0.7, 0.55, 0.4)  # parts of a step to try where it ends near a change point
+
+class Steps(NamedTuple):
+    """What makes the steps of a mechanism under its torques, tau and their slopes where in a table.
+
+    `expand(t, y, tau, slope, most, direction, rtol, atol)` gives a step of at most `most`, the
+    state at its end, and its series: rho (n), theta (n), the power where something `works` that is
+    no steady torque, then those of what may bend.  Of a step that cannot be made there are none.
+    `watched(t, y, tau, slope)` has the values of what may bend; `arms` make torques of these.
+    """
+
+    expand: Callable[..., Expanded]
+    watched: Callable[..., tuple[float, ...]]
+    arms: list[float]
+    works: bool
 
 
 class SteppingEngine:
-    """Advances by the steps that `expand` makes, and lands them where the next series is good."""
-
-    order: int
-
-    works: bool  # whether the series hold a power besides that of constant torques
-    bends: bool  # whether torques may end, or bend, within a step: what no accuracy excludes
+    """Advances by the steps that `make` has, and lands them where the next series is good."""
 
     def __init__(
         self,
@@ -52,17 +62,46 @@ class SteppingEngine:
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
-        self.prepare()
+        self._held: tuple[float, ...] | None = None
+        self._made: dict[tuple[float, ...] | None, Steps] = {}
+        self._torques = actuation.function(mechanism.n)
+        if actuation.pieces is not None:
+            with suppress(ZeroDivisionError):  # of numbers that no switch holds
+                self.make(None)  # every branch must have a series
+        self._at(0.0)
 
-    def prepare(self) -> None:
-        """Make what `expand` needs."""
+    def make(self, held: tuple[float, ...] | None) -> Steps:
+        """What expands the motion while the switches of an expression are held so."""
         raise NotImplementedError
+
+    def _at(self, t: float) -> Steps:
+        """What expands the motion from t on."""
+        if self.actuation.pieces is not None:
+            self._held = self.actuation.pieces.at(t)
+        return self._now
+
+    @property
+    def _now(self) -> Steps:
+        """What expanded the motion last."""
+        if self._held not in self._made:
+            self._made[self._held] = self.make(self._held)
+        return self._made[self._held]
+
+    def _table(self, t: float, y: list[float], direction: float) -> Pieces:
+        """The torques at t, and their slopes, of a table; else nothing."""
+        if self.actuation.constants is not None or not self.actuation.linear:
+            return (), ()
+        return linear_piece(self.actuation, self._torques, t, y, direction)
 
     def expand(self, t: float, y: list[float], most: float, direction: float) -> Expanded:
         """The series at y, a step h of at most `most`, and the state at its end."""
-        raise NotImplementedError
+        given = self._table(t, y, direction)
+        try:
+            return self._at(t).expand(t, y, *given, most, direction, *self.tolerances)
+        except (ArithmeticError, ValueError):  # outside a torque's domain, or beyond the floats
+            return 0.0, y, ()
 
-    def agrees(
+    def _agrees(
         self, series: Any, x: float, t: float, y: list[float], relative: float, small: float
     ) -> bool:
         """Whether the series, x after where it began, gives the torques at the state y at t.
@@ -71,7 +110,16 @@ class SteppingEngine:
         where it began (tanh(1e5*t), friction), or where a spring's ends pass one another.  What it
         misses by may be `small`, N m, or that part of its terms.
         """
-        raise NotImplementedError
+        arms = self._now.arms
+        try:
+            values = self._now.watched(t, y, *self._table(t, y, 1.0))
+        except (ArithmeticError, ValueError):  # outside the domain
+            return False
+        watched = series[len(series) - len(arms) :]
+        return all(
+            _agree(each, x, value, relative, small / arm)
+            for each, value, arm in zip(watched, values, arms, strict=True)
+        )
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         """See `Engine`."""
@@ -92,7 +140,7 @@ class SteppingEngine:
             if not len(series):
                 status = Status.NOT_FINITE
                 break
-            if self.bends:
+            if self._now.arms:
                 h, new = self._shorten(t, state, h, new, series, direction)
             if h < 4.0 * math.ulp(t) and h != left:
                 status = Status.STUCK
@@ -150,11 +198,11 @@ class SteppingEngine:
         miss *= (self.order + 1) * self.lightest
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            if self.agrees(series, x, t + x, new, relative, miss / h):
+            if self._agrees(series, x, t + x, new, relative, miss / h):
                 if not self.mechanism.friction:  # far above its speed all its derivatives vanish
                     break
                 middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
-                if self.agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
+                if self._agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
                     break
             h *= 0.5
             new = self.states(state, series, np.array([h * direction]))[0].tolist()
@@ -172,7 +220,7 @@ class SteppingEngine:
         """The step's end moved along the series, to where a next one starts well."""
         assert self.closing is not None
         best = h, new, quality
-        for part in LANDINGS:
+        for part in PARTS[1:]:
             there = self.states(state, series, np.array([part * h * direction]))[0]
             quality = self.closing(there.tolist())[1]
             if quality > best[2]:
@@ -197,7 +245,7 @@ class SteppingEngine:
         rows[:, n : 2 * n] = ((turn.conj() * slope).imag / np.abs(turn) ** 2) @ relative.T
         if self.work:
             rows[:, 2 * n] = y[2 * n]
-            if self.works:
+            if self._now.works:
                 power = np.array(series[2 * n])
                 terms = orders[: len(power)]
                 rows[:, 2 * n] += (powers[:, terms] * x[:, None] / (terms + 1.0)) @ power
@@ -207,6 +255,18 @@ class SteppingEngine:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]
         return rows
+
+
+def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:
+    """Whether a series gives a value at x; it may miss by `small`, or that part of its terms."""
+    total = most = 0.0
+    power = 1.0
+    for coefficient in series:
+        term = coefficient * power
+        total += term
+        most = max(most, abs(term))
+        power *= x
+    return abs(total - value) <= max(small, relative * most)
 
 
 @lru_cache(maxsize=64)
