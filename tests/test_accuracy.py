@@ -256,5 +256,5 @@ def test_a_run_that_does_not_finish_ends_with_its_outcome(robodyn, tmp_path):
 
 def test_a_chaotic_motion_ends_with_a_message(robodyn):
     given = robodyn("simulate", "robots/2r.yaml", "--q", "1,1", "--time", 60, "--accuracy", "1e-9")
-    given.fails(1, "robots/2r.yaml: accuracy = 1e-09: is not kept", "forgets its start")
+    given.fails(1, "robots/2r.yaml: --accuracy = 1e-09: is not kept", "forgets its start")
     assert given.out == ""

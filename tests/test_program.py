@@ -240,7 +240,7 @@ def at_radius(turns, scale):
 @EVERY
 def test_series_of_many_digits(name):
     """Longdouble is nearer to mpmath than floats are by the digits that it has more."""
-    for one in cases(name, SEEDS[:1]):
+    for one in cases(name, SEEDS[:2])[1:2]:  # in its first state a parallelogram is near singular
         exact = expanded(one, "mpmath")
         R = radius(exact)
         rounding = accelerations(one.at, one.tau)[1]
@@ -249,7 +249,7 @@ def test_series_of_many_digits(name):
             ("longdouble", float(np.finfo(np.longdouble).eps) * 2.0**52),
         ):
             wrong = np.abs(at_radius(expanded(one, kind) - exact, R)).max()
-            assert wrong <= 10 * rounding * unit, (kind, wrong, rounding)
+            assert wrong <= rounding * unit, (kind, wrong, rounding)
 
 
 @pytest.mark.parametrize("engine", ["text", "machine"])
