@@ -198,7 +198,7 @@ def taylor_run(
                 took = max(1e-9, time.perf_counter() - called)
                 most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
             leaps: list[int] = []
-            if misses is not None:
+            if misses is not None and isinstance(runner, SteppingEngine):  # machine code looks too
                 times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
                 leaps = misses.leaps(times, ends)
             if leaps:
