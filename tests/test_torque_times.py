@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+from random_mechanisms import mechanism
 from robodyn import load, simulate
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
@@ -123,12 +124,67 @@ def test_at_a_switching_time_the_side_that_was_reached():
 
 
 def test_what_cannot_be_told_stays_as_it_is():
-    for text in ("0.5*q1", "2*t + q1", "1 if sin(1e9*t) > 0 else 0", "1 if q1 > 0 else 0"):
+    for text in ("0.5*q1", "2*t + q1", "1 if q1 > 0 else 0"):
         source = actuation.expressions(PENDULUM, text, "")
         found = over_a_run(source, [0.1, 0.2], 10.0)
         assert (found.lines, found.kinks) == (source.lines, ())
     source = actuation.callback(PENDULUM, lambda t, q, qd: [0.0])
     assert over_a_run(source, [0.1, 0.2], 10.0) is source
+
+
+@pytest.mark.parametrize(
+    "text", ["1 if sin(1e9*t) > 0 else 0", "1e-12*floor(2e5*t)", "20 if sin(2e5*t)>0.999999 else 0"]
+)
+def test_switches_that_no_samples_tell_are_refused(text):
+    with pytest.raises(InputError, match="switches faster than a million samples"):
+        over_a_run(actuation.expressions(PENDULUM, text, ""), [0.1, 0.2], 10.0)
+
+
+FREE = mechanism("links: [{name: a, m: 1, l: 1, r: 0, I: 1}]")  # its rate adds up the torque
+
+
+@pytest.mark.parametrize(
+    ("pulses", "rate", "level"),
+    [(1000.0, 0.99, 20.0), (900.0, 0.99, 20.0), (5147.2, 0.5, 20.0), (100.0, 0.99, -1.0)],
+)
+def test_of_fast_switches_all_count(pulses, rate, level):
+    """Of 1 where sin(w t) > c: as many arcs as w t passes, of 2 acos(c)/w each."""
+    run = simulate(FREE, [0.0], [0.0], 10.0, f"{level} if sin({pulses}*t)>{rate} else 0")
+    half, turn = math.acos(rate), 2 * math.pi
+    whole, rest = divmod(pulses * 10.0, turn)
+    arcs = whole * 2 * half + min(max(rest - (math.pi / 2 - half), 0.0), 2 * half)
+    assert run.qd[-1, 0] == pytest.approx(level * arcs / pulses, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["LSODA", "BDF", "DOP853", "taylor"])
+@pytest.mark.parametrize("width", [1e-2, 1e-5])
+@pytest.mark.parametrize("impulse", [1e-4, 1.0])
+def test_pulses_that_begin_and_end_at_zero(method, width, impulse):
+    a, b = 3.3, 3.3 + width
+    text = f"{6 * impulse / width**3}*(t-{a})*({b!r}-t) if (t-{a})*({b!r}-t)>0 else 0"
+    run = simulate(FREE, [0.0], [0.0], 10.0, text, method=method)
+    assert run.qd[-1, 0] == pytest.approx(impulse, rel=1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "rate"),
+    [
+        ("sqrt(max(0,1-(t-5)**2))", math.pi / 2),
+        ("asin(min(1,max(-1,t-5)))", 0.0),
+        ("acos(max(-1,min(1,(t-5)/0.3)))", 5 * math.pi),
+        ("20/cosh(min(800,1000*abs(t-5)))", 20 * math.pi / 1000),
+    ],
+)
+@pytest.mark.parametrize("method", ["taylor", "DOP853"])
+def test_clipped_roots(text, rate, method):
+    run = simulate(FREE, [0.0], [0.0], 10.0, text, method=method)
+    assert run.qd[-1, 0] == pytest.approx(rate, abs=1e-6)
+
+
+def test_a_run_ends_where_no_method_has_a_first_step():
+    """sqrt(max(0, sin(t))) has no value in floats where sin(2 pi) is rounded below 0."""
+    run = simulate(FREE, [0.0], [0.0], 10.0, "sqrt(max(0,sin(t)))", method="taylor")
+    assert run.outcome in (Outcome.STEP_TOO_SMALL, Outcome.FINISHED)
 
 
 @pytest.mark.parametrize("width", [1.0, 1e-2, 1e-4, 1e-7])

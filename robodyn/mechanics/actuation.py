@@ -37,12 +37,21 @@ def _exp(x: float) -> float:
         return math.inf
 
 
+def _cosh(x: float) -> float:
+    return 0.5 * (_exp(x) + _exp(-x)) if abs(x) > 700.0 else math.cosh(x)
+
+
+def _sinh(x: float) -> float:
+    return 0.5 * (_exp(x) - _exp(-x)) if abs(x) > 700.0 else math.sinh(x)
+
+
 def _floor(x: float) -> float:
     return float(math.floor(x))
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
 FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
+FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 # math.pow: a root of a negative number is outside its domain, not complex
 _SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 _SCOPE["_pow"] = math.pow

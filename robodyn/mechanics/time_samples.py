@@ -15,9 +15,10 @@ Names = Mapping[str, Any]
 
 SAMPLES = (1024, 16384)  # of a run: no fewer; no more but for a switch that is faster
 WORK = 200_000  # samples times parts, between them
-MOST = 1_000_000  # samples for a fast switch
+MOST = 1_100_000  # samples for what is fast
 ROUNDS = 4  # each sees what the samples of the one before bring to light
 DENSE = 8  # samples for each change of a part, below which it is faster than its samples
+UNEVEN = 0.3  # of the time between samples, by which each is moved
 CUTS = 16  # of a bracket at a time
 FINEST = 1e-18  # of the run: no bracket is cut further
 DEGREE = 16
@@ -109,33 +110,53 @@ def values_of(
 
 
 def samples_of(
-    timely: Sequence[ast.expr], switches: Sequence[ast.expr], size: int, t_end: float
+    timely: Sequence[ast.expr],
+    guards: Sequence[ast.expr],
+    switches: Sequence[ast.expr],
+    size: int,
+    t_end: float,
 ) -> Array | None:
     """Increasing times of the run; None where a switch is faster than they can be.
 
     Among them are the zeros and extremes of the parts, and both sides of every switching time.
+    The parts are `timely` ones, which may be faster, and `guards`, of which switches depend.
     """
-    count = int(np.clip(WORK // size, *SAMPLES))
-    signs = [call("_sign", node) for node in timely]
+    first = count = int(np.clip(WORK // size, *SAMPLES))
     while count <= MOST:
-        t = np.sort(np.linspace(0.0, t_end, count + 1))
-        for turn in range(ROUNDS):
-            memo: dict[int, Any] = {}
-            found = [t]
-            if turn < 2:  # an extreme may be one only beside what the first turn found
-                found += [_extremes(x, t, memo) for x in timely]
-            found += [_changes(x, t, memo)[0] for x in signs]
-            switching = [_changes(x, t, memo) for x in switches]
-            if not all(kept for _, kept in switching):
-                break
-            found += [times for times, _ in switching]
-            before, t = len(t), np.unique(np.concatenate(found))
-            if len(t) == before:
-                return t
-        else:
+        t = _sampled([*guards, *timely], switches, count, t_end)
+        if t is not None:
             return t
         count *= DENSE
-    return None
+    t = _sampled(guards, switches, count // DENSE, t_end) if switches else None
+    if t is None and not switches:  # smooth parts are left to the control of the steps' errors
+        t = _sampled([], [], first, t_end)
+    return t
+
+
+def _sampled(
+    parts: Sequence[ast.expr], switches: Sequence[ast.expr], count: int, t_end: float
+) -> Array | None:
+    """Samples that begin with so many; None where parts or switches are too fast for them."""
+    t = np.linspace(0.0, t_end, count + 1)
+    # uneven ones: what is as fast as even samples would look slow
+    t[1:-1] += np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, count - 1) * (t_end / count)
+    t = np.sort(t)
+    signs = [call("_sign", node) for node in parts]
+    for turn in range(ROUNDS):
+        memo: dict[int, Any] = {}
+        found = [t]
+        extremes = [_extremes(x, t, memo) for x in parts] if turn < 2 else []
+        changes = [_changes(x, t, memo) for x in signs]
+        switching = [_changes(x, t, memo) for x in switches]
+        # an extreme may be one only beside what the first turn found
+        slow = [*switching, *([*extremes, *changes] if turn == 0 else [])]
+        if not all(kept for _, kept in slow):
+            return None
+        found += [times for times, _ in (*extremes, *changes, *switching)]
+        before, t = len(t), np.unique(np.concatenate(found))
+        if len(t) == before:
+            break
+    return t
 
 
 def _changes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
@@ -165,15 +186,15 @@ def _code(values: Array) -> Array:
     return np.where(np.isnan(values), 0.5, values)
 
 
-def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> Array:
-    """Times at which a node is larger, or smaller, than beside them."""
+def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> tuple[Array, bool]:
+    """Times at which a node is larger, or smaller, than beside them; whether there are few."""
     x = values_of(node, {"t": t}, memo)
     rise = np.diff(x)
     least = 1e-12 * np.abs(x[np.isfinite(x)]).max(initial=0.0)
     peak = (rise[:-1] * rise[1:] < 0.0) & (np.abs(rise[:-1]) + np.abs(rise[1:]) > least)
     (k,) = np.nonzero(peak)
     if DENSE * len(k) > len(t):
-        return t[:0]
+        return t[:0], False
     a, b, way = t[k], t[k + 2], np.sign(rise[k])
     cuts = np.linspace(0.0, 1.0, CUTS + 1)
     middle = t[k + 1]
@@ -183,7 +204,7 @@ def _extremes(node: ast.expr, t: Array, memo: dict[int, Any]) -> Array:
         row = np.arange(len(at))
         middle = at[row, best]
         a, b = at[row, np.maximum(best - 1, 0)], at[row, np.minimum(best + 1, CUTS)]
-    return middle
+    return middle, True
 
 
 def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:

@@ -12,7 +12,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
 from robodyn.errors import InputError
-from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.actuation import FUNCTIONS, Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.program import (
     Function,
@@ -195,6 +195,11 @@ class _Reader:
     def function(self, name: str, x: list[Part]) -> Part:
         """sin' = cos x', exp' = exp x', and y' = x'/density for log and the inverse functions."""
         add = self.program.add
+        if not any(isinstance(part, Slotted) for part in x):
+            try:
+                return float(FUNCTIONS[name](*x))
+            except (ValueError, ArithmeticError):  # outside its domain: no state has a series
+                return math.nan
         if name == "log" and len(x) == 2:
             return self.quotient(self.function("log", x[:1]), self.function("log", x[1:]))
         if name == "hypot":

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import (
@@ -102,7 +103,8 @@ def _found(
 ) -> tuple[tuple[str, ...], tuple[float, ...], list[tuple[float, ...]], tuple[float, ...]] | None:
     """The lines with switches held, when they switch, how they stand between, and the leaves.
 
-    None for lines that are no expressions, or do not depend on time, or switch too fast.
+    None for lines that are no expressions, or do not depend on time.  Raises InputError for those
+    that switch too fast.
     """
     parts = _TimeParts()
     written = []
@@ -118,9 +120,10 @@ def _found(
     names: dict[str, Any] = {f"q{k}": x for k, x in enumerate(state[:n])}
     names |= {f"qd{k}": x for k, x in enumerate(state[n:])}
     with np.errstate(all="ignore"):
-        samples = samples_of(parts.timely, parts.switches, parts.size, t_end)
+        samples = samples_of(parts.timely, parts.guards, parts.switches, parts.size, t_end)
         if samples is None:
-            return None
+            limit = "switches faster than a million samples of the run tell: take a shorter time"
+            raise InputError("torque", value=f"0 to {t_end:g} s", limit=limit)
         times = switching_times(parts.switches, samples)
         kinks = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
         edges = np.array(sorted([0.0, *kinks, t_end]))
@@ -137,6 +140,7 @@ class _TimeParts:
     def __init__(self) -> None:
         self.size = 0  # how many parts
         self.timely: list[ast.expr] = []  # whose zeros and extremes are sampled
+        self.guards: list[ast.expr] = []  # the same of those that decide switches
         self.switches: list[ast.expr] = []  # whose values are whole numbers
         self.functions: list[ast.expr] = []  # that must be resolved: torques, and of time alone
 
@@ -159,8 +163,8 @@ class _TimeParts:
         if kind == 1:
             self.size += 1
             if not _linear(node, kinds):
-                for part in parts:
-                    self._sample(part)
+                decides = isinstance(node, ast.Call | ast.BinOp) and _switches(node)
+                (self.guards if decides else self.timely).extend(parts)
             return self._held(node, parts, written), 1
         if kind == 2:
             self.functions += [
@@ -174,7 +178,7 @@ class _TimeParts:
         """A node of time alone from its written parts, as it is between two switching times."""
         match node:
             case ast.Compare():
-                self._sample(ast.BinOp(parts[0], ast.Sub(), parts[1]))
+                self.guards.append(ast.BinOp(parts[0], ast.Sub(), parts[1]))
                 return self._flag(node)
             case ast.BinOp(op=ast.Mod()):
                 turns = self._switch(call("_turns", *parts))
@@ -185,12 +189,9 @@ class _TimeParts:
                 return ast.BinOp(x[0], ast.Mult(), self._switch(call("_sign", *parts)))
             case ast.Call(func=ast.Name(id="_min" | "_max" as name)):
                 for one, other in pairwise(parts):
-                    self._sample(ast.BinOp(one, ast.Sub(), other))
+                    self.guards.append(ast.BinOp(one, ast.Sub(), other))
                 return call("_pick", self._switch(call(f"{name}_at", *parts)), *x)
         return _rebuilt(node, x)
-
-    def _sample(self, node: ast.expr) -> None:
-        self.timely.append(node)
 
     def _flag(self, node: ast.expr) -> ast.expr:
         return call("_int", self._switch(node))  # an error where it is undefined
@@ -198,6 +199,16 @@ class _TimeParts:
     def _switch(self, node: ast.expr) -> ast.expr:
         self.switches.append(node)
         return ast.Subscript(ast.Name("_s"), ast.Constant(len(self.switches) - 1))
+
+
+def _switches(node: ast.Call | ast.BinOp) -> bool:
+    """Whether a node jumps or bends where its parts pass some value."""
+    match node:
+        case ast.BinOp(op=operator):
+            return isinstance(operator, ast.Mod)
+        case ast.Call(func=ast.Name(id=name)):
+            return name in ("_sign", "_floor", "_abs")
+    return False
 
 
 def _linear(node: ast.expr, kinds: list[int]) -> bool:

@@ -43,6 +43,8 @@ METHODS: dict[str, type[OdeSolver]] = {
     "LSODA": LSODA,
 }
 EXPLICIT = ("DOP853", "RK45", "RK23")
+MULTISTEP = ("BDF", "LSODA")  # which look at the rates at the ends of a step alone
+FIRST = 0.1  # of a pulse, how far their first step goes into it: it may end as it begins, at zero
 COUNTS = ("nfev", "njev", "nlu")  # what scipy's solvers count
 UNBOUNDED = 1e50  # a tolerance from which what it is for chooses no step
 STIFF_STEPS = 1000  # so many steps in a row at the edge of stability are called stiff
@@ -113,11 +115,15 @@ def projected(method: str) -> type[OdeSolver]:
             return counted
 
         def _step_impl(self) -> tuple[bool, str | None]:
+            fresh = self._jumped or not self.steps
             if self._jumped:
                 self._restart()
             end = self.t_bound
             begun = self.t, self.y, self.f if method in EXPLICIT else None
-            self._bound(next_stop(self.kinks, self.leaves, self.t, end, NEAR))
+            stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
+            if fresh and self.leaves and method in MULTISTEP:
+                stop = self.t + FIRST * (stop - self.t)
+            self._bound(stop)
             self._hold()
             try:
                 success, message = self._take_step()

@@ -66,6 +66,7 @@ def results(
     except BrokenProcessPool:
         raise RobodynError("a worker process ended", limit="was it out of memory?") from None
     except BaseException:  # what is under way is of no use any more
+        executor.shutdown(wait=False, cancel_futures=True)  # a result cut off would never arrive
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
         raise

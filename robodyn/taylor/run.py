@@ -43,6 +43,7 @@ CALL = 0.1  # s that a call of compiled code may take
 WORTH = 1500
 ROW_BY_ROW = 5  # of those that the rows make one by one: a hundred times as long
 ROWS_A_STEP = 4  # rows at times that cost what a step does
+MOST_IDLE = 8  # rounds without a step, after which there is none
 LEAD = 8  # steps of DOP853 away from where a torque has no series
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
@@ -162,6 +163,7 @@ def taylor_run(
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
     stuck = False  # whether no series leads on: a torque bends without end, or rounding hides it
+    idle = 0  # times in a row that nothing led on
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
@@ -219,6 +221,9 @@ def taylor_run(
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
             return Outcome.FINISHED
+        idle = idle + 1 if t == before else 0
+        if idle == MOST_IDLE:
+            return Outcome.STEP_TOO_SMALL
         stuck = status in (Status.STUCK, Status.NOT_FINITE)
         if stuck and closing is None and actuation.constants is not None:
             return Outcome.STEP_TOO_SMALL
@@ -298,7 +303,8 @@ def _lead(
 
     tolerances = max(rtol, SMALLEST_RTOL), atol
     solver = solver_of("DOP853", side, (t, y, bound), tolerances, recorder, actuation)
-    while solver.status == "running":
+    # where a rate is not finite at its start scipy has no first step, and would look for ever
+    while solver.status == "running" and math.isfinite(getattr(solver, "h_abs", 0.0)):
         if solver.step() is not None:
             break
         least -= 1
