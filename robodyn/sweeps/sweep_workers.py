@@ -7,6 +7,7 @@ with their number.
 
 from __future__ import annotations
 
+import gc
 import logging
 import multiprocessing
 import os
@@ -148,6 +149,7 @@ def _cluster(
         raise InputError("scheduler", value=address, limit=limit) from None
     for name in ("distributed", "distributed.client", "tornado", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what fails is told by an error
+    gc.collect()  # one that found no scheduler, and ended while the next begins, would wait for it
     connect: Any = distributed.Client
     try:
         client: Any = connect(address, timeout=10, set_as_default=False)
