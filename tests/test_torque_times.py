@@ -156,6 +156,13 @@ def test_of_fast_switches_all_count(pulses, rate, level):
     assert run.qd[-1, 0] == pytest.approx(level * arcs / pulses, rel=1e-9)
 
 
+def test_beside_a_part_that_is_too_fast_a_pulse_is_sampled():
+    """sin(1e7 t) has more extremes than a million samples tell; 20 exp(-((t-5)/1e-4)^2) has one."""
+    for text in ("20*exp(-((t-5)/1e-4)**2)", "20*exp(-((t-5)/1e-4)**2) + 1e-12*t*sin(1e7*t)"):
+        leaves = np.array(over(text).leaves)
+        assert np.diff(leaves)[np.searchsorted(leaves, 5.0) - 1] < 1e-3
+
+
 @pytest.mark.parametrize("method", ["LSODA", "BDF", "DOP853", "taylor"])
 @pytest.mark.parametrize("width", [1e-2, 1e-5])
 @pytest.mark.parametrize("impulse", [1e-4, 1.0])

@@ -21,7 +21,7 @@ from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
 from robodyn.engines.expression import Expression, Graph
 from robodyn.engines.formulas import Formula
 from robodyn.engines.machine import Code, Processor
-from robodyn.engines.machine_steps import ALIGNED, Scene
+from robodyn.engines.machine_steps import ALIGNED, Items, Scene
 from robodyn.engines.segment import Segment
 from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
@@ -185,17 +185,8 @@ def _write_leaps(scene: Scene, module: Module, formula: Formula) -> None:
     k.done()
 
 
-class _Step:
+class _Step(Items):
     """Writes one step of all lanes."""
-
-    def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
-        self.scene, self.k, self.block = scene, k, block
-
-    def get(self, name: str) -> Word:
-        return self.scene.get(self.k, self.block, name)
-
-    def put(self, name: str, value: Word) -> None:
-        self.scene.put(self.k, self.block, name, value)
 
     def call(self, name: str) -> None:
         self.k.line(f"call void @{name}({self.block})")

@@ -271,3 +271,18 @@ class Scene:
             agrees = k.both(agrees, within)
         self.put(k, block, "agrees", k.select(agrees, k.number(1.0), k.number(0.0)))
         k.done()
+
+
+class Items:
+    """The items of a scene's block, in a kernel."""
+
+    def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
+        self.scene, self.k, self.block = scene, k, block
+
+    def get(self, name: str) -> Word:
+        """An item."""
+        return self.scene.get(self.k, self.block, name)
+
+    def put(self, name: str, value: Word) -> None:
+        """Write an item."""
+        self.scene.put(self.k, self.block, name, value)

@@ -46,7 +46,8 @@ from robodyn.equations.symbolic import (
     summed,
     total,
 )
-from robodyn.mechanics.mechanism import Mechanism, Tree, closure_rows, constants, too_large
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism, closure_rows, constants, too_large
 from robodyn.scene.scene import Closure, Load, Point, Spring
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.

@@ -27,7 +27,8 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.mechanics.mechanism import Mechanism, Tree
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
 
 TIMESTEP = 1e-3  # s

@@ -118,8 +118,8 @@ class Tree:
             passed.append(k)
             top, joint = shared.get(k, (None, set()))
             if top is not None and self._depth[top] >= depth:
-                k, loop_joint = top, joint
-                loop |= loop_joint
+                k = top
+                loop |= joint
             else:
                 at, above = self.links[k].hangs_from.at, self.parent[k]
                 assert above is not None

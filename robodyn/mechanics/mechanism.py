@@ -28,7 +28,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from robodyn.errors import InputError
-from robodyn.mechanics.link_tree import Tree as Tree
+from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
 from robodyn.mechanics.planar_model import Mechanism as Mechanism

@@ -121,22 +121,31 @@ def samples_of(
     Among them are the zeros and extremes of the parts, and both sides of every switching time.
     The parts are `timely` ones, which may be faster, and `guards`, of which switches depend.
     """
-    first = count = int(np.clip(WORK // size, *SAMPLES))
+    count = first = int(np.clip(WORK // size, *SAMPLES))
     while count <= MOST:
-        t = _sampled([*guards, *timely], switches, count, t_end)
+        t = _sampled(guards, timely, switches, count, t_end, every=True)
         if t is not None:
             return t
         count *= DENSE
-    t = _sampled(guards, switches, count // DENSE, t_end) if switches else None
-    if t is None and not switches:  # smooth parts are left to the control of the steps' errors
-        t = _sampled([], [], first, t_end)
-    return t
+    # smooth parts that are too fast are left to the control of the steps' errors
+    last = count // DENSE if switches else first
+    return _sampled(guards, timely, switches, last, t_end, every=False)
 
 
 def _sampled(
-    parts: Sequence[ast.expr], switches: Sequence[ast.expr], count: int, t_end: float
+    guards: Sequence[ast.expr],
+    timely: Sequence[ast.expr],
+    switches: Sequence[ast.expr],
+    count: int,
+    t_end: float,
+    every: bool,
 ) -> Array | None:
-    """Samples that begin with so many; None where parts or switches are too fast for them."""
+    """Samples that begin with so many; None where guards or switches are too fast for them.
+
+    Or, of `every` part, where any is.
+    """
+    parts = [*guards, *timely]
+    strict = len(parts) if every else len(guards)
     t = np.linspace(0.0, t_end, count + 1)
     # uneven ones: what is as fast as even samples would look slow
     t[1:-1] += np.random.default_rng(0).uniform(-UNEVEN, UNEVEN, count - 1) * (t_end / count)
@@ -149,7 +158,7 @@ def _sampled(
         changes = [_changes(x, t, memo) for x in signs]
         switching = [_changes(x, t, memo) for x in switches]
         # an extreme may be one only beside what the first turn found
-        slow = [*switching, *([*extremes, *changes] if turn == 0 else [])]
+        slow = [*switching, *((*extremes[:strict], *changes[:strict]) if turn == 0 else ())]
         if not all(kept for _, kept in slow):
             return None
         found += [times for times, _ in (*extremes, *changes, *switching)]

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, Tree
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Point, Spring
 
 Complex = NDArray[np.complex128]

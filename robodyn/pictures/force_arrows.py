@@ -11,7 +11,8 @@ from robodyn.dynamics.closed_form import absolute_rates, phases
 from robodyn.dynamics.dynamics import pin_forces
 from robodyn.dynamics.forces import spring_forces
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, Tree
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.bodies import at
 from robodyn.scene.scene import Load, Spring
 

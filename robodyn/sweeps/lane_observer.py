@@ -14,7 +14,7 @@ from robodyn.engines.energies import energies
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import anything
 from robodyn.engines.machine_motion import RUNNING, Observer
-from robodyn.engines.machine_steps import Scene
+from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.sweeps.step_extremes import NEAR, NEWTON, QUARTERS
 from robodyn.taylor import Status
@@ -39,17 +39,8 @@ def kept(mechanism: Mechanism) -> dict[str, float]:
     return found | {f"e{i}": value for i, value in enumerate(numbers) if value}
 
 
-class _Items:
-    """The items of a block, in a kernel."""
-
-    def __init__(self, scene: Scene, k: Kernel, block: Word) -> None:
-        self.scene, self.k, self.block = scene, k, block
-
-    def get(self, name: str) -> Word:
-        return self.scene.get(self.k, self.block, name)
-
-    def put(self, name: str, value: Word) -> None:
-        self.scene.put(self.k, self.block, name, value)
+class _Kept(Items):
+    """Those that a motion leaves behind."""
 
     def widen(self, low: str, high: str, value: Word, mask: Word) -> None:
         """Take a value into its extremes."""
@@ -73,7 +64,7 @@ class LaneObserver(Observer):
             self._cross(module)
 
     def step(self, k: Kernel, block: Word, own: Word, taken: Word, take: Word, end: Word) -> None:
-        items = _Items(self.scene, k, block)
+        items = _Kept(self.scene, k, block)
         get, length = items.get, k.subtract(end, items.get("t"))
         items.put("x", k.select(take, length, k.number(0.0)))
         n = self.scene.mechanism.n
@@ -144,7 +135,7 @@ class LaneObserver(Observer):
         """From the state at to_q0, ..., closed here: what is kept of the start."""
         scene, n = self.scene, self.scene.mechanism.n
         k, block = scene.kernel(module, "begin")
-        items = _Items(scene, k, block)
+        items = _Kept(scene, k, block)
         get, put = items.get, items.put
         if scene.closes:
             k.line(f"call void @close({block})")
@@ -270,7 +261,7 @@ class LaneObserver(Observer):
         """When |angle| of the link first exceeds pi, within the step x, where it has not yet."""
         scene = self.scene
         k, block = scene.kernel(module, "cross")
-        items = _Items(scene, k, block)
+        items = _Kept(scene, k, block)
         get, put = items.get, items.put
         x, flip, pi, zero = get("x"), get("flip"), k.number(math.pi), k.number(0.0)
         series = scene.at(k, block, "link0_0")
