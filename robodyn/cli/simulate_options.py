@@ -80,13 +80,7 @@ class RunOptions:
     rtol: Annotated[Number, Option("--rtol", help=_RTOL)] = None
     atol: Annotated[Number, Option("--atol", help=_ATOL)] = None
     max_step: Annotated[
-        float,
-        Option(
-            "--max-step",
-            metavar="S",
-            help="No step is longer, s. Default: none.",
-            show_default=False,
-        ),
+        float, Option("--max-step", metavar="S", help=_STEP, show_default=False)
     ] = math.inf
     accuracy: Annotated[Number, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
     estimate_error: Annotated[bool, Option("--estimate-error", help=_ESTIMATE)] = False

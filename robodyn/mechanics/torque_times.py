@@ -122,8 +122,8 @@ def _found(
     with np.errstate(all="ignore"):
         samples = samples_of(parts.timely, parts.guards, parts.switches, parts.size, t_end)
         if samples is None:
-            limit = "switches faster than a million samples of the run tell: take a shorter time"
-            raise InputError("torque", value=f"0 to {t_end:g} s", limit=limit)
+            limit = f"switches faster than a million samples from 0 to {t_end:g} s tell"
+            raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
         times = switching_times(parts.switches, samples)
         kinks = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
         edges = np.array(sorted([0.0, *kinks, t_end]))
