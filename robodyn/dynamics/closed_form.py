@@ -20,6 +20,7 @@ is Q (`forces.py`).  States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -214,3 +215,13 @@ def point_motion(
     moved = position, (1j * E * rates) @ c.T, (E * (1j * turning - rates**2)) @ c.T
     x, v, a = (np.stack([z.real, z.imag], axis=-1) for z in moved)
     return x, v, a
+
+
+@lru_cache(maxsize=64)
+def relative_matrix(mechanism: Mechanism) -> Array:
+    """J^-1 (n, n): joint rates from absolute ones."""
+    inverse = np.eye(mechanism.n)
+    for k, above in enumerate(mechanism.parent):
+        if above is not None:
+            inverse[k, above] = -1.0
+    return inverse

@@ -26,6 +26,7 @@ from robodyn.dynamics.closed_form import (
     closure_jacobian,
     matvec,
     phases,
+    relative_matrix,
     scene_torques,
 )
 from robodyn.engines.singular_values import svd
@@ -130,7 +131,7 @@ def forward(
     E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
     M = absolute_inertia(mechanism, E).real  # all of this in absolute angles
     links, joints = _loads(mechanism, q, qd, np.zeros(mechanism.n))
-    force = (tau - joints) @ np.linalg.inv(mechanism.arrays.J)  # J^-1 has entries 0, 1, -1
+    force = (tau - joints) @ relative_matrix(mechanism)
     force = force - links
     Psi = absolute_jacobian(mechanism, E)
     bend = closure_bias(mechanism, q, qd)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.closed_form import relative_matrix
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import InputError, RobodynError
@@ -26,7 +27,6 @@ from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.taylor.run import reach
-from robodyn.taylor.steps import relative_matrix
 
 Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.closed_form import relative_matrix
 from robodyn.engines.expansion import KINK
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import Misses
@@ -267,13 +267,3 @@ def _agree(series: Sequence[float], x: float, value: float, relative: float, sma
         most = max(most, abs(term))
         power *= x
     return abs(total - value) <= max(small, relative * most)
-
-
-@lru_cache(maxsize=64)
-def relative_matrix(mechanism: Mechanism) -> Array:
-    """J^-1 (n, n): joint rates from absolute ones."""
-    inverse = np.eye(mechanism.n)
-    for k, above in enumerate(mechanism.parent):
-        if above is not None:
-            inverse[k, above] = -1.0
-    return inverse
