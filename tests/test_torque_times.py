@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import ROOT
+from scipy.special import expi, sici
 
 from random_mechanisms import mechanism
 from robodyn import load, simulate
@@ -186,6 +187,37 @@ def test_pulses_that_begin_and_end_at_zero(method, width, impulse):
 def test_clipped_roots(text, rate, method):
     run = simulate(FREE, [0.0], [0.0], 10.0, text, method=method)
     assert run.qd[-1, 0] == pytest.approx(rate, abs=1e-6)
+
+
+def risen(t):
+    """The integral of exp(-1/t) from 0."""
+    return t * math.exp(-1 / t) + expi(-1 / t)
+
+
+@pytest.mark.parametrize(
+    ("text", "rate"),
+    [
+        ("exp(-1/(1-(t-5)**2)) if abs(t-5)<1 else 0", 0.4439938161680794),
+        ("exp(-1/t) if t>0 else 0", risen(10)),
+        ("7 + exp(-1/(t-4)) if t>4 else 0", 42 + risen(6)),
+        ("sin(t-3)/(t-3) if abs(t-3)>0 else 1", sici(7)[0] + sici(3)[0]),
+        ("sin(t)/t", sici(10)[0]),
+        ("-log(t-2)*(t-2) if t>2 else 0", 16 - 32 * math.log(8)),
+        ("exp(-1/abs(t-2)) if abs(t-2)>0 else 0", risen(2) + risen(8)),
+    ],
+)
+@pytest.mark.parametrize("method", ["taylor", "DOP853", "BDF"])
+def test_torques_without_a_value_where_a_piece_begins(text, rate, method):
+    """1/0 where a condition begins to hold is not met: what leads there has a limit."""
+    run = simulate(FREE, [0.0], [0.0], 10.0, text, method=method)
+    assert run.qd[-1, 0] == pytest.approx(rate, rel=2e-7)
+
+
+def test_a_torque_without_a_limit_where_a_piece_begins_stays_as_it_is():
+    """exp(-1/(t - 1)) grows beyond all bounds before t = 1."""
+    run = simulate(FREE, [0.0], [0.0], 10.0, "exp(-1/(t-1)) if t<1 else 0")
+    assert run.outcome == Outcome.STEP_TOO_SMALL
+    assert run.t[-1] < 1.0
 
 
 def test_a_run_ends_where_no_method_has_a_first_step():

@@ -28,13 +28,24 @@ ASIDE = 0.47  # where a leaf is split: where a root begins, no step should
 ROUNDED = 1e-15
 NARROWEST = 1e-10  # of the run, for a leaf
 
+
+def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function; nan, as Python has an error, where it goes to infinity: 1/0, log(0)."""
+
+    def result(*x: Any) -> Any:
+        y = function(*x)
+        return np.where(np.isinf(y) & np.logical_and.reduce([np.isfinite(a) for a in x]), np.nan, y)
+
+    return result
+
+
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
-    ast.Div: np.divide,
+    ast.Div: _defined(np.divide),
     ast.Mod: np.mod,
-    ast.Pow: np.power,
+    ast.Pow: _defined(np.power),
     ast.USub: np.negative,
     ast.UAdd: np.positive,
     ast.Lt: np.less,
@@ -46,15 +57,17 @@ _OTHER: dict[str, Callable[..., Any]] = {
     "_min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
     "_max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
     "_hypot": lambda *x: np.sqrt(sum(np.square(each) for each in x)),
-    "_log": lambda x, base=None: np.log(x) if base is None else np.log(x) / np.log(base),
+    "_log": _defined(lambda x, *base: np.log(x) / np.log(*base) if base else np.log(x)),
     "_atan2": np.arctan2,
     "_asin": np.arcsin,
     "_acos": np.arccos,
     "_atan": np.arctan,
-    "_pow": np.power,
+    "_pow": _defined(np.power),
     "_min_at": lambda *x: _first(np.argmin, x),
     "_max_at": lambda *x: _first(np.argmax, x),
     "_turns": lambda a, b: np.rint((a - np.mod(a, b)) / b),
+    "_int": lambda x: x,
+    "_pick": lambda k, *x: np.select([k == i for i in range(len(x))], x, np.nan),
     "_true": lambda x: np.where(np.isnan(x), np.nan, x != 0.0),
 }
 
@@ -96,6 +109,8 @@ def values_of(
                 result: Any = np.full_like(names["t"], value)
             case ast.Name(id=name):
                 result = names[name] + 0.0 * names["t"]
+            case ast.Subscript(slice=ast.Constant(value=int() as k)):
+                result = names["_s"][k] + 0.0 * names["t"]
             case ast.Compare(ops=[op]):
                 undefined = np.isnan(x[0]) | np.isnan(x[1])
                 result = np.where(undefined, np.nan, _OPERATORS[type(op)](*x))

@@ -32,6 +32,7 @@ from robodyn.mechanics.time_samples import (
     switching_times,
     values_of,
 )
+from robodyn.mechanics.torque_edges import WithLines, cut, lines_at_edges
 
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
 
@@ -107,11 +108,11 @@ def _found(
     that switch too fast.
     """
     parts = _TimeParts()
-    written = []
+    torques: list[tuple[str, ast.expr]] = []
     for line in lines:
         match ast.parse(line).body:
             case [ast.Assign(targets=[ast.Name(id=target)], value=value)]:
-                written.append(f"{target} = {ast.unparse(parts.write(value))}")
+                torques.append((target, parts.write(value)))
             case _:
                 return None
     if not parts.size:
@@ -125,13 +126,24 @@ def _found(
             limit = f"switches faster than a million samples from 0 to {t_end:g} s tell"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
         times = switching_times(parts.switches, samples)
-        kinks = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
-        edges = np.array(sorted([0.0, *kinks, t_end]))
+        inner = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
+        edges = np.array(sorted([0.0, *inner, t_end]))
         middles = 0.5 * (edges[1:] + edges[:-1])
-        table = [values_of(switch, {"t": middles}) for switch in parts.switches]
-        values = [tuple(row) for row in np.transpose(table).tolist()] or [()] * len(middles)
+        table = np.array([values_of(switch, {"t": middles}) for switch in parts.switches])
+        table = table.reshape(-1, len(middles))
+        beside = {id(x): lines_at_edges(x, edges, table, samples) for x in parts.held}
+        beside = {held: each for held, each in beside.items() if each}
+        rewrite = WithLines({held: len(table) + 3 * k for k, held in enumerate(beside)})
+        edges, table = cut(edges, table, list(beside.values()))
         leaves = leaf_ends(parts.functions, names, edges, samples, small)
-    return tuple(written), tuple(kinks), values, tuple(np.sort(np.abs(leaves)).tolist())
+    written = [f"{target} = {ast.unparse(rewrite.visit(torque))}" for target, torque in torques]
+    values = [tuple(row) for row in table.T.tolist()] or [()] * (len(edges) - 1)
+    return (
+        tuple(written),
+        tuple(edges[1:-1].tolist()),
+        values,
+        tuple(np.sort(np.abs(leaves)).tolist()),
+    )
 
 
 class _TimeParts:
@@ -143,11 +155,14 @@ class _TimeParts:
         self.guards: list[ast.expr] = []  # the same of those that decide switches
         self.switches: list[ast.expr] = []  # whose values are whole numbers
         self.functions: list[ast.expr] = []  # that must be resolved: torques, and of time alone
+        self.held: list[ast.expr] = []  # the largest parts of time alone, as they are written
 
     def write(self, torque: ast.expr) -> ast.expr:
         written, kind = self._write(torque)
         if kind:
             self.functions.append(torque)
+        if kind == 1:
+            self.held.append(written)
         return written
 
     def _write(self, node: ast.expr) -> tuple[ast.expr, int]:
@@ -167,11 +182,10 @@ class _TimeParts:
                 (self.guards if decides else self.timely).extend(parts)
             return self._held(node, parts, written), 1
         if kind == 2:
-            self.functions += [
-                part
-                for part, each in zip(parts, kinds, strict=True)
-                if each == 1 and not isinstance(part, ast.Name)
-            ]
+            for part, held, each in zip(parts, written, kinds, strict=True):
+                if each == 1 and not isinstance(part, ast.Name):
+                    self.functions.append(part)
+                    self.held.append(held)
         return _rebuilt(node, written), kind
 
     def _held(self, node: ast.expr, parts: list[ast.expr], x: list[ast.expr]) -> ast.expr:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal, get_args
@@ -165,7 +166,17 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
     if actuation.constants is not None:
         return np.broadcast_to(np.array(actuation.constants), (len(t), mechanism.n))
     torques = actuation.function(mechanism.n)
-    rows = [torques(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
+
+    def at(t: float, y: list[float]) -> Sequence[float]:
+        try:
+            return torques(t, y)
+        except (ArithmeticError, ValueError):  # sin(t)/t at 0: what it is beside it
+            for beside in (np.nextafter(t, np.inf), np.nextafter(t, -np.inf)):
+                with suppress(ArithmeticError, ValueError):
+                    return torques(float(beside), y)
+            raise
+
+    rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
     return np.array(rows, float).reshape(len(t), mechanism.n)
 
 

@@ -1,0 +1,105 @@
+"""Torques that have no value, or no series, where a piece of them begins or ends.
+
+`exp(-1/(t - 4)) if t > 4 else 0` is smooth, and yet 1/0 where it begins; so is sin(t)/t.  What is
+held between two switching times is therefore asked at both ends.  Where it has no value there, a
+straight line stands for it on a stretch so short that no digit of its impulse is lost.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.mechanics.time_samples import call, values_of
+
+Array = NDArray[np.float64]
+
+ULPS = np.array([0.0, 1.0, 2.0, 4.0, 16.0, 64.0, 256.0])  # an end is asked at and beside
+STRETCHES = 10.0 ** -np.arange(3.0, 12.0)  # of the run; the longest that is a line is taken
+MOST = 0.3  # of a piece
+ENDS = np.array([1.0, 2.0]) / 3.0  # of a stretch: the line goes through what stands there
+CHECKED = np.array([0.003, 0.03, 0.1, 0.25, 0.5, 0.8, 1.0])
+LOST = 1e-15  # part of the largest torque times the run that a line may miss
+
+
+class Line(NamedTuple):
+    """first + slope t from `begin` to `end`, in the place of what is held there."""
+
+    begin: float
+    end: float
+    first: float
+    slope: float
+
+
+def lines_at_edges(held: ast.expr, edges: Array, switches: Array, samples: Array) -> list[Line]:
+    """The lines beside those `edges` of pieces at which `held` has no value.
+
+    `switches` (switches, pieces) tells how they stand; at the `samples` the run is looked at.
+    """
+    span = edges[-1] - edges[0]
+    ends = np.stack([edges[:-1], edges[1:]], axis=1)
+    inward = np.array([1.0, -1.0]) * MOST * np.diff(edges)[:, None]
+    near = ULPS * np.spacing(np.abs(edges).max())
+    beside = ends[..., None] + np.sign(inward)[..., None] * np.minimum(
+        near, np.abs(inward)[..., None]
+    )
+    stand = switches[:, :, None, None]
+    undefined = ~np.isfinite(values_of(held, {"t": beside, "_s": stand})).all(axis=-1)
+    if not undefined.any():
+        return []
+    pieces = np.searchsorted(edges, samples, "right").clip(1, len(edges) - 1) - 1
+    known = values_of(held, {"t": samples, "_s": switches[:, pieces]})
+    least = LOST * span * np.abs(known[np.isfinite(known)]).max(initial=0.0)
+    lines = []
+    for piece, side in np.argwhere(undefined).tolist():
+        edge, most = ends[piece, side], inward[piece, side]
+        stretches = np.sign(most) * span * STRETCHES
+        stretches = stretches[np.abs(stretches) <= abs(most)]
+        t = edge + stretches[:, None] * np.concatenate([ENDS, CHECKED])
+        torque = values_of(held, {"t": t, "_s": switches[:, piece, None, None]})
+        slope = (torque[:, 1] - torque[:, 0]) / (t[:, 1] - t[:, 0])
+        first = torque[:, 0] - slope * t[:, 0]
+        off = np.abs(first[:, None] + slope[:, None] * t - torque).max(axis=1)
+        (short,) = np.nonzero(off * np.abs(stretches) <= least)
+        if short.size:
+            k = short[0]
+            begin, end = sorted((float(edge), float(edge + stretches[k])))
+            lines.append(Line(begin, end, float(first[k]), float(slope[k])))
+    return lines
+
+
+def cut(edges: Array, switches: Array, lines: Sequence[Sequence[Line]]) -> tuple[Array, Array]:
+    """The edges and how the switches stand, with three more for each expression with `lines`.
+
+    Those are 1 and the numbers of a line where it stands for the expression, zero elsewhere.
+    """
+    ends = [x for each in lines for line in each for x in (line.begin, line.end)]
+    finer = np.unique(np.concatenate([edges, ends]))
+    middles = 0.5 * (finer[1:] + finer[:-1])
+    columns = list(switches[:, np.searchsorted(edges, middles) - 1])
+    for each in lines:
+        added = np.zeros((3, len(middles)))
+        for line in each:
+            at = (line.begin < middles) & (middles < line.end)
+            added[:, at] = np.array([[1.0], [line.first], [line.slope]])
+        columns += list(added)
+    return finer, np.array(columns)
+
+
+class WithLines(ast.NodeTransformer):
+    """Writes expressions again, those of `lines` (by identity) with the line of their switch."""
+
+    def __init__(self, lines: Mapping[int, int]) -> None:
+        self.lines = lines
+
+    def visit(self, node: ast.AST) -> ast.AST:
+        k = self.lines.get(id(node))
+        if k is None:
+            return self.generic_visit(node)
+        flag, first, slope = (ast.Subscript(ast.Name("_s"), ast.Constant(k + i)) for i in range(3))
+        line = ast.BinOp(first, ast.Add(), ast.BinOp(slope, ast.Mult(), ast.Name("t")))
+        return ast.IfExp(call("_int", flag), line, node)  # type: ignore[arg-type]
