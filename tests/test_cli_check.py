@@ -341,3 +341,13 @@ def test_lengths_whose_squares_are_no_numbers(robodyn, scene, four_bar_text):
     assert given.code in (0, 1)
     assert "defect" not in given.err
     assert "encountered" not in given.err
+
+
+def test_chains_with_more_closures_than_joints(robodyn, scene):
+    """Every tip of a chain pinned to one point: closes nowhere, and is not searched for long."""
+    for n, told in ((30, "close at none"), (300, "takes too long")):
+        links = "".join(f"  - {{name: a{k}, m: 1, l: 1, r: 0.5, I: 0.1}}\n" for k in range(n))
+        pins = "".join(f"  - [a{k}, [0.5, 0.5]]\n" for k in range(n))
+        given = robodyn("check", scene(f"links:\n{links}closures:\n{pins}"))
+        assert told in given.err
+        assert given.code == (1 if n == 30 else 0)

@@ -275,6 +275,15 @@ def test_no_folder_of_matplotlib_stays_behind(shell: Run, tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["x.png"]
 
 
+def test_the_users_settings_of_matplotlib_break_no_picture(shell: Run, tmp_path: Path) -> None:
+    """A window that is not there, TeX that is not installed, effects that are none."""
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\npath.effects: 3\nfigure.dpi: 1e9\n")
+    line = f"robodyn draw robots/2r.yaml --q 0,1 -o {tmp_path}"
+    env = {"MPLBACKEND": "none such", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
+    shell(f"{line}/x.png && env -u MPLBACKEND -u MATPLOTLIBRC {line}/y.png", env=env).succeeds()
+    assert (tmp_path / "x.png").read_bytes() == (tmp_path / "y.png").read_bytes()
+
+
 def test_the_pictures_of_the_readme_are_there_and_small() -> None:
     from PIL import Image
 

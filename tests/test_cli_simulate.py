@@ -809,10 +809,12 @@ def test_a_start_is_needed(robodyn: Run) -> None:
     robodyn("simulate", "none.yaml", "--q", "1,2").fails(2, "none.yaml", "no such file")
 
 
-def test_closed_stdin_and_stdout(shell: Run) -> None:
+def test_closed_stdin_and_stdout(shell: Run, tmp_path: Path) -> None:
     line = "robodyn simulate robots/2r.yaml --q 1,2 --time 0.1 --quiet"
     shell(f"{line} --tau-from - <&-").fails(2, "stdin", "closed")
     assert shell(f"{line} >&-").code == 1
+    shell(f"{line} -o {tmp_path}/x.csv >&-").succeeds()
+    assert (tmp_path / "x.csv").read_text() == shell(line).succeeds().out
 
 
 # Help and imports

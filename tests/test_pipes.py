@@ -169,6 +169,23 @@ def test_stdout_may_be_closed(shell: Run) -> None:
     shell("robodyn torque robots/2r.yaml --q 1,2 >&-").fails(1, "stdout")
 
 
+def test_an_interrupt_while_modules_are_loaded(tmp_path: Path) -> None:
+    """Ctrl-C before the command line is there ends the process without Python's traceback."""
+    code = """
+import os, signal, sys
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == "typer":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupted())
+from robodyn.__main__ import main
+main()
+"""
+    command = [sys.executable, "-c", code, "--version"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_stderr_may_be_closed(shell: Run) -> None:
     assert shell("robodyn torque robots/2r.yaml --q 1,2 2>&-").succeeds().out != ""
     assert shell("robodyn torque robots/2r.yaml --q 1 2>&-").code == 2

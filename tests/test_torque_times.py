@@ -336,6 +336,12 @@ def test_a_longest_step_that_is_none(given, robodyn):
     found.fails(2, "--max-step")
 
 
+def test_a_longest_step_that_no_run_comes_to_the_end_with():
+    for method in ("DOP853", "taylor"):
+        with pytest.raises(InputError, match=r"max_step = 1e-09: 1 s .*2000000"):
+            simulate(PENDULUM, *START, 1.0, max_step=1e-9, method=method)
+
+
 def test_missed_work_shows_in_the_drift():
     """A function of Python hides what it does between the steps."""
 

@@ -35,16 +35,18 @@ COMMANDS = (
 
 def main() -> NoReturn:
     """Run the command line on this process's arguments and exit."""
-    signals.answer(signals.end)
     gc.set_threshold(100_000, 50, 100)  # importing scipy would collect for 30 ms, for nothing
-    code = run(sys.argv[1:])
     try:
+        signals.answer(signals.end)
+        code = run(sys.argv[1:])
         for stream in (sys.stdout, sys.stderr):
             # after a signal what is left is let go: its pipe may have a reader that waits
             if stream is not None and not signals.received:
                 stream.flush()
     except BrokenPipeError:
         code = _without_reader()
+    except KeyboardInterrupt:
+        code = 130
     if sys.gettrace() or sys.getprofile():
         sys.exit(code)
     atexit._run_exitfuncs()  # matplotlib's folder, the semaphores of processes
@@ -55,11 +57,9 @@ def run(arguments: list[str]) -> int:
     """Run the command line on `arguments`; the exit code."""
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
-    if sys.stderr is None:  # closed: what is told to nobody must not go to stdout
-        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (for as long as the process lives)
-    if sys.stdout is None:
-        _tell("Error: stdout is closed: results have no place to go")
-        return 1
+    # what is told to nobody must go nowhere, and no file may be opened in its place
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 (as long as the process lives)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
         command = typer.main.get_command(_application(arguments))
         _plain_numbers(command)

@@ -211,17 +211,25 @@ def _name_curves(axes: Any, panel: Panel, rises: bool, inches: float) -> None:
             axes.plot(curve.x[-1], curve.y[-1], "o", ms=4, color=line.get_color())
 
 
+# of a user's settings of matplotlib: the fonts that have the letters of names, and a program
+USERS = ("font.family", "font.sans-serif", "font.serif", "font.monospace", "animation.ffmpeg_path")
+
+
 def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any) -> Any:
     """A figure of this size, inches, that draws without a screen.
 
     Unless it has `formulas`, a dollar in a text stands for itself: names may hold any.
     """
     logging.getLogger("matplotlib").setLevel(logging.CRITICAL)  # where it may keep its files
-    from matplotlib import rcParams
+    os.environ["MPLBACKEND"] = "agg"
+    from matplotlib import rcdefaults, rcParams
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rcParams["text.parse_math"] = formulas
+    settings: Any = rcParams
+    kept = {name: settings[name] for name in USERS}
+    rcdefaults()  # what else a user has set may need programs that are not there
+    settings.update({**kept, "text.parse_math": formulas})
     # a font without the letters of a name draws boxes
     warnings.filterwarnings("ignore", "Glyph", UserWarning)
     figure = Figure(figsize=size, **options)

@@ -17,7 +17,7 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.closed_form import absolute_rates, matvec, phases, point_motion
 from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.engines.series import Arithmetic, Series, State
-from robodyn.errors import SingularError
+from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
 
+# of closing a state from random angles, in entries of Psi times its rank
+SEARCH, MOST_WORK = 2_000_000, 4_000_000
 STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
 STEP = 3e-2  # rad, of the fastest link
 # f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
@@ -72,7 +74,13 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
         q = rng.uniform(-np.pi, np.pi, (count, n))
         return Sample(q, rng.normal(size=(count, n)), 1.0)
     if driven > n - len(mechanism.rows):  # their angles depend on one another
-        q = assembly.close_positions(mechanism, rng.uniform(-np.pi, np.pi, (4 * count, n)))
+        work = n * len(mechanism.rows) * min(n, len(mechanism.rows))
+        if work > MOST_WORK:
+            limit = f"closing {len(mechanism.rows)} equations of closures from random angles, as "
+            limit += f"{driven} actuated joints on fewer freedoms ask for, takes too long"
+            raise InputError("actuated", where=mechanism.source, limit=limit)
+        tries = max(2, min(4 * count, SEARCH // work))
+        q = assembly.close_positions(mechanism, rng.uniform(-np.pi, np.pi, (tries, n)))
         missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     else:

@@ -34,6 +34,7 @@ USUAL = 0.15  # s/L of regular states: where it is less at all of them, L counts
 CUT = 1e-10  # singular values of Psi below this part of the largest are left alone
 CLOSED = 1.5e-16  # a gap below this part of the loop's size is rounding
 PASSES = 12
+SEARCHED = 2_000_000  # entries of Psi times its rank, of configurations that tell what is usual
 LONGEST = 0.5  # rad of a step
 SETTLED = 1e-6  # rad; below it steps that shrink no more are rounding
 SHRINKS = 0.7  # at a singular configuration steps are halved, elsewhere squared
@@ -48,8 +49,10 @@ def loop_size(mechanism: Mechanism) -> float:
 
 @lru_cache(maxsize=64)
 def closed_jacobians(mechanism: Mechanism) -> Array:
-    """Psi (k, r, n) at up to 16 closed configurations, or at any where none is found."""
-    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (16, mechanism.n))
+    """Psi (k, r, n) at a few closed configurations, or at any where none is found."""
+    rows = max(1, len(mechanism.rows))
+    count = max(2, min(16, SEARCHED // (mechanism.n * rows * min(mechanism.n, rows))))
+    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (count, mechanism.n))
     q = _closed(mechanism, drawn, list(range(mechanism.n)), 0.0)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
     closed = gap <= 1e-9 * loop_size(mechanism)

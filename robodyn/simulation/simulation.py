@@ -198,6 +198,10 @@ def run(
     settings.check()
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
+    if abs(t_end) > settings.max_step * settings.max_evaluations:
+        limit = f"{t_end:g} s would take more steps of it than the evaluations allowed"
+        limit += f" ({settings.max_evaluations}, --max-evals)"
+        raise InputError("max_step", value=settings.max_step, limit=limit)
     if isinstance(times, np.ndarray):
         _check_times(times, t_end)
     if actuation.span is not None:

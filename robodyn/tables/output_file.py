@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from io import BufferedIOBase
 from typing import TYPE_CHECKING, BinaryIO, cast
 
-from robodyn.errors import InputError, printable_lines
+from robodyn.errors import InputError, RobodynError, printable_lines
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -47,6 +47,8 @@ def open_output(
     """
     if path is None or os.fspath(path) == "-":
         raw = on_terminal(None) and not styled
+        if sys.__stdout__ is None:
+            raise RobodynError("stdout is closed", limit="results have no place to go: give -o")
         yield cast(BinaryIO, _Terminal()) if raw else sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
