@@ -552,6 +552,11 @@ def on_terminal(*arguments: str, columns: int = 80) -> str:
     return data.decode().replace("\r\n", "\n")
 
 
+@pytest.mark.parametrize("columns", [10**20, 0, -5])
+def test_a_size_that_no_terminal_has(columns: int) -> None:
+    assert "torque" in on_terminal("--help", columns=columns)
+
+
 def test_a_result_on_a_terminal_is_a_table() -> None:
     shown = on_terminal("torque", "robots/2r.yaml", "--q", "1,2")
     assert "tau1 [N m]" in shown

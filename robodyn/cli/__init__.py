@@ -60,6 +60,10 @@ def run(arguments: list[str]) -> int:
     # what is told to nobody must go nowhere, and no file may be opened in its place
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 (as long as the process lives)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    for size in ("COLUMNS", "LINES"):  # what no terminal has: the terminal itself is asked
+        told = os.environ.get(size, "")
+        if not (told.isdecimal() and len(told) < 5 and int(told)):
+            os.environ.pop(size, None)
     try:
         command = typer.main.get_command(_application(arguments))
         _plain_numbers(command)
