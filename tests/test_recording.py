@@ -1,5 +1,6 @@
 """Statistics of a run: nearness to singular configurations, energies, accelerations on demand."""
 
+import pickle
 import tracemalloc
 
 import numpy as np
@@ -192,3 +193,12 @@ def test_even_times_are_a_sequence():
         assert times[part].tolist() == [0.0, 0.3, 0.6, 1.0][part]
     with pytest.raises(IndexError):
         times[4]
+
+
+def test_a_motion_is_pickled_with_its_report():
+    arm = load(ROOT / "robots/2r.yaml")
+    motion = simulate(arm, [0.3, -0.2], [0.5, 0.1], 0.1)
+    again = pickle.loads(pickle.dumps(motion))
+    assert again.report == motion.report
+    assert np.array_equal(again.q, motion.q)
+    assert again.report.steps > 0

@@ -244,19 +244,21 @@ class Recorder:
         never = abs(self.report.t_end - float(t[-1])) > most * self.longest
         return never and abs(self.report.t_end) > FAR_END and self.longest <= 2.0 * before
 
-    def finish(self) -> None:
+    def settle(self) -> Report:
+        """The report, with the statistics of all steps."""
         self.flush_steps()
-        self._flush_rows()
         if self.actuation.control is not None:
             self.report.tracking = self.actuation.control.tracking()
+        return self.report
 
     def _row(self, t: Array, y: Array) -> None:
         self.rows.append((t, y))
         self.waiting += len(t)
         if self.waiting >= self.rows_at_once:
-            self._flush_rows()
+            self.flush_rows()
 
-    def _flush_rows(self) -> None:
+    def flush_rows(self) -> None:
+        """Hand the waiting rows on."""
         if self.rows:
             t = np.concatenate([t for t, _ in self.rows])
             y = np.concatenate([y for _, y in self.rows])

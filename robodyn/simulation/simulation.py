@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Literal, get_args
 
@@ -53,8 +53,16 @@ class Motion:
     qd: Array
     tau: Array
     outcome: Outcome
-    report: Report
     mechanism: Mechanism
+    _settle: Callable[[], Report] = field(repr=False, compare=False)
+
+    @cached_property
+    def report(self) -> Report:
+        """What the run did; its statistics are taken when they are asked for."""
+        return self._settle()
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**vars(self), "report": self.report, "_settle": None}
 
     @cached_property
     def qdd(self) -> Array:
@@ -145,7 +153,7 @@ def simulate(
     actuation = _as_actuation(mechanism, tau)
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
-    outcome, report = run(
+    outcome, recorder = _run(
         mechanism,
         np.concatenate([q, qd]),
         float(t_end),
@@ -158,7 +166,7 @@ def simulate(
     t = np.concatenate([t for t, _ in rows]) if rows else np.zeros(0)
     y = np.concatenate([y for _, y in rows]) if rows else np.zeros((0, 2 * n))
     torques = applied_torques(mechanism, actuation, t, y)
-    return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, report, mechanism)
+    return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, mechanism, recorder.settle)
 
 
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
@@ -195,6 +203,21 @@ def run(
     Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
     the run as interrupted when it returns True.
     """
+    outcome, recorder = _run(mechanism, state, t_end, actuation, settings, sink, times, watch)
+    return outcome, recorder.settle()
+
+
+def _run(
+    mechanism: Mechanism,
+    state: Array,
+    t_end: float,
+    actuation: Actuation,
+    settings: Settings,
+    sink: Sink,
+    times: Array | EvenTimes | None = None,
+    watch: Callable[[float], bool] | None = None,
+) -> tuple[Outcome, Recorder]:
+    """`run`, with the statistics still to be taken."""
     settings.check()
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
@@ -275,10 +298,10 @@ def run(
             outcome = Outcome.SINGULAR
         except StopRun as stop:
             outcome = stop.outcome
-    recorder.finish()
+    recorder.flush_rows()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
-    return outcome, report
+    return outcome, recorder
 
 
 def _by_scipy(
