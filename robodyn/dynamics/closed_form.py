@@ -189,6 +189,16 @@ def absolute_jacobian(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
     return Psi
 
 
+def closure_rate(mechanism: Mechanism, q: ArrayLike, rates: Array) -> Array:
+    """Psi qd, how fast the gap opens at links' angular velocities `rates` (..., n), (..., r), m/s.
+
+    Of angular accelerations the part of the gap's acceleration that `closure_bias` is not.
+    """
+    arrays = mechanism.arrays
+    opening: Array = -((phases(mechanism, q) * rates) @ arrays.P.T).imag
+    return opening + rates @ arrays.angles.T if mechanism.description.couplings else opening
+
+
 def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """Psidot qd, the part of the gap's acceleration that qdd does not make, (..., r), m/s^2."""
     rates = absolute_rates(mechanism, qd)

@@ -18,6 +18,7 @@ from robodyn.dynamics.closed_form import (
     closure_bias,
     closure_gap,
     closure_jacobian,
+    closure_rate,
     matvec,
 )
 from robodyn.errors import InputError
@@ -98,17 +99,19 @@ def check_closed(
     sizes = np.array([row.size for row in mechanism.rows])
     checks = [("position", "m", closure_gap(mechanism, q), loop_size(mechanism))]
     if qd is not None:
-        Psi = closure_jacobian(mechanism, q)
-        rates = np.abs(absolute_rates(mechanism, qd)).max(axis=-1, keepdims=True)
-        checks.append(("velocity", "m/s", matvec(Psi, qd), sizes * rates))
+        rates = absolute_rates(mechanism, qd)
+        fastest = np.abs(rates).max(axis=-1, keepdims=True)
+        opening = closure_rate(mechanism, q, rates)
+        checks.append(("velocity", "m/s", opening, sizes * fastest))
         if qdd is not None:
-            turning = np.abs(absolute_rates(mechanism, qdd)).max(axis=-1, keepdims=True)
-            bending = matvec(Psi, qdd) + closure_bias(mechanism, q, qd)
-            checks.append(("acceleration", "m/s^2", bending, sizes * (turning + rates**2)))
+            turning = absolute_rates(mechanism, qdd)
+            bending = closure_rate(mechanism, q, turning) + closure_bias(mechanism, q, qd)
+            size = np.abs(turning).max(axis=-1, keepdims=True) + fastest**2
+            checks.append(("acceleration", "m/s^2", bending, sizes * size))
     for what, unit, gap, size in checks:
-        wrong = np.flatnonzero((np.abs(gap) > GAP_ALLOWED * size).any(axis=-1))
-        if wrong.size:
-            state = int(wrong[0])
+        wrong = np.abs(gap) > GAP_ALLOWED * size
+        if wrong.any():
+            state = int(np.flatnonzero(wrong.any(axis=-1))[0])
             return state, _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
     return None
 

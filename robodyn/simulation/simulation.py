@@ -172,7 +172,7 @@ def simulate(
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
     """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
     if actuation.constants is not None:
-        return np.broadcast_to(np.array(actuation.constants), (len(t), mechanism.n))
+        return np.repeat([actuation.constants], len(t), axis=0)
     torques = actuation.function(mechanism.n)
 
     def at(t: float, y: list[float]) -> Sequence[float]:
@@ -252,17 +252,15 @@ def _run(
     def side() -> RightHandSide:
         return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
 
-    if t_end != 0.0:
-        loop_rates.check_way_on(
-            mechanism, y0[None, : mechanism.n], y0[None, mechanism.n :][:, : mechanism.n]
-        )
+    n = mechanism.n
+    if t_end != 0.0 and mechanism.rows:
+        loop_rates.check_way_on(mechanism, y0[None, :n], y0[None, n : 2 * n])
     if projects:
         y0 = Projection(mechanism, best_closing(mechanism))(y0)
     if actuation.told is not None:
         actuation.told.begin(y0.tolist(), float(t_end))
     if taylor:  # tell now where no motion is defined
         if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
-            n = mechanism.n
             dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
     else:
         report.evaluator = side().kind
@@ -345,7 +343,7 @@ def _check_times(times: Array, t_end: float) -> None:
     direction = -1.0 if t_end < 0.0 else 1.0
     if times.ndim != 1 or not np.isfinite(times).all():
         raise InputError("t_eval", limit="must be a list of finite times")
-    ordered = (np.diff(times) * direction > 0.0).all()
+    ordered = len(times) < 2 or (np.diff(times) * direction > 0.0).all()
     within = len(times) == 0 or (
         times[0] * direction >= 0.0 and times[-1] * direction <= t_end * direction
     )

@@ -221,6 +221,7 @@ class CompiledEngine:
         return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
 
 
+@lru_cache(maxsize=64)
 def serves(mechanism: Mechanism) -> bool:
     """Whether code of this length is worth it, and M and Psi are regular but at single states."""
     if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):

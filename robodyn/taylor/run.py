@@ -161,7 +161,9 @@ def taylor_run(
     _check_start(mechanism, actuation, y)
     t, begun, most = 0.0, time.perf_counter(), STEPS
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
-    crosses = closing is not None and closing(y.tolist())[1] < suspect and at_change_point()
+    crosses = False  # whether only the motion that leads across a change point leads on
+    if closing is not None and isinstance(stepping, SteppingEngine):  # machine code tells itself
+        crosses = closing(y.tolist())[1] < suspect and at_change_point()
     stuck = False  # whether no series leads on: a torque bends without end, or rounding hides it
     idle = 0  # times in a row that nothing led on
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
