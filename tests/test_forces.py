@@ -444,11 +444,16 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
     def refuse(*_):
         raise AssertionError("forces were asked for")
 
-    for name in ("potential_torques", "other_torques", "spring_energy", "forces_on_links"):
-        monkeypatch.setattr(f"robodyn.dynamics.forces.{name}", refuse)
+    for name in ("rows", "RowValues"):
+        monkeypatch.setattr(f"robodyn.dynamics.scene_forces.{name}", refuse)
     mech = load(ROOT / "robots/2r.yaml")
     assert not mech.has_state_forces
-    gravity_vector(mech, [0.1, 0.2])
+    state = [0.1, 0.2], [0.0, 0.0], [0.0, 0.0]
+    gravity_vector(mech, state[0])
+    potential_energy(mech, state[0])
+    inverse_dynamics(mech, *state)
+    reactions(mech, *state, [])
+    shaking_force(mech, *state)
     simulate(mech, [0.1, 0.2], [0, 0], 0.1)
     simulate(mech, [0.1, 0.2], [0, 0], 0.1, method="taylor")
 

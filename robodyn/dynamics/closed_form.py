@@ -14,7 +14,7 @@ equation of motion, which every docstring refers to, is
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
 with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
-is Q (`forces.py`).  States are arrays (..., n); radians, SI units.
+is Q (`scene_forces.py`).  States are arrays (..., n); radians, SI units.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import forces
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.planar_model import coefficient_matrix
@@ -115,7 +114,9 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     arrays = mechanism.arrays
     G: Array = ((arrays.weights * E).imag - arrays.moments) @ arrays.J
     if mechanism.springs or mechanism.joint_springs:
-        G = G - forces.potential_torques(mechanism, np.asarray(q, float), E)
+        from robodyn.dynamics import scene_forces  # only scenes that have some pay for it
+
+        G = G + scene_forces.potential_torques(mechanism, np.asarray(q, float))
     return G
 
 
@@ -125,16 +126,10 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
     not finite or not n wide, SingularError where the ends of a damped spring coincide.
     """
-    E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
-    return forces.other_torques(mechanism, np.asarray(qd, float), E, rates)
+    from robodyn.dynamics import scene_forces
 
-
-def scene_torques(
-    mechanism: Mechanism, q: Array, qd: Array, E: NDArray[np.complex128], rates: Array
-) -> Array:
-    """The joint torques of springs and of Q together, (..., n), N m; `rates` is alphad."""
-    torques = forces.potential_torques(mechanism, q, E)
-    return torques + forces.other_torques(mechanism, qd, E, rates)
+    rates = as_states(mechanism, "qd", qd)
+    return scene_forces.other_torques(mechanism, as_states(mechanism, "q", q), rates)
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -160,7 +155,9 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     if any(mechanism.moments):
         PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
     if mechanism.springs or mechanism.joint_springs:
-        PE = PE + forces.spring_energy(mechanism, np.asarray(q, float), E)
+        from robodyn.dynamics import scene_forces
+
+        PE = PE + scene_forces.spring_energy(mechanism, np.asarray(q, float))
     return KE, PE
 
 

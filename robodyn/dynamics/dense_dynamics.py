@@ -27,8 +27,8 @@ from robodyn.dynamics.closed_form import (
     matvec,
     phases,
     relative_matrix,
-    scene_torques,
 )
+from robodyn.dynamics.scene_forces import all_torques
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
@@ -80,7 +80,7 @@ def _loads(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> tuple[Array
     links = (E.conj() * (inner @ arrays.A.T)).real + (arrays.weights * E).imag - arrays.moments
     joints = arrays.damping * qd
     if mechanism.has_state_forces:
-        joints = joints - scene_torques(mechanism, q, qd, E, rates)
+        joints = joints + all_torques(mechanism, q, qd)
     return links, joints
 
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.closed_form import absolute_rates, matvec, phases, point_motion
 from robodyn.dynamics.reaction_forces import bodies_of
-from robodyn.engines.series import Arithmetic, Series, State
+from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
-from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.mechanism import Mechanism, build
 
 Array = NDArray[np.float64]
@@ -94,6 +93,24 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
     qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
     qd[np.abs(qd).max(axis=-1, initial=0.0) < STILL] = 0.0  # what cannot move
     return Sample(closed, qd, len(closes) / len(q))
+
+
+class _Rows:
+    """The rows of a scene's program, at states q and qd (..., n)."""
+
+    def __init__(self, scene: Mechanism) -> None:
+        self.scene = scene
+        self._values = RowValues(replace(scene, A=()))  # which none reads, and which is large
+
+    def potential_energy(self, q: Array) -> Array:
+        return self._values("PE", q, np.zeros_like(q))[..., 0] + self.scene.energy_offset
+
+    def power(self, q: Array, qd: Array) -> Array:
+        """Of dampers, friction and forces that turn."""
+        return self._values("power", q, qd)[..., 0]
+
+    def gap(self, q: Array) -> Array:
+        return self._values("gap", q, np.zeros_like(q))
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
@@ -220,45 +237,6 @@ def _motion_identities(
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
     size = max(scale * _top(qd), rounding)
     return [*found, Identity(POWER, _relative(growth - power, size))]
-
-
-# -- what the program of rows says of a scene ------------------------------------------------------
-
-ARRAYS = Arithmetic(cos=np.cos, sin=np.sin, power=np.power, functions={"tanh": np.tanh})
-
-
-class _Rows:
-    """The rows of a scene's program, at states q and qd (..., n)."""
-
-    def __init__(self, scene: Mechanism) -> None:
-        self.scene = scene = replace(scene, A=())  # which none of these reads, and which is large
-        self.program = EquationsOfMotion(scene).write([None] * scene.n, work=True, chained=True)
-
-    def potential_energy(self, q: Array) -> Array:
-        PE: Array = self._values("PE", q, np.zeros_like(q))[..., 0]
-        return PE + self.scene.energy_offset
-
-    def power(self, q: Array, qd: Array) -> Array:
-        """Of dampers, friction and forces that turn."""
-        return np.asarray(self._values("power", q, qd).sum(axis=-1))
-
-    def gap(self, q: Array) -> Array:
-        return self._values("gap", q, np.zeros_like(q))
-
-    def _values(self, name: str, q: Array, qd: Array) -> Array:
-        alpha, w = absolute_rates(self.scene, q, "q"), absolute_rates(self.scene, qd)
-        given: dict[str, Any] = {
-            f"{each}{k}": (x,)
-            for each, values in (("q", q), ("qd", qd), ("alpha", alpha))
-            for k, x in enumerate(np.moveaxis(values, -1, 0))
-        }
-        E = [(np.cos(x), np.sin(x)) for x in np.moveaxis(alpha, -1, 0)]
-        state, wanted = State(E, list(np.moveaxis(w, -1, 0)), given), self.program.named[name]
-        numbers = self.program.numbers
-        series = Series(self.program, ARRAYS, numbers, 1, state, slots=wanted, grounded=True)
-        series.residuals(0)
-        found = [np.broadcast_to(series.real[slot][0], q.shape[:-1]) for slot in wanted]
-        return np.stack(found, axis=-1) if found else np.zeros((*q.shape[:-1], 0))
 
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:

@@ -24,10 +24,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import absolute_rates, closure_jacobian, phases
+from robodyn.dynamics.closed_form import absolute_rates, closure_jacobian, phases, point_motion
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import coupling_torques, pin_forces
-from robodyn.dynamics.forces import forces_on_links, load_force
+from robodyn.dynamics.scene_forces import forces_on_links, load_forces
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
@@ -64,11 +64,11 @@ def reactions(
     if lam.shape[-1:] != (len(mechanism.rows),):
         limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
         raise InputError("multipliers.shape", value=lam.shape, limit=limit)
-    E, _, load = _motion(mechanism, q, qd, qdd)
-    forces = -(load @ bodies_of(mechanism).below)
+    _, load = _motion(mechanism, q, qd, qdd)
+    forces: Complex = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
-        on_links = forces_on_links(mechanism, E, absolute_rates(mechanism, qd))
-        forces = forces - on_links @ mechanism.arrays.J
+        states = np.asarray(q, float), np.asarray(qd, float)
+        forces = forces - forces_on_links(mechanism, *states) @ mechanism.arrays.J
     if mechanism.description.closures:
         forces = forces - pin_forces(mechanism, lam) @ [1, 1j] @ _sides(mechanism)
     return np.stack([forces.real, forces.imag], axis=-1)
@@ -82,15 +82,15 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s.  Raises InputError for
     arrays that do not fit.
     """
-    E, place, load = _motion(mechanism, q, qd, qdd)
+    place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)
     moment = (place.conj() * load).imag.sum(axis=-1) + sum(mechanism.moments)
     turning = absolute_rates(mechanism, qdd, "qdd")
     moment = moment - turning @ bodies_of(mechanism).inertia
-    for each in mechanism.forces:
-        F = load_force(each, E)
-        arm = each.point.constant + sum(c * E[..., k] for k, c in each.point.terms)
-        force, moment = force + F, moment + (np.conj(arm) * F).imag
+    if mechanism.forces:
+        F = load_forces(mechanism, np.asarray(q, float))
+        arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
+        force, moment = force + F.sum(axis=-1), moment + (arms.conj() * F).imag.sum(axis=-1)
     return np.stack([force.real, force.imag, moment], axis=-1)
 
 
@@ -132,13 +132,13 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
 
 def _motion(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
-) -> tuple[Complex, Complex, Complex]:
-    """E, where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
+) -> tuple[Complex, Complex]:
+    """Where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
     bodies, E = bodies_of(mechanism), phases(mechanism, q)
     turning = 1j * absolute_rates(mechanism, qdd, "qdd") - absolute_rates(mechanism, qd) ** 2
     acceleration = (E * turning) @ bodies.rho.T
     load: Complex = bodies.mass * (mechanism.gamma - acceleration)
-    return E, E @ bodies.rho.T + bodies.constant, load
+    return E @ bodies.rho.T + bodies.constant, load
 
 
 @lru_cache(maxsize=64)

@@ -17,6 +17,7 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
+from robodyn.mechanics.force_rows import PointForce
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program, Slot
 
@@ -90,6 +91,7 @@ class Recorded:
         self.parameters = parameters or generic
         self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
+        self.forces: list[PointForce] = []
         n = mechanism.n
         names = ("q", *rates)
         self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
@@ -129,7 +131,7 @@ class Recorded:
             given[f"tau{j}"] = (tau,)
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
-        self.torques = equations.torques
+        self.torques, self.forces = equations.torques, equations.forces
         alpha = self.absolute("q")
         for j in range(mechanism.n):
             given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
@@ -139,13 +141,14 @@ class Recorded:
         turn = None if self.by_direction else self._turn
         accelerations = self.absolute("qdd") if accelerated else None
         state = State(self.E, self.absolute("qd"), given, turn, accelerations)
+        slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
         return Series(
             program,
             self.arithmetic,
             self.numbers(program),
             orders,
             state,
-            slots=[x for name in ("gap", "load", "power") for x in program.named.get(name, [])],
+            slots=slots + [x.force for x in self.forces if x.force is not None],
             grounded=self.by_direction,
         )
 
@@ -208,7 +211,7 @@ def inverse_of(state: Recorded) -> Formula:
     deep = len(mechanism.A) > 2 * n
     series = state.series([0.0] * n, chained=state.by_direction and deep, accelerated=True)
     series.residuals(0)
-    load, Psi = balance(state, series)
+    load, Psi = balance(state, series), joint_jacobian(state, series)
     if not mechanism.rows:
         return Formula(state.inputs, tuple(load), ())
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
@@ -232,14 +235,13 @@ def inverse_of(state: Recorded) -> Formula:
     return Formula(state.inputs, (*tau, *multipliers), pivots)
 
 
-def balance(state: Recorded, series: Series) -> tuple[list[Value], list[list[Value]]]:
-    """M qdd + C qd + D qd + G - Q (n), and Psi row by row; after `series.residuals(0)`."""
-    Psi = joint_jacobian(state, series)
+def balance(state: Recorded, series: Series) -> list[Value]:
+    """M qdd + C qd + D qd + G - Q (n); after `series.residuals(0)`."""
     load = state.to_joints([series.real[slot][0] for slot in series.program.named["load"]])
     for j, slot in enumerate(state.torques):
         if slot is not None:  # not summed and taken off again: no rounding of what is large
             load[j] = load[j] - series.real[slot][0]
-    return load, Psi
+    return load
 
 
 def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
-from robodyn.dynamics.closed_form import other_forces, scene_torques
+from robodyn.dynamics.closed_form import other_forces
+from robodyn.dynamics.scene_forces import all_torques
 from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics.actuation import Actuation
@@ -85,7 +86,7 @@ class SparseMechanism:
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_state_forces:
-            joint += scene_torques(self.mechanism, y[:n], y[n : 2 * n], E, rates)
+            joint -= all_torques(self.mechanism, y[:n], y[n : 2 * n])
         force: Array = joint - (self.weight * E).imag + self.moments
         force = force - np.bincount(self.above, joint[self.child], minlength=n)
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]

@@ -18,6 +18,7 @@ from typing import Any
 
 from robodyn.engines.formulas import Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
+from robodyn.mechanics import parts
 from robodyn.mechanics.planar_model import Mechanism
 
 Value = Any
@@ -42,8 +43,7 @@ class Entries:
         self.named, self.couplings, self.state = named, couplings, state
         zero = (0.0,) * named.n
         self.drag = tuple(drag) or zero
-        self.bare = replace(named, A=(), damping=zero, rows=(), weights=zero, moments=zero)
-        self.bare = replace(self.bare, springs=(), joint_springs=(), forces=(), friction=())
+        self.bare = parts.bare(named)
 
     def of(self, name: str) -> Matrix:
         """The entries of the block of this name, row by row."""
@@ -63,18 +63,10 @@ class Entries:
             case "D":
                 return [[x if j == k else 0.0 for j in joints] for k, x in enumerate(named.damping)]
             case "G":
-                return self._load(
-                    weights=named.weights,
-                    moments=named.moments,
-                    springs=tuple(x._replace(damping=0.0) for x in named.springs),
-                    joint_springs=named.joint_springs,
-                )
+                springs = parts.stored(named)
+                return self._load(replace(springs, weights=named.weights, moments=named.moments))
             case "Q":
-                springs = tuple(x._replace(stiffness=0.0) for x in named.springs if x.damping)
-                forces, friction = named.forces, named.friction
-                load = self._load(
-                    weights=self.drag, springs=springs, forces=forces, friction=friction
-                )
+                load = self._load(replace(parts.spent(named), weights=self.drag))
                 return [[-x] for [x] in load]
             case "Psi":
                 series = self._series(rows=named.rows)
@@ -99,17 +91,19 @@ class Entries:
         gaps = (series.real[slot] for slot in series.program.named["gap"])
         return [(gap[0], gap[1]) for gap in gaps]
 
-    def _series(self, **parts: Any) -> Series:
+    def _series(self, **has: Any) -> Series:
         """The rows of a mechanism that has these parts and nothing else."""
-        part = replace(self.bare, **parts)
+        return self._rows_of(replace(self.bare, **has))
+
+    def _rows_of(self, part: Mechanism) -> Series:
         self._at = self.state(part)
         return self._at.series([0.0] * part.n)
 
-    def _load(self, **parts: Any) -> Matrix:
+    def _load(self, part: Mechanism) -> Matrix:
         """What the joints carry at rest."""
-        series = self._series(**parts)
+        series = self._rows_of(part)
         series.residuals(0)
-        return [[x] for x in balance(self._at, series)[0]]
+        return [[x] for x in balance(self._at, series)]
 
     def _masses(self, A: Sequence[tuple[int, int, complex]]) -> Matrix:
         """M in the links' angles."""

@@ -20,6 +20,7 @@ from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Sum
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large
+from robodyn.mechanics.parts import never_a_direction
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
 
@@ -59,13 +60,10 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
     except OverflowError:
         raise too_large(mechanism.description) from None
     except ZeroDivisionError:
-        from robodyn.dynamics.forces import no_direction  # with numpy
-
-        for i, spring in enumerate(named.springs):
-            d, directed = spring.between, spring.length or spring.damping
-            if directed and not (d.terms or d.constant):
-                raise no_direction(mechanism, i) from None
-        raise
+        lost = never_a_direction(named)
+        if lost is None:
+            raise
+        raise lost from None
     used = {str(node.args[0]) for node in nodes if node.op == "var"}
     return Equations(mechanism, tuple(found), parameters, used, numeric)
 

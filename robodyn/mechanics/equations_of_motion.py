@@ -7,114 +7,36 @@ With E_k the links' directions, a_k their angular accelerations, P_k = E_k'', th
     0 = A_kk a_k + Im(conj(E_k) F_k) + sum_r angles_rk mu_r - moment_k - (T_k - sum of children's T)
     0 = gap_r'',      gap_r = Re(sum_k R_rk E_k) + sum_k angles_rk alpha_k + offset_r
 
-where f are the forces of springs between points d = const + sum_k c_k E_k from end to end,
-
-    f = (k L s^-1/2 - k - D (d.d')/s) d,        s = d.d,
-
-and constant forces F that turn with their link, f = F E, at points with the coefficients c_k.  A
-joint's torque is T = tau - D qd - friction tanh(qd/speed) - k (q - angle).
-
-A new kind of force or joint is a few more rows here; every engine then has it.
+where f are the forces at points with the coefficients c_k, and T the torques at joints, as
+`force_rows.py` has them: the place of a new kind of either.  Every engine then has it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
-from robodyn.mechanics.planar_model import Mechanism, PlanarPoint, PointSpring
+from robodyn.mechanics.force_rows import ForceRows, Links, PlanarTerm, Term
 from robodyn.mechanics.program import (
-    Anchored,
     Coefficient,
     Derivative,
-    Function,
-    Given,
     Inner,
-    Integral,
     Moment,
     PlanarCoefficient,
     PlanarSum,
-    Power,
     Product,
     Program,
-    Quotient,
-    Rate,
     RealPart,
-    Scaled,
     Slot,
-    Turn,
     Unknown,
 )
 
-PlanarTerm = tuple[PlanarCoefficient, Slot]
 
-
-@dataclass
-class _Links:
-    """What acts on each link while the rows are gathered: n lists each."""
-
-    F: list[list[PlanarTerm]]
-    moments: list[list[tuple[Coefficient, Slot]]]
-    constants: list[complex]
-    power: list[tuple[Coefficient, Slot]] = field(default_factory=list)
-
-
-@dataclass
-class EquationsOfMotion:
+class EquationsOfMotion(ForceRows):
     """Writes the program of a scene.
 
     `program.named` tells the slots of E (n), mu (r), gap (r), load (n: what turns each link,
-    without the torques at joints), bends (what a series may not tell), power, KE and PE; `torques`
-    (n) all that acts at each joint, None where nothing does.
+    without the torques at joints), bends (what a series may not tell), power, KE and PE.
     """
-
-    mechanism: Mechanism
-    program: Program = field(default_factory=Program)
-
-    def __post_init__(self) -> None:
-        mechanism, program = self.mechanism, self.program
-        n = mechanism.n
-        self.E = [program.add(Turn(k)) for k in range(n)]
-        self.P = [program.add(Derivative(program.add(Derivative(E)))) for E in self.E]
-        self.torques: list[Slot | None] = [None] * n  # all that acts at each joint
-        self.children: list[list[int]] = [[] for _ in range(n)]
-        for k, above in enumerate(mechanism.parent):
-            if above is not None:
-                self.children[above].append(k)
-
-    # -- kinematics --------------------------------------------------------------------------------
-
-    def w(self, k: int) -> Slot:
-        """The angular velocity of link k."""
-        return self.program.add(Rate(self.E[k]))
-
-    def alpha(self, k: int) -> Slot:
-        """The angle of link k."""
-        return self.program.add(Integral(self.w(k), f"alpha{k}"))
-
-    def v(self, j: int) -> Slot:
-        """The rate qd of joint j."""
-        above = self.mechanism.parent[j]
-        if above is None:
-            return self.w(j)
-        relative = self.program.sum((1.0, self.w(j)), (-1.0, self.w(above)))
-        return self.program.add(Anchored(relative, f"qd{j}"))
-
-    def q(self, j: int) -> Slot:
-        """The angle of joint j."""
-        return self.program.add(Integral(self.v(j), f"q{j}"))
-
-    def t(self) -> Slot:
-        """The time."""
-        return self.program.add(Given("t"))
-
-    def point(self, point: PlanarPoint) -> Slot:
-        """A point of the mechanism."""
-        number = self.program.planar_number
-        terms = tuple((number(c), self.E[k]) for k, c in point.terms)
-        return self.program.add(PlanarSum(number(point.constant), terms))
-
-    # -- dynamics ----------------------------------------------------------------------------------
 
     def write(
         self,
@@ -130,7 +52,7 @@ class EquationsOfMotion:
         times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
-        links = _Links(
+        links = Links(
             F=[[] for _ in range(n)],
             moments=[[] for _ in range(n)],
             constants=[-weight.conjugate() for weight in mechanism.weights],
@@ -169,7 +91,7 @@ class EquationsOfMotion:
     def kinetic(self) -> Slot:
         """1/2 sum of A_jj w_j^2, and of Re(conj(E_j') A_jk E_k')."""
         program = self.program
-        terms: list[tuple[Coefficient, Slot]] = []
+        terms: list[Term] = []
         for j, k, value in self.mechanism.A:
             if j == k:
                 half = program.number(0.5 * value.real)
@@ -183,7 +105,7 @@ class EquationsOfMotion:
     def potential(self) -> Slot:
         """That of weights, of constant moments, and of springs."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
-        terms: list[tuple[Coefficient, Slot]] = []
+        terms: list[Term] = []
         for k in range(mechanism.n):
             weight = program.planar_number(-mechanism.weights[k])
             if weight != (0.0, 0.0):
@@ -191,21 +113,10 @@ class EquationsOfMotion:
                 terms.append((1.0, program.add(RealPart(down))))
             if mechanism.moments[k]:
                 terms.append((number(-mechanism.moments[k]), self.alpha(k)))
-        for spring in mechanism.springs:
-            if spring.stiffness:
-                d = self.point(spring.between)
-                square = program.add(Inner(d, d))
-                if spring.length:
-                    reach = program.add(Power(square, 0.5))
-                    longer = program.sum((1.0, reach), constant=number(-spring.length))
-                    square = program.add(Product(longer, longer))
-                terms.append((number(0.5 * spring.stiffness), square))
-        for turned in mechanism.joint_springs:
-            way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
-            terms.append((number(0.5 * turned.stiffness), program.add(Product(way, way))))
+        terms += self._spring_energies()
         return program.sum(*terms)
 
-    def _chain(self, links: _Links) -> None:
+    def _chain(self, links: Links) -> None:
         """The sums over A in O(links): A_jk = conj(p_jk) B_k, with p_jk where the path leaves j.
 
         So what is above link k acts through the acceleration h_k of its joint, less gravity, and
@@ -230,95 +141,7 @@ class EquationsOfMotion:
                 links.F[k].append(((re, -im), s[c]))
             s[k] = program.planar_sum((B[k], self.P[k]), *below)
 
-    def _act(self, links: _Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
-        """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
-        for k, c in point.terms:
-            number = self.program.planar_number(-c.conjugate() * unit)
-            links.F[k].append((number, force))
-
-    def _scene_forces(self, links: _Links, work: bool) -> None:
-        program = self.program
-        for spring in self.mechanism.springs:
-            self._spring(links, spring, work)
-        for force in self.mechanism.forces:
-            if not force.turns:
-                continue  # among the weights
-            E = self.E[force.link]
-            self._act(links, force.point, E, force.force)
-            if work:
-                unit = program.planar_number(force.force)
-                turned = program.planar_sum((unit, E))
-                moving = program.add(Derivative(self.point(force.point)))
-                links.power.append((1.0, program.add(Inner(turned, moving))))
-
-    def _spring(self, links: _Links, spring: PointSpring, work: bool) -> None:
-        program, number = self.program, self.program.number
-        if not spring.between.terms:  # its ends never move: it does nothing, but for a direction
-            if not spring.between.constant and (spring.length or spring.damping):
-                raise ZeroDivisionError("the ends of a spring coincide at every state")
-            return
-        d = self.point(spring.between)
-        s = program.add(Inner(d, d)) if spring.length or spring.damping else None
-        pull: list[tuple[Coefficient, Slot]] = []
-        if s is not None and spring.length and spring.stiffness:
-            pull.append((number(spring.stiffness * spring.length), program.add(Power(s, -0.5))))
-        if s is not None and spring.damping:
-            half = program.sum((0.5, program.add(Derivative(s))))  # d.d'
-            ratio = program.add(Quotient(half, s))
-            pull.append((number(-spring.damping), ratio))
-            if work:
-                squared = program.add(Product(half, ratio))
-                links.power.append((number(-spring.damping), squared))
-        if pull:
-            place = spring.between
-            reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
-            factor = program.sum(*pull, constant=number(-spring.stiffness))
-            force = program.add(Scaled(factor, d))
-            for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
-                part = program.add(RealPart(program.planar_sum((along, force))))
-                self._bends(part, reach)
-            self._act(links, spring.between, force)
-        elif spring.stiffness:
-            self._act(links, spring.between, d, -spring.stiffness)
-
-    def _joints(
-        self, links: _Links, torques: Sequence[Slot | None], work: bool, steady: bool
-    ) -> None:
-        """Torques at the joints: what a link gets its parent gives."""
-        program, number, mechanism = self.program, self.program.number, self.mechanism
-        friction = dict(mechanism.friction)
-        springs: dict[int, list[tuple[float, float]]] = {}
-        for spring in mechanism.joint_springs:
-            springs.setdefault(spring.joint, []).append((spring.stiffness, spring.angle))
-        for j, tau in enumerate(torques):
-            acting: list[tuple[Coefficient, Slot]] = []  # all of this changes the energy
-            if tau is not None:
-                acting.append((1.0, tau))
-                if not isinstance(program.rows[tau], Given):
-                    self._bends(tau, 1.0)
-            if mechanism.damping[j]:
-                acting.append((number(-mechanism.damping[j]), self.v(j)))
-            if j in friction:
-                slow = program.sum((number(1.0 / friction[j].speed), self.v(j)))
-                smooth = program.add(Function("tanh", slow))
-                acting.append((number(-friction[j].torque), smooth))
-                self._bends(smooth, friction[j].torque)
-            if work:
-                working = acting[1:] if steady and tau is not None else acting
-                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
-            constant = 0.0
-            for stiffness, angle in springs.get(j, []):
-                acting.append((number(-stiffness), self.q(j)))
-                constant += stiffness * angle
-            if acting:
-                self.torques[j] = program.sum(*acting, constant=number(constant))
-
-    def _bends(self, slot: Slot, arm: float) -> None:
-        """A slot whose series may hold only in part of a step, and what makes a torque of it."""
-        self.program.named["bends"].append(slot)
-        self.program.arms[slot] = arm
-
-    def _closures(self, links: _Links) -> list[Slot]:
+    def _closures(self, links: Links) -> list[Slot]:
         """The rows of the closures, and what their multipliers do."""
         program = self.program
         multipliers: list[Slot] = []
@@ -328,7 +151,7 @@ class EquationsOfMotion:
         for r, row in enumerate(self.mechanism.rows):
             mu = program.add(Unknown(f"mu{r}"))
             multipliers.append(mu)
-            total: list[tuple[Coefficient, Slot]] = []
+            total: list[Term] = []
             terms: list[PlanarTerm] = []
             for k, p in row.P:
                 # the two rows of a pin share their numbers, turned by a right angle

@@ -90,6 +90,11 @@ class PointSpring(NamedTuple):
     length: float  # free length, m
     damping: float  # N s/m
 
+    @property
+    def directed(self) -> bool:
+        """Whether its force has no limit where its ends meet."""
+        return bool(self.stiffness and self.length) or bool(self.damping)
+
 
 class Force(NamedTuple):
     """A constant force at a point of a link, N; one that turns with the link has no potential."""

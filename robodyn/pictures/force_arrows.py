@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import absolute_rates, phases
+from robodyn.dynamics.closed_form import phases
 from robodyn.dynamics.dynamics import pin_forces
-from robodyn.dynamics.forces import spring_forces
 from robodyn.dynamics.reaction_forces import reactions
+from robodyn.dynamics.scene_forces import load_forces, spring_forces
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.bodies import at
@@ -58,13 +58,14 @@ def forces(
         add("pin", f"f{c + 1}", first, force)
     between = [k for k, s in enumerate(description.springs) if isinstance(s, Spring)]
     if between:
-        pulls = spring_forces(mechanism, E, absolute_rates(mechanism, qd))
+        pulls = spring_forces(mechanism, q, qd)
         for k, spring, pull in zip(between, mechanism.springs, pulls.tolist(), strict=True):
             add("load", f"s{k + 1}", spring.ends[0], pull)
     forced = [k for k, x in enumerate(description.loads) if isinstance(x, Load)]
-    for k, item in zip(forced, mechanism.forces, strict=True):
-        turn = complex(E[item.link]) if item.turns else 1.0
-        add("load", f"load {k + 1}", item.point, item.force * turn)
+    if forced:
+        acting = load_forces(mechanism, q).tolist()
+        for k, item, force in zip(forced, mechanism.forces, acting, strict=True):
+            add("load", f"load {k + 1}", item.point, force)
     least = SEEN * max(abs(item.force) for item in found)
     return [item for item in found if abs(item.force) > least]
 

@@ -1,0 +1,128 @@
+"""What the rows of a scene's program are at states q and qd: by numpy, or of one state by floats.
+
+The rows are recorded once; each name that is asked for is written out as code of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.engines import array_blocks, straightline
+from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
+from robodyn.engines.energies import energies
+from robodyn.engines.expression import Value
+from robodyn.engines.formulas import Formula, Recorded, balance
+from robodyn.engines.series import Series
+from robodyn.mechanics.parts import never_a_direction, no_direction
+from robodyn.mechanics.planar_model import Mechanism
+
+Array = NDArray[np.float64]
+
+LONGEST = 300  # characters of a statement
+DIRECTED = ("torques", "forces", "on links")  # they are lost where a spring has no direction
+
+
+class _Code(NamedTuple):
+    """What gives `width` values, and of many states `squares` of springs' lengths too."""
+
+    floats: straightline.FloatFunction
+    arrays: straightline.ArrayFunction
+    buffers: int
+    width: int
+    squares: int
+
+
+class RowValues:
+    """The rows of a mechanism at states, by name.
+
+    "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
+    (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
+    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J, less the mechanism's
+    constant.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
+        self._recorded = Recorded(mechanism, ("qd",), by_direction=True)
+        self._codes: dict[str, _Code] = {}
+
+    def __call__(self, name: str, q: Array, qd: Array) -> Array:
+        """The values (..., k) at q and qd (..., n), which broadcast.
+
+        Raises SingularError where the ends of a spring that needs a direction coincide.
+        """
+        if name not in self._codes:
+            self._codes[name] = self._written(name)
+        code, n = self._codes[name], self.mechanism.n
+        q, qd = np.broadcast_arrays(q, qd)
+        shape = (*q.shape[:-1], code.width)
+        if q.size == n:
+            try:
+                found = code.floats(*q.ravel().tolist(), *qd.ravel().tolist())
+                return np.reshape(np.array(found), shape)
+            except ZeroDivisionError:
+                pass  # arrays say where
+        states = [x.reshape(-1, n) for x in (q, qd)]
+        values, squares = (np.empty((len(states[0]), k)) for k in (code.width, code.squares))
+        array_blocks.evaluate(code.arrays, code.buffers, states, (values, squares))
+        lost = np.argwhere(squares == 0.0)
+        if lost.size:
+            raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
+        return values.reshape(shape)
+
+    def _written(self, name: str) -> _Code:
+        inputs, rows = self._recorded.inputs, tuple(self._values(name))
+        squares = tuple(self._squares().values()) if name in DIRECTED else ()
+        floats = straightline.compile_floats(Formula(inputs, rows, ()), "rows", LONGEST)
+        arrays = straightline.compile_arrays(Formula(inputs, rows, squares), "rows")
+        return _Code(floats, *arrays, len(rows), len(squares))
+
+    def _values(self, name: str) -> Sequence[Value]:
+        match name:
+            case "torques":
+                return balance(self._recorded, self._series)
+            case "forces":
+                return [x for force in self._forces() for x in force]
+            case "on links":
+                return [x for force in self._on_links() for x in force]
+            case "PE":
+                q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
+                return [energies(self.mechanism, float, q, qd)[1]]
+        real, named = self._series.real, self._series.program.named
+        return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
+
+    @cached_property
+    def _series(self) -> Series:
+        try:
+            series = self._recorded.series([0.0] * self.mechanism.n, power=True)
+            series.residuals(0)
+        except ZeroDivisionError:
+            lost = never_a_direction(self.mechanism)
+            if lost is None:
+                raise
+            raise lost from None
+        return series
+
+    def _forces(self) -> Iterator[Planar]:
+        series = self._series  # which has the forces written
+        for unit, slot, *_ in self._recorded.forces:
+            by = unit.real, unit.imag
+            yield by if slot is None else planar_times(by, series.ground(slot, 0))
+
+    def _on_links(self) -> list[Planar]:
+        total, found = [ZERO] * self.mechanism.n, list(self._forces())
+        for force, (x, y) in zip(self._recorded.forces, found, strict=True):
+            for link, sign in ((force.first, 1.0), (force.second, -1.0)):
+                if link is not None:
+                    total[link] = planar_plus(total[link], (times(sign, x), times(sign, y)))
+        return total
+
+    def _squares(self) -> dict[int, Value]:
+        """|d|^2 of each spring that needs a direction, by its place."""
+        real, forces = self._series.real, enumerate(self._recorded.forces)
+        return {k: real[x.square][0] for k, x in forces if x.square is not None}

@@ -1,0 +1,178 @@
+"""The rows of what acts on the links of a scene besides weights and closures.
+
+A spring between points d = const + sum_k c_k E_k from end to end pulls its first end by
+
+    f = (k L s^-1/2 - k - D (d.d')/s) d,        s = d.d,
+
+and its second by -f.  A constant force F turns with its link as F E.  A force f at a point that has
+the coefficients c_k gives F_k -= conj(c_k) f.  A joint's torque is
+
+    T = tau - D qd - friction tanh(qd/speed) - k (q - angle).
+
+A new kind of force or of joint torque is a few more rows here: what it does, the energy that it
+holds, or its power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from robodyn.mechanics.link_rows import LinkRows
+from robodyn.mechanics.planar_model import PlanarPoint, PointSpring
+from robodyn.mechanics.program import (
+    Coefficient,
+    Derivative,
+    Function,
+    Given,
+    Inner,
+    PlanarCoefficient,
+    Power,
+    Product,
+    Quotient,
+    RealPart,
+    Scaled,
+    Slot,
+)
+
+PlanarTerm = tuple[PlanarCoefficient, Slot]
+Term = tuple[Coefficient, Slot]
+
+
+@dataclass
+class Links:
+    """What acts on each link while the rows are gathered: n lists each."""
+
+    F: list[list[PlanarTerm]]
+    moments: list[list[Term]]
+    constants: list[complex]
+    power: list[Term] = field(default_factory=list)
+
+
+class PointForce(NamedTuple):
+    """A force at points, N: `unit` times the planar slot `force`, or `unit` itself."""
+
+    unit: complex
+    force: Slot | None
+    first: int | None  # the link that feels it, and the one that feels the opposite
+    second: int | None = None
+    square: Slot | None = None  # of the distance that gives its direction
+
+
+class ForceRows(LinkRows):
+    """What acts, of each force once.
+
+    `torques` (n) are all that acts at each joint, None where nothing does; `forces` the springs
+    between points, then the loads, as forces on links.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.torques: list[Slot | None] = [None] * self.mechanism.n
+        self.forces: list[PointForce] = []
+
+    def _spring_energies(self) -> Iterator[Term]:
+        """What the springs hold."""
+        program, number = self.program, self.program.number
+        for spring in self.mechanism.springs:
+            if spring.stiffness:
+                d = self.point(spring.between)
+                square = program.add(Inner(d, d))
+                if spring.length:
+                    reach = program.add(Power(square, 0.5))
+                    longer = program.sum((1.0, reach), constant=number(-spring.length))
+                    square = program.add(Product(longer, longer))
+                yield number(0.5 * spring.stiffness), square
+        for turned in self.mechanism.joint_springs:
+            way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
+            yield number(0.5 * turned.stiffness), program.add(Product(way, way))
+
+    def _scene_forces(self, links: Links, work: bool) -> None:
+        program = self.program
+        for spring in self.mechanism.springs:
+            self._spring(links, spring, work)
+        for load in self.mechanism.forces:
+            if not load.turns:  # among the weights
+                self.forces.append(PointForce(load.force, None, load.link))
+                continue
+            E = self.E[load.link]
+            self.forces.append(PointForce(load.force, E, load.link))
+            self._act(links, load.point, E, load.force)
+            if work:
+                unit = program.planar_number(load.force)
+                turned = program.planar_sum((unit, E))
+                moving = program.add(Derivative(self.point(load.point)))
+                links.power.append((1.0, program.add(Inner(turned, moving))))
+
+    def _act(self, links: Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
+        """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
+        for k, c in point.terms:
+            number = self.program.planar_number(-c.conjugate() * unit)
+            links.F[k].append((number, force))
+
+    def _spring(self, links: Links, spring: PointSpring, work: bool) -> None:
+        program, number, place = self.program, self.program.number, spring.between
+        if spring.directed and not (place.terms or place.constant):
+            raise ZeroDivisionError("the ends of a spring coincide at every state")
+        d = self.point(place)
+        pull: list[Term] = []
+        s = program.add(Inner(d, d)) if spring.directed else None
+        if s is not None and spring.length and spring.stiffness:
+            pull.append((number(spring.stiffness * spring.length), program.add(Power(s, -0.5))))
+        if s is not None and spring.damping:
+            half = program.sum((0.5, program.add(Derivative(s))))  # d.d'
+            ratio = program.add(Quotient(half, s))
+            pull.append((number(-spring.damping), ratio))
+            if work and place.terms:
+                squared = program.add(Product(half, ratio))
+                links.power.append((number(-spring.damping), squared))
+        unit, force = -spring.stiffness, d
+        if pull:
+            factor = program.sum(*pull, constant=number(-spring.stiffness))
+            unit, force = 1.0, program.add(Scaled(factor, d))
+        self.forces.append(PointForce(unit, force, spring.first, spring.second, s))
+        if pull and place.terms:
+            reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
+            for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
+                part = program.add(RealPart(program.planar_sum((along, force))))
+                self._bends(part, reach)
+        if unit:
+            self._act(links, place, force, unit)
+
+    def _joints(
+        self, links: Links, torques: Sequence[Slot | None], work: bool, steady: bool
+    ) -> None:
+        """Torques at the joints: what a link gets its parent gives."""
+        program, number, mechanism = self.program, self.program.number, self.mechanism
+        friction = dict(mechanism.friction)
+        springs: dict[int, list[tuple[float, float]]] = {}
+        for spring in mechanism.joint_springs:
+            springs.setdefault(spring.joint, []).append((spring.stiffness, spring.angle))
+        for j, tau in enumerate(torques):
+            acting: list[Term] = []  # all of this changes the energy
+            if tau is not None:
+                acting.append((1.0, tau))
+                if not isinstance(program.rows[tau], Given):
+                    self._bends(tau, 1.0)
+            if mechanism.damping[j]:
+                acting.append((number(-mechanism.damping[j]), self.v(j)))
+            if j in friction:
+                slow = program.sum((number(1.0 / friction[j].speed), self.v(j)))
+                smooth = program.add(Function("tanh", slow))
+                acting.append((number(-friction[j].torque), smooth))
+                self._bends(smooth, friction[j].torque)
+            if work:
+                working = acting[1:] if steady and tau is not None else acting
+                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
+            constant = 0.0
+            for stiffness, angle in springs.get(j, []):
+                acting.append((number(-stiffness), self.q(j)))
+                constant += stiffness * angle
+            if acting:
+                self.torques[j] = program.sum(*acting, constant=number(constant))
+
+    def _bends(self, slot: Slot, arm: float) -> None:
+        """A slot whose series may hold only in part of a step, and what makes a torque of it."""
+        self.program.named["bends"].append(slot)
+        self.program.arms[slot] = arm

@@ -1,0 +1,58 @@
+"""A mechanism with a part of what acts on it: what makes one term of its equation of motion.
+
+Massless, weightless, without closures or dampers of joints.  Numbers may be symbols too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from robodyn.errors import SingularError
+from robodyn.mechanics.planar_model import Mechanism
+
+
+def bare(mechanism: Mechanism) -> Mechanism:
+    """The links alone."""
+    zero = (0.0,) * mechanism.n
+    nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
+    return replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+
+
+def stored(mechanism: Mechanism) -> Mechanism:
+    """The springs, whose torques are part of G."""
+    springs = tuple(x._replace(damping=0.0) for x in mechanism.springs)
+    return replace(bare(mechanism), springs=springs, joint_springs=mechanism.joint_springs)
+
+
+def loaded(mechanism: Mechanism) -> Mechanism:
+    """The loads at points: without weights only those act that turn with a link."""
+    return replace(bare(mechanism), forces=mechanism.forces)
+
+
+def spent(mechanism: Mechanism) -> Mechanism:
+    """What makes Q: dampers of springs, forces that turn with a link, friction."""
+    springs = tuple(x._replace(stiffness=0.0) for x in mechanism.springs)
+    return replace(loaded(mechanism), springs=springs, friction=mechanism.friction)
+
+
+def acting(mechanism: Mechanism) -> Mechanism:
+    """Both of these."""
+    springs, turned = mechanism.springs, mechanism.joint_springs
+    return replace(spent(mechanism), springs=springs, joint_springs=turned)
+
+
+def no_direction(mechanism: Mechanism, spring: int) -> SingularError:
+    """The error of a spring between points whose ends coincide."""
+    return SingularError(
+        f"the ends of spring {spring + 1} between two points coincide",
+        where=mechanism.source,
+        limit="its force has no direction there; only length 0 without damping allows that",
+    )
+
+
+def never_a_direction(mechanism: Mechanism) -> SingularError | None:
+    """The error of a spring whose ends coincide at every state, if there is one."""
+    for k, spring in enumerate(mechanism.springs):
+        if spring.directed and not (spring.between.terms or spring.between.constant):
+            return no_direction(mechanism, k)
+    return None
