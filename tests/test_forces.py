@@ -31,7 +31,7 @@ from robodyn import (
     shaking_force,
     simulate,
 )
-from robodyn.dynamics import identities
+from robodyn.dynamics import identities, scene_forces
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanics.actuation import Actuation, expressions, table
@@ -99,6 +99,26 @@ class Forces:
                 other[k] -= link.friction.torque * math.tanh(qd[k] / link.friction.speed)
         return potential, other, PE
 
+    def on_links(self) -> np.ndarray:
+        """What springs between points and loads put on each link, as Fx + i Fy."""
+        total, pose = np.zeros(len(self.qd), complex), self.pose
+        for spring in self.description.springs:
+            if isinstance(spring, JointSpring):
+                continue
+            ends = [self.place(spring.first), self.place(spring.second)]
+            d = pose.position(ends[0]) - pose.position(ends[1])
+            rate = (pose.slope(ends[0]) - pose.slope(ends[1])) @ self.qd
+            sdot = (np.conj(d) * rate).real / abs(d)
+            F = spring.stiffness * (abs(d) - spring.length) + spring.damping * sdot
+            for (link, _), sign in zip(ends, (-1.0, 1.0), strict=True):
+                if link is not None:
+                    total[link] += sign * F * d / abs(d)
+        for item in self.description.loads:
+            if isinstance(item, Load):
+                turned = np.exp(1j * pose.alpha[item.point.link]) if item.turns else 1.0
+                total[item.point.link] += item.force * turned
+        return total
+
 
 def without(scene: Scene):
     """The mechanism of a scene without its springs and loads."""
@@ -118,6 +138,32 @@ class TestTorques:
         assert damped == pytest.approx(other, abs=1e-13 * size)
         added = potential_energy(mech, scene.q) - potential_energy(plain, scene.q)
         assert added == pytest.approx(PE, abs=1e-12 * (1.0 + abs(PE)))
+
+    @pytest.mark.parametrize("scene", SCENES)
+    def test_forces_on_links(self, scene):
+        expected = Forces(scene).on_links()
+        found = scene_forces.forces_on_links(scene.mechanism, scene.q, scene.qd)
+        assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+
+    @pytest.mark.parametrize("scene", SOME)
+    def test_of_many_states_they_are_those_of_each(self, scene):
+        """Of one state they are taken in floats."""
+        mech, rng = scene.mechanism, np.random.default_rng(0)
+        q, qd = rng.normal(size=(2, 2, 3, scene.n))
+        for function, states in (
+            (gravity_vector, (q,)),
+            (potential_energy, (q,)),
+            (other_forces, (q, qd)),
+            (scene_forces.all_torques, (q, qd)),
+            (scene_forces.spring_forces, (q, qd)),
+            (scene_forces.load_forces, (q,)),
+            (scene_forces.forces_on_links, (q, qd)),
+        ):
+            each = [[function(mech, *(x[i, j] for x in states)) for j in range(3)] for i in (0, 1)]
+            many = function(mech, *states)
+            assert many.shape == np.shape(each)
+            assert many == pytest.approx(np.array(each), rel=1e-12, abs=1e-12 * np.abs(many).max())
+            assert function(mech, *(x[:0] for x in states)).shape == (0, *many.shape[1:])
 
     @pytest.mark.parametrize("scene", SOME)
     def test_batches_are_single_states(self, scene):
@@ -381,6 +427,21 @@ class TestReactions:
         moment = (np.conj(tip) * (3 - 4j)).imag + 1.5 - 2 * 9.81 * 0.5 * tip.real
         assert found == pytest.approx([3.0, -4.0 - 2 * 9.81, moment])
 
+    def test_a_spring_at_a_ground_joint_is_carried_by_that_joint(self):
+        """Its ends never move: it does nothing but pull at the joint."""
+        link = "links: [{name: a, m: 2, l: 1, r: 0.5, I: 0.1}]\n"
+        spring = (
+            "springs: [{between: [{link: a, at: [0, 0]}, [0.3, 0.4]], stiffness: 50, length: 0.2}]"
+        )
+        state, pull = ([0.3], [1.0], [2.0]), 50 * 0.3 * np.array([0.6, 0.8])
+        mech, plain = mechanism(link + spring + "\n"), mechanism(link)
+        assert inverse_dynamics(mech, *state) == pytest.approx(inverse_dynamics(plain, *state))
+        found = reactions(mech, *state, []) - reactions(plain, *state, [])
+        assert found == pytest.approx(-pull[None])
+        for method in ("DOP853", "taylor"):
+            motion = simulate(mech, [0.3], [1.0], 0.5, method=method)
+            assert motion.q[-1] == pytest.approx([0.8])
+
 
 class TestFaults:
     LINK = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}, {name: b, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
@@ -485,6 +546,35 @@ class TestCoincidingEnds:
     def test_one_that_does_nothing_needs_no_direction(self):
         mech = mechanism(self.TEXT.replace("stiffness: 10", "stiffness: 0"))
         assert forward_dynamics(mech, [0.0, 0.0], [0, 0], [0, 0]) == pytest.approx([0.0, 0.0])
+
+    ALWAYS = TEXT.replace("[b, [1.25, 0]]", "[a, {link: b, at: [0, 0]}]")
+
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_nor_one_whose_ends_never_part(self, method):
+        mech = mechanism(self.ALWAYS.replace("stiffness: 10", "stiffness: 0"))
+        assert simulate(mech, [0.3, 0.2], [1, 0], 0.1, method=method).outcome.label == "finished"
+
+    @pytest.mark.parametrize("method", ["DOP853", "taylor"])
+    def test_of_one_whose_ends_never_part(self, method):
+        mech = mechanism(self.ALWAYS)
+        with pytest.raises(SingularError, match=r"spring 1 .* coincide"):
+            gravity_vector(mech, [0.3, 0.2])
+        with pytest.raises(SingularError, match=r"spring 1 .* coincide"):
+            simulate(mech, [0.3, 0.2], [1, 0], 0.1, method=method)
+        assert potential_energy(mech, [0.3, 0.2]) == pytest.approx(0.5 * 10 * 0.1**2)
+
+    def test_a_damper_without_a_direction_leaves_the_potential(self):
+        mech = mechanism(self.TEXT.replace("length: 0.1", "length: 0, damping: 1"))
+        assert gravity_vector(mech, [0.0, 0.0]) == pytest.approx([0.0, 0.0])
+        for q in (np.zeros(2), np.zeros((3, 2))):
+            with pytest.raises(SingularError, match=r"spring 1 .* coincide"):
+                other_forces(mech, q, np.ones(2))
+
+    def test_the_first_that_is_lost_is_named(self):
+        far = "springs: [{between: [a, [5, 0]], stiffness: 10, length: 0.1}, "
+        mech = mechanism(self.TEXT.replace("springs: [", far))
+        with pytest.raises(SingularError, match=r"spring 2 "):
+            gravity_vector(mech, [[0.3, 0.1], [0.0, 0.0]])
 
     def test_other_forces_broadcast(self):
         rubbing = "I: 0.1, friction: {torque: 1, speed: 0.1}}"

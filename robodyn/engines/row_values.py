@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +26,19 @@ LONGEST = 300  # characters of a statement
 DIRECTED = ("torques", "forces", "on links")  # they are lost where a spring has no direction
 
 
-class _Code(NamedTuple):
-    """What gives `width` values, and of many states `squares` of springs' lengths too."""
+class _Code:
+    """The code of a formula whose pivots are squares of lengths that must not be zero."""
 
-    floats: straightline.FloatFunction
-    arrays: straightline.ArrayFunction
-    buffers: int
-    width: int
-    squares: int
+    def __init__(self, formula: Formula) -> None:
+        self.formula = formula
+
+    @cached_property
+    def floats(self) -> straightline.FloatFunction:
+        return straightline.compile_floats(self.formula._replace(pivots=()), "rows", LONGEST)
+
+    @cached_property
+    def arrays(self) -> tuple[straightline.ArrayFunction, int]:
+        return straightline.compile_arrays(self.formula, "rows")
 
 
 class RowValues:
@@ -57,30 +61,29 @@ class RowValues:
         Raises SingularError where the ends of a spring that needs a direction coincide.
         """
         if name not in self._codes:
-            self._codes[name] = self._written(name)
+            self._codes[name] = _Code(self._formula(name))
         code, n = self._codes[name], self.mechanism.n
         q, qd = np.broadcast_arrays(q, qd)
-        shape = (*q.shape[:-1], code.width)
+        widths = len(code.formula.outputs), len(code.formula.pivots)
+        shape = (*q.shape[:-1], widths[0])
         if q.size == n:
             try:
                 found = code.floats(*q.ravel().tolist(), *qd.ravel().tolist())
-                return np.reshape(np.array(found), shape)
+                return np.array(found).reshape(shape)
             except ZeroDivisionError:
                 pass  # arrays say where
         states = [x.reshape(-1, n) for x in (q, qd)]
-        values, squares = (np.empty((len(states[0]), k)) for k in (code.width, code.squares))
-        array_blocks.evaluate(code.arrays, code.buffers, states, (values, squares))
+        values, squares = (np.empty((len(states[0]), k)) for k in widths)
+        array_blocks.evaluate(*code.arrays, states, (values, squares))
         lost = np.argwhere(squares == 0.0)
         if lost.size:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
         return values.reshape(shape)
 
-    def _written(self, name: str) -> _Code:
-        inputs, rows = self._recorded.inputs, tuple(self._values(name))
+    def _formula(self, name: str) -> Formula:
+        rows = tuple(self._values(name))
         squares = tuple(self._squares().values()) if name in DIRECTED else ()
-        floats = straightline.compile_floats(Formula(inputs, rows, ()), "rows", LONGEST)
-        arrays = straightline.compile_arrays(Formula(inputs, rows, squares), "rows")
-        return _Code(floats, *arrays, len(rows), len(squares))
+        return Formula(self._recorded.inputs, rows, squares)
 
     def _values(self, name: str) -> Sequence[Value]:
         match name:
