@@ -31,9 +31,11 @@ from robodyn import (
     shaking_force,
     simulate,
 )
-from robodyn.dynamics import identities, scene_forces
+from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.engines.row_values import RowValues, rows_of
 from robodyn.errors import InputError, SingularError
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation, expressions, table
 from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
 from robodyn.simulation.extended import reference
@@ -142,7 +144,7 @@ class TestTorques:
     @pytest.mark.parametrize("scene", SCENES)
     def test_forces_on_links(self, scene):
         expected = Forces(scene).on_links()
-        found = scene_forces.forces_on_links(scene.mechanism, scene.q, scene.qd)
+        found = rows_of(parts.acting, scene.mechanism).planar("on links", scene.q, scene.qd)
         assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
     @pytest.mark.parametrize("scene", SOME)
@@ -150,20 +152,14 @@ class TestTorques:
         """Of one state they are taken in floats."""
         mech, rng = scene.mechanism, np.random.default_rng(0)
         q, qd = rng.normal(size=(2, 2, 3, scene.n))
-        for function, states in (
-            (gravity_vector, (q,)),
-            (potential_energy, (q,)),
-            (other_forces, (q, qd)),
-            (scene_forces.all_torques, (q, qd)),
-            (scene_forces.spring_forces, (q, qd)),
-            (scene_forces.load_forces, (q,)),
-            (scene_forces.forces_on_links, (q, qd)),
-        ):
-            each = [[function(mech, *(x[i, j] for x in states)) for j in range(3)] for i in (0, 1)]
-            many = function(mech, *states)
+        rows = RowValues(mech)
+        for name in ("torques", "forces", "on links", "power", "gap", "PE"):
+            each = [[rows(name, q[i, j], qd[i, j]) for j in range(3)] for i in (0, 1)]
+            many = rows(name, q, qd)
             assert many.shape == np.shape(each)
-            assert many == pytest.approx(np.array(each), rel=1e-12, abs=1e-12 * np.abs(many).max())
-            assert function(mech, *(x[:0] for x in states)).shape == (0, *many.shape[1:])
+            size = np.abs(many).max(initial=0.0)
+            assert many == pytest.approx(np.array(each), rel=1e-12, abs=1e-12 * size)
+            assert rows(name, q[:0], qd[:0]).shape == (0, *many.shape[1:])
 
     @pytest.mark.parametrize("scene", SOME)
     def test_batches_are_single_states(self, scene):
@@ -505,8 +501,7 @@ def test_a_scene_without_them_runs_no_line_of_them(monkeypatch):
     def refuse(*_):
         raise AssertionError("forces were asked for")
 
-    for name in ("rows", "RowValues"):
-        monkeypatch.setattr(f"robodyn.dynamics.scene_forces.{name}", refuse)
+    monkeypatch.setattr("robodyn.engines.row_values.RowValues", refuse)
     mech = load(ROOT / "robots/2r.yaml")
     assert not mech.has_state_forces
     state = [0.1, 0.2], [0.0, 0.0], [0.0, 0.0]

@@ -14,23 +14,25 @@ equation of motion, which every docstring refers to, is
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
 with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
-is Q (`scene_forces.py`).  States are arrays (..., n); radians, SI units.
+is Q, from the rows of the program (`row_values.py`, which only scenes that have some import).
+States are arrays (..., n); radians, SI units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.planar_model import coefficient_matrix
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 
 def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
@@ -62,7 +64,7 @@ def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
     return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
-def phases(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.complex128]:
+def phases(mechanism: Mechanism, q: ArrayLike) -> Complex:
     """E = exp(i J q), the links' directions, (..., n)."""
     alpha = as_states(mechanism, "q", q) @ mechanism.arrays.J.T
     E = np.empty(alpha.shape, complex)
@@ -77,9 +79,9 @@ def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Arr
     return rates
 
 
-def absolute_inertia(mechanism: Mechanism, E: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def absolute_inertia(mechanism: Mechanism, E: Complex) -> Complex:
     """W = conj(E)[:, None] * A * E[None, :], (..., n, n); its real part is M in alpha."""
-    W: NDArray[np.complex128] = E.conj()[..., :, None] * mechanism.arrays.A * E[..., None, :]
+    W: Complex = E.conj()[..., :, None] * mechanism.arrays.A * E[..., None, :]
     return W
 
 
@@ -114,9 +116,9 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     arrays = mechanism.arrays
     G: Array = ((arrays.weights * E).imag - arrays.moments) @ arrays.J
     if mechanism.springs or mechanism.joint_springs:
-        from robodyn.dynamics import scene_forces  # only scenes that have some pay for it
+        from robodyn.engines.row_values import rows_of
 
-        G = G + scene_forces.potential_torques(mechanism, np.asarray(q, float))
+        G = G + rows_of(parts.stored, mechanism)("torques", q)
     return G
 
 
@@ -126,10 +128,10 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
     not finite or not n wide, SingularError where the ends of a damped spring coincide.
     """
-    from robodyn.dynamics import scene_forces
+    from robodyn.engines.row_values import rows_of
 
-    rates = as_states(mechanism, "qd", qd)
-    return scene_forces.other_torques(mechanism, as_states(mechanism, "q", q), rates)
+    states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
+    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states)  # of nothing no -0.0
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -155,9 +157,9 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     if any(mechanism.moments):
         PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
     if mechanism.springs or mechanism.joint_springs:
-        from robodyn.dynamics import scene_forces
+        from robodyn.engines.row_values import rows_of
 
-        PE = PE + scene_forces.spring_energy(mechanism, np.asarray(q, float))
+        PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
     return KE, PE
 
 
@@ -180,7 +182,7 @@ def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
     return Psi
 
 
-def absolute_jacobian(mechanism: Mechanism, E: NDArray[np.complex128]) -> Array:
+def absolute_jacobian(mechanism: Mechanism, E: Complex) -> Array:
     """Psi in alpha, (..., r, n), m/rad."""
     Psi: Array = mechanism.arrays.angles - (mechanism.arrays.P * E[..., None, :]).imag
     return Psi
@@ -203,6 +205,35 @@ def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     return bias
 
 
+class Points(NamedTuple):
+    """Points const + c E of a mechanism, p of them; their motion by E, alphad and alphadd."""
+
+    constant: Complex  # (p,) m
+    c: Complex  # (p, n) m
+
+    def place(self, E: Complex) -> Complex:
+        """(..., p), m."""
+        return E @ self.c.T + self.constant
+
+    def velocity(self, E: Complex, rates: Array) -> Complex:
+        """(..., p), m/s."""
+        return (1j * E * rates) @ self.c.T
+
+    def acceleration(self, E: Complex, rates: Array, turning: Array) -> Complex:
+        """(..., p), m/s^2."""
+        return (E * (1j * turning - rates**2)) @ self.c.T
+
+
+def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:
+    """Points of the mechanism as arrays."""
+    constant = np.array([point.constant for point in points], complex)
+    c = np.zeros((len(points), mechanism.n), complex)
+    for row, point in zip(c, points, strict=True):
+        for k, value in point.terms:
+            row[k] = value
+    return Points(constant, c)
+
+
 def point_motion(
     mechanism: Mechanism,
     points: Sequence[PlanarPoint],
@@ -214,12 +245,10 @@ def point_motion(
 
     Rates and accelerations not given are zero.
     """
-    c, E = coefficient_matrix(points, mechanism.n), phases(mechanism, q)
-    zero = np.zeros(mechanism.n)
+    these, E, zero = points_of(mechanism, points), phases(mechanism, q), np.zeros(mechanism.n)
     rates = absolute_rates(mechanism, zero if qd is None else qd)
     turning = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
-    position = E @ c.T + np.array([point.constant for point in points])
-    moved = position, (1j * E * rates) @ c.T, (E * (1j * turning - rates**2)) @ c.T
+    moved = these.place(E), these.velocity(E, rates), these.acceleration(E, rates, turning)
     x, v, a = (np.stack([z.real, z.imag], axis=-1) for z in moved)
     return x, v, a
 

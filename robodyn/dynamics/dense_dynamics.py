@@ -28,10 +28,11 @@ from robodyn.dynamics.closed_form import (
     phases,
     relative_matrix,
 )
-from robodyn.dynamics.scene_forces import all_torques
+from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def _loads(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> tuple[Array
     links = (E.conj() * (inner @ arrays.A.T)).real + (arrays.weights * E).imag - arrays.moments
     joints = arrays.damping * qd
     if mechanism.has_state_forces:
-        joints = joints + all_torques(mechanism, q, qd)
+        joints = joints + rows_of(parts.acting, mechanism)("torques", q, qd)
     return links, joints
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dynamics, identities
 from robodyn.engines import formulas, straightline
 from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.frames import relative
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
@@ -103,8 +104,4 @@ def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> lis
         start = motion.state(numbers, mp.mpf(0), y, ((), ()))
         constants = [mp.mpf(x) for x in motion.program.numbers]
         theta = motion.expand(numbers, constants, 1, start).theta
-        alphadd = [2 * each[2] for each in theta]
-        return [
-            +(alphadd[k] - (0 if above is None else alphadd[above]))
-            for k, above in enumerate(mechanism.parent)
-        ]
+        return [+x for x in relative(mechanism, [2 * each[2] for each in theta])]

@@ -96,21 +96,14 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
 
 
 class _Rows:
-    """The rows of a scene's program, at states q and qd (..., n)."""
+    """What the rows of a scene say of its energy, power and closures, at states (..., n)."""
 
     def __init__(self, scene: Mechanism) -> None:
         self.scene = scene
-        self._values = RowValues(replace(scene, A=()))  # which none reads, and which is large
+        self.values = RowValues(replace(scene, A=()))  # which none reads, and which is large
 
     def potential_energy(self, q: Array) -> Array:
-        return self._values("PE", q, np.zeros_like(q))[..., 0] + self.scene.energy_offset
-
-    def power(self, q: Array, qd: Array) -> Array:
-        """Of dampers, friction and forces that turn."""
-        return self._values("power", q, qd)[..., 0]
-
-    def gap(self, q: Array) -> Array:
-        return self._values("gap", q, np.zeros_like(q))
+        return self.values("PE", q)[..., 0] + self.scene.energy_offset
 
 
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
@@ -170,7 +163,7 @@ def _energy_identities(
         Q = closed_form.other_forces(mechanism, q, directions)
         power = _dot(Q, directions)
         dampers = _dot(np.array(rows.scene.damping) * directions, directions)
-        off = power - dampers - rows.power(q, directions)
+        off = power - dampers - rows.values("power", q, directions)[..., 0]
         found.append(Identity(FORCES, _relative(off, max(_top(Q), _top(power)))))
     return found
 
@@ -180,14 +173,16 @@ def _closure_identities(mechanism: Mechanism, rows: _Rows, q: Array, qd: Array) 
     size = assembly.loop_size(mechanism)
     gap = closed_form.closure_gap(mechanism, q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(lambda s: rows.gap(q + s * directions), absolute_rates(mechanism, directions))
+    slope = along(
+        lambda s: rows.values("gap", q + s * directions), absolute_rates(mechanism, directions)
+    )
     turned = along(
         lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
         absolute_rates(mechanism, qd),
     )
     bias = closed_form.closure_bias(mechanism, q, qd)
     return [
-        Identity("gap = 0", max(_relative(gap, size), _relative(rows.gap(q), size))),
+        Identity("gap = 0", max(_relative(gap, size), _relative(rows.values("gap", q), size))),
         Identity("Psi = dgap/dq", _relative(slope - matvec(Psi, directions), size)),
         Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
         Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
@@ -242,7 +237,7 @@ def _motion_identities(
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
     """Of the bodies, each at its own point."""
     bodies, turning = bodies_of(scene), absolute_rates(scene, qd)
-    speeds = np.abs((1j * phases(scene, q) * turning) @ bodies.rho.T)
+    speeds = np.abs(bodies.points.velocity(phases(scene, q), turning))
     return np.asarray(0.5 * (speeds**2 @ bodies.mass + turning**2 @ bodies.inertia))
 
 

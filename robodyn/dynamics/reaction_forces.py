@@ -24,15 +24,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import absolute_rates, closure_jacobian, phases, point_motion
+from robodyn.dynamics.closed_form import (
+    Points,
+    absolute_rates,
+    closure_jacobian,
+    phases,
+    point_motion,
+    points_of,
+)
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import coupling_torques, pin_forces
-from robodyn.dynamics.scene_forces import forces_on_links, load_forces
+from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.planar_model import coefficient_matrix
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -44,8 +51,7 @@ class Bodies(NamedTuple):
     """The point masses (centres of gravity and payloads) of a mechanism: b of them, n links."""
 
     mass: Array  # (b,) kg
-    constant: Complex  # (b,) m
-    rho: Complex  # (b, n) m: s = constant + rho E
+    points: Points
     below: Array  # (b, n), 1 where link k carries body b
     inertia: Array  # (n,) kg m^2
 
@@ -67,8 +73,9 @@ def reactions(
     _, load = _motion(mechanism, q, qd, qdd)
     forces: Complex = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
-        states = np.asarray(q, float), np.asarray(qd, float)
-        forces = forces - forces_on_links(mechanism, *states) @ mechanism.arrays.J
+        forces = (
+            forces - rows_of(parts.acting, mechanism).planar("on links", q, qd) @ mechanism.arrays.J
+        )
     if mechanism.description.closures:
         forces = forces - pin_forces(mechanism, lam) @ [1, 1j] @ _sides(mechanism)
     return np.stack([forces.real, forces.imag], axis=-1)
@@ -88,7 +95,7 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     turning = absolute_rates(mechanism, qdd, "qdd")
     moment = moment - turning @ bodies_of(mechanism).inertia
     if mechanism.forces:
-        F = load_forces(mechanism, np.asarray(q, float))
+        F = rows_of(parts.loaded, mechanism).planar("forces", q)
         arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
         force, moment = force + F.sum(axis=-1), moment + (arms.conj() * F).imag.sum(axis=-1)
     return np.stack([force.real, force.imag, moment], axis=-1)
@@ -135,10 +142,9 @@ def _motion(
 ) -> tuple[Complex, Complex]:
     """Where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
     bodies, E = bodies_of(mechanism), phases(mechanism, q)
-    turning = 1j * absolute_rates(mechanism, qdd, "qdd") - absolute_rates(mechanism, qd) ** 2
-    acceleration = (E * turning) @ bodies.rho.T
-    load: Complex = bodies.mass * (mechanism.gamma - acceleration)
-    return E @ bodies.rho.T + bodies.constant, load
+    rates, turning = absolute_rates(mechanism, qd), absolute_rates(mechanism, qdd, "qdd")
+    a = bodies.points.acceleration(E, rates, turning)
+    return bodies.points.place(E), bodies.mass * (mechanism.gamma - a)
 
 
 @lru_cache(maxsize=64)
@@ -149,8 +155,7 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
     own += [(k, link.payload, mechanism.tips[k]) for k, link in enumerate(links) if link.payload]
     return Bodies(
         mass=np.array([mass for _, mass, _ in own], float),
-        constant=np.array([point.constant for _, _, point in own], complex),
-        rho=coefficient_matrix([point for _, _, point in own], mechanism.n),
+        points=points_of(mechanism, [point for _, _, point in own]),
         below=mechanism.arrays.J[[k for k, _, _ in own]],  # its ones are at what carries a link
         inertia=np.array([link.I for link in links], float),
     )

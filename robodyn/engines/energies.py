@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-from robodyn.engines import expression
 from robodyn.engines.expression import Value
-from robodyn.engines.formulas import RECORDED, absolute
-from robodyn.engines.series import Series, State
+from robodyn.engines.formulas import RECORDED
+from robodyn.engines.frames import start
+from robodyn.engines.series import Series
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 
@@ -21,12 +20,7 @@ def energies(
     """KE and PE less the mechanism's constant, J, at q, qd (n)."""
     equations = EquationsOfMotion(mechanism)
     wanted = [equations.kinetic(), equations.potential()]
-    alpha, w = absolute(mechanism, q), absolute(mechanism, qd)
-    named = {"q": q, "qd": qd, "alpha": alpha}
-    given: dict[str, Any] = {
-        f"{name}{k}": (x,) for name, values in named.items() for k, x in enumerate(values)
-    }
-    state = State([(expression.cos(x), expression.sin(x)) for x in alpha], w, given)
+    state = start(mechanism, RECORDED, q, qd)
     numbers = [number(x) for x in equations.program.numbers]
     series = Series(equations.program, RECORDED, numbers, 1, state, slots=wanted, grounded=True)
     series.residuals(0)

@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import dot, entries, some
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
-from robodyn.engines.series import Arithmetic, Planar, Series, State, conjugate_times
+from robodyn.engines.frames import absolute as absolute
+from robodyn.engines.frames import relative, start
+from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.force_rows import PointForce
 from robodyn.mechanics.planar_model import Mechanism
@@ -44,16 +46,6 @@ RECORDED = Arithmetic(
 def anything(i: int) -> float:
     """A number that stands for any: it is no 0, 1 or -1, and no sum of products of them is."""
     return 1.5 + 0.4 * math.sin(37.0 * (i + 1) ** 2)
-
-
-def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
-    """J times values of the joints, of any kind."""
-    values = list(relative)
-    for k in mechanism.order:
-        above = mechanism.parent[k]
-        if above is not None:
-            values[k] = values[above] + values[k]
-    return values
 
 
 class Formula(NamedTuple):
@@ -124,23 +116,17 @@ class Recorded:
         mechanism = self.mechanism
         equations = EquationsOfMotion(mechanism)
         program = equations.program
-        given: dict[str, Sequence[Value] | Callable[[int], Value]] = {}
-        driven = []
+        turn = None if self.by_direction else self._turn
+        accelerations = self.absolute("qdd") if accelerated else None
+        q, qd = self.relative["q"], self.relative["qd"]
+        state = start(mechanism, self.arithmetic, q, qd, turn, accelerations)
+        self.E, driven = state.E, []
         for j in range(mechanism.n):
             tau = self.relative["tau"][j] if torques is None else torques[j]
-            given[f"tau{j}"] = (tau,)
+            state.given[f"tau{j}"] = (tau,)
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         self.torques, self.forces = equations.torques, equations.forces
-        alpha = self.absolute("q")
-        for j in range(mechanism.n):
-            given[f"q{j}"], given[f"alpha{j}"] = (self.relative["q"][j],), (alpha[j],)
-            given[f"qd{j}"] = (self.relative["qd"][j],)
-        cos, sin = self.arithmetic.cos, self.arithmetic.sin
-        self.E = [(cos(angle), sin(angle)) for angle in alpha]
-        turn = None if self.by_direction else self._turn
-        accelerations = self.absolute("qdd") if accelerated else None
-        state = State(self.E, self.absolute("qd"), given, turn, accelerations)
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
         return Series(
             program,
@@ -288,10 +274,7 @@ def _forward(
     assert isinstance(factors, Factors)
     solution = factors.solve(right)
     series.complete(solution)
-    qdd = [
-        solution[k] if above is None else solution[k] - solution[above]
-        for k, above in enumerate(mechanism.parent)
-    ]
+    qdd = relative(mechanism, solution[:n])
     diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
     sizes = [
         -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))

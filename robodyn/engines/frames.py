@@ -26,12 +26,8 @@ from robodyn.engines.arithmetic import (
     times,
     weighted,
 )
-from robodyn.mechanics.program import (
-    Coefficient,
-    PlanarCoefficient,
-    Program,
-    Slot,
-)
+from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Slot
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +44,40 @@ class State:
     given: dict[str, Sequence[Value] | Callable[[int], Value]]
     turn: Callable[[int, int], Planar] | None = None
     accelerations: Sequence[Value] | None = None
+
+
+def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
+    """J times values of the joints, of any kind."""
+    values = list(relative)
+    for k in mechanism.order:
+        above = mechanism.parent[k]
+        if above is not None:
+            values[k] = values[above] + values[k]
+    return values
+
+
+def relative(mechanism: Mechanism, absolute: Sequence[Any]) -> list[Any]:
+    """J^-1 times values of the links."""
+    above = [None if k is None else absolute[k] for k in mechanism.parent]
+    return [x if y is None else x - y for x, y in zip(absolute, above, strict=True)]
+
+
+def start(
+    mechanism: Mechanism,
+    arithmetic: Arithmetic,
+    q: Sequence[Value],
+    qd: Sequence[Value],
+    turn: Callable[[int, int], Planar] | None = None,
+    accelerations: Sequence[Value] | None = None,
+) -> State:
+    """Where series start at q, qd (n); what else is given is added to `given`."""
+    alpha = absolute(mechanism, q)
+    named = {"q": q, "qd": qd, "alpha": alpha}
+    given: dict[str, Any] = {
+        f"{name}{k}": (x,) for name, values in named.items() for k, x in enumerate(values)
+    }
+    E = [(arithmetic.cos(x), arithmetic.sin(x)) for x in alpha]
+    return State(E, absolute(mechanism, qd), given, turn, accelerations)
 
 
 # frame (a link, or None: the ground's), coefficient that is not yet multiplied, value

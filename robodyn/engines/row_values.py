@@ -5,11 +5,11 @@ The rows are recorded once; each name that is asked for is written out as code o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.engines import array_blocks, straightline
 from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
@@ -21,6 +21,7 @@ from robodyn.mechanics.parts import never_a_direction, no_direction
 from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 LONGEST = 300  # characters of a statement
 DIRECTED = ("torques", "forces", "on links")  # they are lost where a spring has no direction
@@ -55,15 +56,15 @@ class RowValues:
         self._recorded = Recorded(mechanism, ("qd",), by_direction=True)
         self._codes: dict[str, _Code] = {}
 
-    def __call__(self, name: str, q: Array, qd: Array) -> Array:
-        """The values (..., k) at q and qd (..., n), which broadcast.
+    def __call__(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Array:
+        """The values (..., k) at q and qd (..., n), which broadcast; at rest unless qd is given.
 
         Raises SingularError where the ends of a spring that needs a direction coincide.
         """
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
         code, n = self._codes[name], self.mechanism.n
-        q, qd = np.broadcast_arrays(q, qd)
+        q, qd = np.broadcast_arrays(np.asarray(q, float), np.zeros(n) if qd is None else qd)
         widths = len(code.formula.outputs), len(code.formula.pivots)
         shape = (*q.shape[:-1], widths[0])
         if q.size == n:
@@ -79,6 +80,11 @@ class RowValues:
         if lost.size:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
         return values.reshape(shape)
+
+    def planar(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Complex:
+        """What comes as x and y, as complex numbers (..., k/2)."""
+        found = self(name, q, qd)
+        return found[..., ::2] + 1j * found[..., 1::2]
 
     def _formula(self, name: str) -> Formula:
         rows = tuple(self._values(name))
@@ -129,3 +135,9 @@ class RowValues:
         """|d|^2 of each spring that needs a direction, by its place."""
         real, forces = self._series.real, enumerate(self._recorded.forces)
         return {k: real[x.square][0] for k, x in forces if x.square is not None}
+
+
+@lru_cache(maxsize=64)
+def rows_of(part: Callable[[Mechanism], Mechanism], mechanism: Mechanism) -> RowValues:
+    """The rows of a part of a mechanism (`parts.py`)."""
+    return RowValues(part(mechanism))

@@ -15,9 +15,10 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.dynamics.closed_form import other_forces
-from robodyn.dynamics.scene_forces import all_torques
+from robodyn.engines.row_values import rows_of
 from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -86,7 +87,7 @@ class SparseMechanism:
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_state_forces:
-            joint -= all_torques(self.mechanism, y[:n], y[n : 2 * n])
+            joint -= rows_of(parts.acting, self.mechanism)("torques", y[:n], y[n : 2 * n])
         force: Array = joint - (self.weight * E).imag + self.moments
         force = force - np.bincount(self.above, joint[self.child], minlength=n)
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]

@@ -227,17 +227,6 @@ def _arrays(mechanism: Mechanism) -> Arrays:
     return arrays
 
 
-def coefficient_matrix(points: Sequence[PlanarPoint], n: int) -> NDArray[np.complex128]:
-    """What E is multiplied with in each point, (points, n), m."""
-    import numpy as np
-
-    coefficients = np.zeros((len(points), n), complex)
-    for row, point in enumerate(points):
-        for k, value in point.terms:
-            coefficients[row, k] = value
-    return coefficients
-
-
 def joint_index(mechanism: Mechanism) -> Mapping[str, int]:
     """The joint (from 0) of each link name."""
     return {name: k for k, name in enumerate(mechanism.link_names)}

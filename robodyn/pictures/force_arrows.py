@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from robodyn.dynamics.closed_form import phases
 from robodyn.dynamics.dynamics import pin_forces
 from robodyn.dynamics.reaction_forces import reactions
-from robodyn.dynamics.scene_forces import load_forces, spring_forces
+from robodyn.engines.row_values import rows_of
+from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.bodies import at
@@ -56,16 +57,13 @@ def forces(
     for c, force in enumerate(pins.tolist()):
         first = Tree(description.links).point(description.closures[c].first)
         add("pin", f"f{c + 1}", first, force)
-    between = [k for k, s in enumerate(description.springs) if isinstance(s, Spring)]
-    if between:
-        pulls = spring_forces(mechanism, q, qd)
-        for k, spring, pull in zip(between, mechanism.springs, pulls.tolist(), strict=True):
-            add("load", f"s{k + 1}", spring.ends[0], pull)
-    forced = [k for k, x in enumerate(description.loads) if isinstance(x, Load)]
-    if forced:
-        acting = load_forces(mechanism, q).tolist()
-        for k, item, force in zip(forced, mechanism.forces, acting, strict=True):
-            add("load", f"load {k + 1}", item.point, force)
+    springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring)]
+    loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
+    points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]
+    if points:
+        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd).tolist()
+        for name, point, force in zip(springs + loads, points, acting, strict=True):
+            add("load", name, point, force)
     least = SEEN * max(abs(item.force) for item in found)
     return [item for item in found if abs(item.force) > least]
 
