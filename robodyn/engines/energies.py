@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from robodyn.engines.expression import Value
 from robodyn.engines.formulas import RECORDED
-from robodyn.engines.frames import start
+from robodyn.engines.frames import absolute, start
 from robodyn.engines.series import Series
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
@@ -20,7 +20,7 @@ def energies(
     """KE and PE less the mechanism's constant, J, at q, qd (n)."""
     equations = EquationsOfMotion(mechanism)
     wanted = [equations.kinetic(), equations.potential()]
-    state = start(mechanism, RECORDED, q, qd)
+    state = start(RECORDED, (q, qd), (absolute(mechanism, q), absolute(mechanism, qd)))
     numbers = [number(x) for x in equations.program.numbers]
     series = Series(equations.program, RECORDED, numbers, 1, state, slots=wanted, grounded=True)
     series.residuals(0)

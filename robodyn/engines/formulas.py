@@ -118,8 +118,9 @@ class Recorded:
         program = equations.program
         turn = None if self.by_direction else self._turn
         accelerations = self.absolute("qdd") if accelerated else None
-        q, qd = self.relative["q"], self.relative["qd"]
-        state = start(mechanism, self.arithmetic, q, qd, turn, accelerations)
+        joints = self.relative["q"], self.relative["qd"]
+        links = self.absolute("q"), self.absolute("qd")
+        state = start(self.arithmetic, joints, links, turn, accelerations)
         self.E, driven = state.E, []
         for j in range(mechanism.n):
             tau = self.relative["tau"][j] if torques is None else torques[j]

@@ -63,21 +63,19 @@ def relative(mechanism: Mechanism, absolute: Sequence[Any]) -> list[Any]:
 
 
 def start(
-    mechanism: Mechanism,
     arithmetic: Arithmetic,
-    q: Sequence[Value],
-    qd: Sequence[Value],
+    joints: tuple[Sequence[Value], Sequence[Value]],
+    links: tuple[Sequence[Value], Sequence[Value]],
     turn: Callable[[int, int], Planar] | None = None,
     accelerations: Sequence[Value] | None = None,
 ) -> State:
-    """Where series start at q, qd (n); what else is given is added to `given`."""
-    alpha = absolute(mechanism, q)
-    named = {"q": q, "qd": qd, "alpha": alpha}
+    """Where series start, by angles and rates (n) of joints and links; `given` may be added to."""
+    named = {"q": joints[0], "qd": joints[1], "alpha": links[0]}
     given: dict[str, Any] = {
         f"{name}{k}": (x,) for name, values in named.items() for k, x in enumerate(values)
     }
-    E = [(arithmetic.cos(x), arithmetic.sin(x)) for x in alpha]
-    return State(E, absolute(mechanism, qd), given, turn, accelerations)
+    E = [(arithmetic.cos(x), arithmetic.sin(x)) for x in links[0]]
+    return State(E, links[1], given, turn, accelerations)
 
 
 # frame (a link, or None: the ground's), coefficient that is not yet multiplied, value
