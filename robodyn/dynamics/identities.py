@@ -95,24 +95,14 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
     return Sample(closed, qd, len(closes) / len(q))
 
 
-class _Rows:
-    """What the rows of a scene say of its energy, power and closures, at states (..., n)."""
-
-    def __init__(self, scene: Mechanism) -> None:
-        self.scene = scene
-        self.values = RowValues(replace(scene, A=()))  # which none reads, and which is large
-
-    def potential_energy(self, q: Array) -> Array:
-        return self.values("PE", q)[..., 0] + self.scene.energy_offset
-
-
 def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     """Every identity at the sampled states.
 
     The closed forms are held against the program of rows of the scene, built anew: a wrong
     constant of the numeric model shows.
     """
-    q, qd, rows = sample.q, sample.qd, _Rows(build(mechanism.description))
+    q, qd, scene = sample.q, sample.qd, build(mechanism.description)
+    rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     M = closed_form.mass_matrix(mechanism, q)
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
@@ -125,11 +115,11 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
 
 
 def _energy_identities(
-    mechanism: Mechanism, rows: _Rows, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array
 ) -> list[Identity]:
     KE = closed_form.kinetic_energy(mechanism, q, qd)
     half = 0.5 * _dot(qd, matvec(M, qd))
-    bodies = _kinetic_energy(rows.scene, q, qd)
+    bodies = _kinetic_energy(rows.mechanism, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
     turning = absolute_rates(mechanism, qd)
     Mdot = along(lambda s: closed_form.mass_matrix(mechanism, q + s * qd), turning)
@@ -140,9 +130,9 @@ def _energy_identities(
     convective = _dot(directions, matvec(C, qd))
     shown = _dot(directions, matvec(Mdot, qd))
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
-    heights = rows.potential_energy(q)
-    sharp = ways * _sharpness(rows.scene, q)
-    slope = along(lambda s: rows.potential_energy(q + s * directions), sharp)
+    heights = rows("PE", q)[..., 0]
+    sharp = ways * _sharpness(rows.mechanism, q)
+    slope = along(lambda s: rows("PE", q + s * directions)[..., 0], sharp)
     G = closed_form.gravity_vector(mechanism, q)
     largest = max(_top(slope), _top(G), *map(abs, mechanism.weights))  # G's terms may balance
     PE = closed_form.potential_energy(mechanism, q)
@@ -159,30 +149,30 @@ def _energy_identities(
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
         Identity("G = dPE/dq", _relative(slope - _dot(G, directions), largest)),
     ]
-    if rows.scene.has_state_forces:  # of what has no potential, at any velocities
+    if rows.mechanism.has_state_forces:  # of what has no potential, at any velocities
         Q = closed_form.other_forces(mechanism, q, directions)
         power = _dot(Q, directions)
-        dampers = _dot(np.array(rows.scene.damping) * directions, directions)
-        off = power - dampers - rows.values("power", q, directions)[..., 0]
+        dampers = _dot(np.array(rows.mechanism.damping) * directions, directions)
+        off = power - dampers - rows("power", q, directions)[..., 0]
         found.append(Identity(FORCES, _relative(off, max(_top(Q), _top(power)))))
     return found
 
 
-def _closure_identities(mechanism: Mechanism, rows: _Rows, q: Array, qd: Array) -> list[Identity]:
+def _closure_identities(
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array
+) -> list[Identity]:
     directions = np.random.default_rng(3).normal(size=q.shape)
     size = assembly.loop_size(mechanism)
     gap = closed_form.closure_gap(mechanism, q)
     Psi = closed_form.closure_jacobian(mechanism, q)
-    slope = along(
-        lambda s: rows.values("gap", q + s * directions), absolute_rates(mechanism, directions)
-    )
+    slope = along(lambda s: rows("gap", q + s * directions), absolute_rates(mechanism, directions))
     turned = along(
         lambda s: matvec(closed_form.closure_jacobian(mechanism, q + s * qd), qd),
         absolute_rates(mechanism, qd),
     )
     bias = closed_form.closure_bias(mechanism, q, qd)
     return [
-        Identity("gap = 0", max(_relative(gap, size), _relative(rows.values("gap", q), size))),
+        Identity("gap = 0", max(_relative(gap, size), _relative(rows("gap", q), size))),
         Identity("Psi = dgap/dq", _relative(slope - matvec(Psi, directions), size)),
         Identity("Psi qd = 0", _relative(matvec(Psi, qd), size * _top(qd))),
         Identity("Psidot qd", _relative(turned - bias, size * _top(qd) ** 2)),
@@ -190,7 +180,7 @@ def _closure_identities(mechanism: Mechanism, rows: _Rows, q: Array, qd: Array) 
 
 
 def _motion_identities(
-    mechanism: Mechanism, rows: _Rows, q: Array, qd: Array, M: Array
+    mechanism: Mechanism, rows: RowValues, q: Array, qd: Array, M: Array
 ) -> list[Identity]:
     """Forward dynamics against inverse dynamics, and power against the growth of energy."""
     driven = list(mechanism.actuated)
@@ -203,7 +193,7 @@ def _motion_identities(
     except SingularError as error:
         return [Identity(name, None, str(error)) for name in (BALANCE, POWER)]
     qdd = motion.qdd
-    damping = np.array(rows.scene.damping)
+    damping = np.array(rows.mechanism.damping)
     Q = closed_form.other_forces(mechanism, q, qd)
     C = closed_form.coriolis_matrix(mechanism, q, qd)
     terms = [matvec(M, qdd), matvec(C, qd), damping * qd, G, -tau, -Q]
@@ -223,10 +213,10 @@ def _motion_identities(
     def energy(s: Array) -> Array:
         path, rate = q + s * qd + 0.5 * s**2 * qdd, qd + s * qdd
         KE = closed_form.kinetic_energy(mechanism, path, rate)
-        return KE + rows.potential_energy(path)
+        return KE + rows("PE", path)[..., 0]
 
     turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
-    speed = _sharpness(rows.scene, q) * np.maximum(turning, np.sqrt(bending))
+    speed = _sharpness(rows.mechanism, q) * np.maximum(turning, np.sqrt(bending))
     growth = along(energy, speed)
     power = _dot(tau + Q - damping * qd, qd)
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference

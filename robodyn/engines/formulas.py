@@ -329,3 +329,20 @@ def _projection(state: Recorded) -> Formula:
         for r, (pivot, row) in enumerate(zip(factors.pivots, mechanism.rows, strict=True))
     )
     return Formula(state.inputs, (*outputs, *gaps), relative, tuple(absolute))
+
+
+def energies(
+    mechanism: Mechanism, number: Callable[[float], Value], q: Sequence[Value], qd: Sequence[Value]
+) -> tuple[Value, Value]:
+    """KE and PE less the mechanism's constant, J, at q, qd (n).
+
+    `number` gives what stands for a number of the scene.
+    """
+    equations = EquationsOfMotion(mechanism)
+    wanted = [equations.kinetic(), equations.potential()]
+    state = start(RECORDED, (q, qd), (absolute(mechanism, q), absolute(mechanism, qd)))
+    numbers = [number(x) for x in equations.program.numbers]
+    series = Series(equations.program, RECORDED, numbers, 1, state, slots=wanted, grounded=True)
+    series.residuals(0)
+    KE, PE = (series.real[slot][0] for slot in wanted)
+    return KE, PE

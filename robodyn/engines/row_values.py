@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.engines import array_blocks, straightline
 from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
-from robodyn.engines.energies import energies
 from robodyn.engines.expression import Value
-from robodyn.engines.formulas import Formula, Recorded, balance
+from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
-from robodyn.mechanics.parts import never_a_direction, no_direction
+from robodyn.mechanics.force_rows import NoDirection
+from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
 
 Array = NDArray[np.float64]
@@ -47,8 +47,7 @@ class RowValues:
 
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
     (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
-    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J, less the mechanism's
-    constant.
+    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -101,7 +100,7 @@ class RowValues:
                 return [x for force in self._on_links() for x in force]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
-                return [energies(self.mechanism, float, q, qd)[1]]
+                return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
         real, named = self._series.real, self._series.program.named
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
 
@@ -109,12 +108,9 @@ class RowValues:
     def _series(self) -> Series:
         try:
             series = self._recorded.series([0.0] * self.mechanism.n, power=True)
-            series.residuals(0)
-        except ZeroDivisionError:
-            lost = never_a_direction(self.mechanism)
-            if lost is None:
-                raise
-            raise lost from None
+        except NoDirection as spring:
+            raise no_direction(self.mechanism, *spring.args) from None
+        series.residuals(0)
         return series
 
     def _forces(self) -> Iterator[Planar]:

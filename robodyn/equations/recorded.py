@@ -19,8 +19,9 @@ from robodyn.equations.entries import Entries
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Sum
+from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large
-from robodyn.mechanics.parts import never_a_direction
+from robodyn.mechanics.parts import no_direction
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold
 
@@ -59,11 +60,8 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
             raise OverflowError
     except OverflowError:
         raise too_large(mechanism.description) from None
-    except ZeroDivisionError:
-        lost = never_a_direction(named)
-        if lost is None:
-            raise
-        raise lost from None
+    except NoDirection as spring:
+        raise no_direction(mechanism, *spring.args) from None
     used = {str(node.args[0]) for node in nodes if node.op == "var"}
     return Equations(mechanism, tuple(found), parameters, used, numeric)
 

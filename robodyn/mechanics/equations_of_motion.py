@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robodyn.mechanics.force_rows import ForceRows, Links, PlanarTerm, Term
+from robodyn.mechanics.force_rows import ForceRows, PlanarTerm, Term
 from robodyn.mechanics.program import (
     Coefficient,
     Derivative,
@@ -52,31 +52,26 @@ class EquationsOfMotion(ForceRows):
         times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
-        links = Links(
-            F=[[] for _ in range(n)],
-            moments=[[] for _ in range(n)],
-            constants=[-weight.conjugate() for weight in mechanism.weights],
-        )
         inertia: list[Coefficient] = [0.0] * n
         for j, k, value in mechanism.A:
             if j == k:
                 inertia[j] = program.number(value.real)
             elif not chained:
                 re, im = program.planar_number(value)
-                links.F[j].append(((re, im), self.P[k]))
-                links.F[k].append(((re, -im), self.P[j]))
+                self.F[j].append(((re, im), self.P[k]))
+                self.F[k].append(((re, -im), self.P[j]))
         if chained:
-            self._chain(links)
+            self._chain()
         program.named["bends"] = []
-        self._scene_forces(links, work)
-        self._joints(links, torques, work, steady)
-        multipliers = self._closures(links)
+        self._scene_forces(work)
+        self._joints(torques, work, steady)
+        multipliers = self._closures()
         loads: list[Slot] = []
         for k in range(n):
-            F = program.add(PlanarSum(program.planar_number(links.constants[k]), tuple(links.F[k])))
+            F = program.add(PlanarSum(program.planar_number(self.constants[k]), tuple(self.F[k])))
             turning = program.add(Moment(self.E[k], self.P[k], inertia[k], F))
             moment = program.number(-mechanism.moments[k])
-            load = program.sum((1.0, turning), *links.moments[k], constant=moment)
+            load = program.sum((1.0, turning), *self.moments[k], constant=moment)
             loads.append(load)
             given = [(-1.0, self.torques[k]), *((1.0, self.torques[c]) for c in self.children[k])]
             acting = [(sign, torque) for sign, torque in given if torque is not None]
@@ -84,7 +79,7 @@ class EquationsOfMotion(ForceRows):
         program.residuals += self._rows
         program.named |= {"E": self.E, "mu": multipliers, "load": loads}
         if work:
-            program.named["power"] = [program.sum(*links.power)] if links.power else []
+            program.named["power"] = [program.sum(*self.power)] if self.power else []
             program.named |= {"KE": [self.kinetic()], "PE": [self.potential()]}
         return program
 
@@ -116,7 +111,7 @@ class EquationsOfMotion(ForceRows):
         terms += self._spring_energies()
         return program.sum(*terms)
 
-    def _chain(self, links: Links) -> None:
+    def _chain(self) -> None:
         """The sums over A in O(links): A_jk = conj(p_jk) B_k, with p_jk where the path leaves j.
 
         So what is above link k acts through the acceleration h_k of its joint, less gravity, and
@@ -132,16 +127,16 @@ class EquationsOfMotion(ForceRows):
                 h[k] = program.add(PlanarSum(program.planar_number(-mechanism.gamma), ()))
             else:
                 h[k] = program.planar_sum(((1.0, 0.0), h[above]), (at[k], self.P[above]))
-            links.F[k].append(((re, -im), h[k]))
-            links.constants[k] += mechanism.gamma * mechanism.B[k].conjugate()
+            self.F[k].append(((re, -im), h[k]))
+            self.constants[k] += mechanism.gamma * mechanism.B[k].conjugate()
         s: list[Slot] = [-1] * mechanism.n
         for k in reversed(mechanism.order):
             below: list[PlanarTerm] = [((1.0, 0.0), s[c]) for c in self.children[k]]
             for c, (re, im) in ((c, at[c]) for c in self.children[k]):
-                links.F[k].append(((re, -im), s[c]))
+                self.F[k].append(((re, -im), s[c]))
             s[k] = program.planar_sum((B[k], self.P[k]), *below)
 
-    def _closures(self, links: Links) -> list[Slot]:
+    def _closures(self) -> list[Slot]:
         """The rows of the closures, and what their multipliers do."""
         program = self.program
         multipliers: list[Slot] = []
@@ -160,13 +155,13 @@ class EquationsOfMotion(ForceRows):
                 if row.closure is not None and row.direction == 1.0:
                     pins[row.closure, k] = re, im
                 terms.append(((re, im), self.E[k]))
-                links.F[k].append(((re, -im), mu))
+                self.F[k].append(((re, -im), mu))
             if terms:
                 total.append((1.0, program.add(RealPart(program.planar_sum(*terms)))))
             for k, turn in row.angles:
                 angle = program.number(turn)
                 total.append((angle, self.alpha(k)))
-                links.moments[k].append((angle, mu))
+                self.moments[k].append((angle, mu))
             gap = program.sum(*total, constant=program.number(row.offset))
             gaps.append(gap)
             self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))

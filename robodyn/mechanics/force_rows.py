@@ -45,14 +45,8 @@ PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
 
 
-@dataclass
-class Links:
-    """What acts on each link while the rows are gathered: n lists each."""
-
-    F: list[list[PlanarTerm]]
-    moments: list[list[Term]]
-    constants: list[complex]
-    power: list[Term] = field(default_factory=list)
+class NoDirection(ZeroDivisionError):
+    """The ends of the spring between points of this place coincide at every state."""
 
 
 class PointForce(NamedTuple):
@@ -116,13 +110,18 @@ class ForceRows(LinkRows):
     """What acts, of each force once.
 
     `torques` (n) are all that acts at each joint, None where nothing does; `forces` the springs
-    between points, then the loads, as forces on links.
+    between points, then the loads, as forces on self.  F, constants and moments (n each) gather
+    what acts on each link, `power` what changes the energy.
     """
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.torques: list[Slot | None] = [None] * self.mechanism.n
         self.forces: list[PointForce] = []
+        self.F: list[list[PlanarTerm]] = [[] for _ in self.E]
+        self.constants = [-weight.conjugate() for weight in self.mechanism.weights]
+        self.moments: list[list[Term]] = [[] for _ in self.E]
+        self.power: list[Term] = []
 
     def _spring_energies(self) -> Iterator[Term]:
         """What the springs hold."""
@@ -140,33 +139,33 @@ class ForceRows(LinkRows):
             way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
             yield number(0.5 * turned.stiffness), program.add(Product(way, way))
 
-    def _scene_forces(self, links: Links, work: bool) -> None:
+    def _scene_forces(self, work: bool) -> None:
         program = self.program
-        for spring in self.mechanism.springs:
-            self._spring(links, spring, work)
+        for place, spring in enumerate(self.mechanism.springs):
+            if spring.directed and not (spring.between.terms or spring.between.constant):
+                raise NoDirection(place)
+            self._spring(spring, work)
         for load in self.mechanism.forces:
             if not load.turns:  # among the weights
                 self.forces.append(PointForce(load.force, None, load.link))
                 continue
             E = self.E[load.link]
             self.forces.append(PointForce(load.force, E, load.link))
-            self._act(links, load.point, E, load.force)
+            self._act(load.point, E, load.force)
             if work:
                 unit = program.planar_number(load.force)
                 turned = program.planar_sum((unit, E))
                 moving = program.add(Derivative(self.point(load.point)))
-                links.power.append((1.0, program.add(Inner(turned, moving))))
+                self.power.append((1.0, program.add(Inner(turned, moving))))
 
-    def _act(self, links: Links, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
+    def _act(self, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
         """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
         for k, c in point.terms:
             number = self.program.planar_number(-c.conjugate() * unit)
-            links.F[k].append((number, force))
+            self.F[k].append((number, force))
 
-    def _spring(self, links: Links, spring: PointSpring, work: bool) -> None:
+    def _spring(self, spring: PointSpring, work: bool) -> None:
         program, number, place = self.program, self.program.number, spring.between
-        if spring.directed and not (place.terms or place.constant):
-            raise ZeroDivisionError("the ends of a spring coincide at every state")
         d = self.point(place)
         pull: list[Term] = []
         s = program.add(Inner(d, d)) if spring.directed else None
@@ -178,7 +177,7 @@ class ForceRows(LinkRows):
             pull.append((number(-spring.damping), ratio))
             if work and place.terms:
                 squared = program.add(Product(half, ratio))
-                links.power.append((number(-spring.damping), squared))
+                self.power.append((number(-spring.damping), squared))
         unit, force = -spring.stiffness, d
         if pull:
             factor = program.sum(*pull, constant=number(-spring.stiffness))
@@ -190,11 +189,9 @@ class ForceRows(LinkRows):
                 part = program.add(RealPart(program.planar_sum((along, force))))
                 self._bends(part, reach)
         if unit:
-            self._act(links, place, force, unit)
+            self._act(place, force, unit)
 
-    def _joints(
-        self, links: Links, torques: Sequence[Slot | None], work: bool, steady: bool
-    ) -> None:
+    def _joints(self, torques: Sequence[Slot | None], work: bool, steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
         friction = dict(mechanism.friction)
@@ -216,7 +213,7 @@ class ForceRows(LinkRows):
                 self._bends(smooth, friction[j].torque)
             if work:
                 working = acting[1:] if steady and tau is not None else acting
-                links.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
+                self.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
             constant = 0.0
             for stiffness, angle in springs.get(j, []):
                 acting.append((number(-stiffness), self.q(j)))

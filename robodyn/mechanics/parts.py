@@ -15,7 +15,8 @@ def bare(mechanism: Mechanism) -> Mechanism:
     """The links alone."""
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
-    return replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+    return replace(nothing, energy_offset=0.0)
 
 
 def stored(mechanism: Mechanism) -> Mechanism:
@@ -48,11 +49,3 @@ def no_direction(mechanism: Mechanism, spring: int) -> SingularError:
         where=mechanism.source,
         limit="its force has no direction there; only length 0 without damping allows that",
     )
-
-
-def never_a_direction(mechanism: Mechanism) -> SingularError | None:
-    """The error of a spring whose ends coincide at every state, if there is one."""
-    for k, spring in enumerate(mechanism.springs):
-        if spring.directed and not (spring.between.terms or spring.between.constant):
-            return no_direction(mechanism, k)
-    return None

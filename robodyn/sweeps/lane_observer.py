@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable
 
 from robodyn.engines.assembler import ADDRESS, WHOLE, Kernel, Module, Word
-from robodyn.engines.energies import energies
 from robodyn.engines.expression import Graph, Value
-from robodyn.engines.formulas import anything
+from robodyn.engines.formulas import anything, energies
 from robodyn.engines.machine_motion import RUNNING, Observer
 from robodyn.engines.machine_steps import Items, Scene
 from robodyn.mechanics.planar_model import Mechanism
