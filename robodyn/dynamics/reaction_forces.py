@@ -73,9 +73,8 @@ def reactions(
     _, load = _motion(mechanism, q, qd, qdd)
     forces: Complex = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
-        forces = (
-            forces - rows_of(parts.acting, mechanism).planar("on links", q, qd) @ mechanism.arrays.J
-        )
+        on_links = rows_of(parts.acting, mechanism).planar("on links", q, qd)
+        forces = forces - on_links @ mechanism.arrays.J
     if mechanism.description.closures:
         forces = forces - pin_forces(mechanism, lam) @ [1, 1j] @ _sides(mechanism)
     return np.stack([forces.real, forces.imag], axis=-1)

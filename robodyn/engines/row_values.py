@@ -63,7 +63,8 @@ class RowValues:
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
         code, n = self._codes[name], self.mechanism.n
-        q, qd = np.broadcast_arrays(np.asarray(q, float), np.zeros(n) if qd is None else qd)
+        rates = np.zeros(n) if qd is None else np.asarray(qd, float)
+        q, qd = np.broadcast_arrays(np.asarray(q, float), rates)
         widths = len(code.formula.outputs), len(code.formula.pivots)
         shape = (*q.shape[:-1], widths[0])
         if q.size == n:

@@ -41,9 +41,7 @@ class Entries:
         drag: Sequence[Value] = (),
     ) -> None:
         self.named, self.couplings, self.state = named, couplings, state
-        zero = (0.0,) * named.n
-        self.drag = tuple(drag) or zero
-        self.bare = parts.bare(named)
+        self.drag = tuple(drag) or (0.0,) * named.n
 
     def of(self, name: str) -> Matrix:
         """The entries of the block of this name, row by row."""
@@ -93,7 +91,7 @@ class Entries:
 
     def _series(self, **has: Any) -> Series:
         """The rows of a mechanism that has these parts and nothing else."""
-        return self._rows_of(replace(self.bare, **has))
+        return self._rows_of(replace(parts.bare(self.named), **has))
 
     def _rows_of(self, part: Mechanism) -> Series:
         self._at = self.state(part)

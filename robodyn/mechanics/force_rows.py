@@ -110,7 +110,7 @@ class ForceRows(LinkRows):
     """What acts, of each force once.
 
     `torques` (n) are all that acts at each joint, None where nothing does; `forces` the springs
-    between points, then the loads, as forces on self.  F, constants and moments (n each) gather
+    between points, then the loads, as forces on links.  F, constants and moments (n each) gather
     what acts on each link, `power` what changes the energy.
     """
 
@@ -146,23 +146,20 @@ class ForceRows(LinkRows):
                 raise NoDirection(place)
             self._spring(spring, work)
         for load in self.mechanism.forces:
-            if not load.turns:  # among the weights
-                self.forces.append(PointForce(load.force, None, load.link))
-                continue
-            E = self.E[load.link]
-            self.forces.append(PointForce(load.force, E, load.link))
-            self._act(load.point, E, load.force)
-            if work:
-                unit = program.planar_number(load.force)
-                turned = program.planar_sum((unit, E))
+            E = self.E[load.link] if load.turns else None  # else it is among the weights
+            self._act(load.point, PointForce(load.force, E, load.link))
+            if work and E is not None:
+                turned = program.planar_sum((program.planar_number(load.force), E))
                 moving = program.add(Derivative(self.point(load.point)))
                 self.power.append((1.0, program.add(Inner(turned, moving))))
 
-    def _act(self, point: PlanarPoint, force: Slot, unit: complex = 1.0) -> None:
-        """The force `unit` times a planar slot at a point: F_k -= conj(c_k) f."""
-        for k, c in point.terms:
-            number = self.program.planar_number(-c.conjugate() * unit)
-            self.F[k].append((number, force))
+    def _act(self, point: PlanarPoint, acting: PointForce) -> None:
+        """A force at a point: F_k -= conj(c_k) f."""
+        self.forces.append(acting)
+        if acting.force is not None and acting.unit:
+            for k, c in point.terms:
+                number = self.program.planar_number(-c.conjugate() * acting.unit)
+                self.F[k].append((number, acting.force))
 
     def _spring(self, spring: PointSpring, work: bool) -> None:
         program, number, place = self.program, self.program.number, spring.between
@@ -182,14 +179,12 @@ class ForceRows(LinkRows):
         if pull:
             factor = program.sum(*pull, constant=number(-spring.stiffness))
             unit, force = 1.0, program.add(Scaled(factor, d))
-        self.forces.append(PointForce(unit, force, spring.first, spring.second, s))
+        self._act(place, PointForce(unit, force, spring.first, spring.second, s))
         if pull and place.terms:
             reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
             for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
                 part = program.add(RealPart(program.planar_sum((along, force))))
                 self._bends(part, reach)
-        if unit:
-            self._act(place, force, unit)
 
     def _joints(self, torques: Sequence[Slot | None], work: bool, steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
