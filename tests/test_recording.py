@@ -103,7 +103,8 @@ def rows_of(name, q, t_end, times, settings, watch=None):
         blocks.append((t, y))
 
     torques = Actuation((0.0,) * mech.n)
-    return blocks, *run(mech, start, t_end, torques, settings, sink, times, watch)
+    outcome, recorder = run(mech, start, t_end, torques, settings, sink, times, watch)
+    return blocks, outcome, recorder.settle()
 
 
 @pytest.mark.parametrize(("method", "engine"), RUNS)

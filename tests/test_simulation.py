@@ -976,7 +976,7 @@ class TestOutcomes:
 
         rows = []
         state = np.concatenate(START)
-        outcome, report = run(
+        outcome, recorder = run(
             scene("2r"),
             state,
             1.0,
@@ -987,6 +987,7 @@ class TestOutcomes:
             watch,
         )
         assert outcome is Outcome.INTERRUPTED
+        report = recorder.settle()
         assert report.outcome == "interrupted"
         assert "kept" in report.advice
         times = np.concatenate([t for t, _ in rows])

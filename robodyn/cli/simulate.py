@@ -110,9 +110,10 @@ def simulate(
 
         with nullcontext() if report is None else open_output(report) as file:
             with named(), remarks():
-                outcome, facts = run(
+                outcome, recorder = run(
                     mechanism, begin, duration, torques, settings, sink, times, watch
                 )
+                facts = recorder.settle()
             if estimate is not None and math.isfinite(estimate):
                 facts.error_estimate = estimate
             writer()

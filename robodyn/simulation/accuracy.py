@@ -168,10 +168,10 @@ class _Motion:
         if not self.finishes:
             return None
         rows: list[Array] = []
-        outcome, report = run(*self._of, settings, lambda t, y: rows.append(y), self.times)
+        outcome, recorder = run(*self._of, settings, lambda t, y: rows.append(y), self.times)
         if outcome is not Outcome.FINISHED:
             return None
-        return Sampled(np.concatenate(rows), report.work_missed)
+        return Sampled(np.concatenate(rows), recorder.settle().work_missed)
 
 
 def difference(first: Sampled | None, second: Sampled | None) -> float:

@@ -83,10 +83,11 @@ def benchmark(
     def timed(settings: Settings, at: Array = times) -> tuple[float, Outcome, Report, Array]:
         rows: list[Array] = []
         begun = time.perf_counter()
-        outcome, report = run(
+        outcome, recorder = run(
             mechanism, state, at[-1], actuation, settings, lambda t, y: rows.append(y), at
         )
         took = time.perf_counter() - begun
+        report = recorder.settle()
         return took, outcome, report, np.concatenate(rows or [np.zeros((0, len(state)))])
 
     names, left_out = _methods(mechanism, actuation)

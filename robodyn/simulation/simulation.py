@@ -153,7 +153,7 @@ def simulate(
     actuation = _as_actuation(mechanism, tau)
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
-    outcome, recorder = _run(
+    outcome, recorder = run(
         mechanism,
         np.concatenate([q, qd]),
         float(t_end),
@@ -197,27 +197,13 @@ def run(
     sink: Sink,
     times: Array | EvenTimes | None = None,
     watch: Callable[[float], bool] | None = None,
-) -> tuple[Outcome, Report]:
+) -> tuple[Outcome, Recorder]:
     """Integrate from `state` (2n,) and hand rows (t (k,), y (k, 2n)) to `sink` as they come.
 
     Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
-    the run as interrupted when it returns True.
+    the run as interrupted when it returns True.  The recorder has the report, and its statistics
+    once it is settled.
     """
-    outcome, recorder = _run(mechanism, state, t_end, actuation, settings, sink, times, watch)
-    return outcome, recorder.settle()
-
-
-def _run(
-    mechanism: Mechanism,
-    state: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    sink: Sink,
-    times: Array | EvenTimes | None = None,
-    watch: Callable[[float], bool] | None = None,
-) -> tuple[Outcome, Recorder]:
-    """`run`, with the statistics still to be taken."""
     settings.check()
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
@@ -235,14 +221,8 @@ def _run(
     small = harmless_torque(mechanism, settings.atol, t_end)
     given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
     work = actuation.active or mechanism.changes_energy
-    stabilize = settings.stabilize if mechanism.rows else "none"
-    report = Report(
-        method=settings.method,
-        rtol=settings.rtol,
-        atol=settings.atol,
-        stabilize=stabilize,
-        t_end=t_end,
-    )
+    report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
+    report.stabilize = stabilize = settings.stabilize if mechanism.rows else "none"
     projects = stabilize == "projection"
     baumgarte = settings.baumgarte if stabilize == "baumgarte" else 0.0
     y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
