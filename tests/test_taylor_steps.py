@@ -205,6 +205,14 @@ class TestStepSize:
             terms = (p + 1) * 3.0**p * h**p, p * 3.0 ** (p - 1) * h ** (p - 1)
             assert max(terms) == pytest.approx(2e-9, rel=1e-6)
 
+    @pytest.mark.parametrize("size", [1e-160, 1e160, 1e250])
+    def test_coefficients_whose_squares_are_no_floats(self, size):
+        p = 12
+        rho, theta = np.zeros((2, 1, p + 2))
+        theta[0, 1], theta[0, -1] = 1.0, size
+        h = longest_step(Coefficients(rho, theta, [], []), [1.0], 1e-9, 1e-9)
+        assert h == pytest.approx(min(2.0, (2e-9 / (p + 1) / size) ** (1 / p)), rel=1e-6)
+
     def test_no_more_than_two_radians(self):
         rho, theta = np.array([[[1.0, *[0.0] * 7]], [[0.0, 10.0, *[0.0] * 6]]])
         assert longest_step(Coefficients(rho, theta, [], []), [10.0], 0.5, 0.5) <= 0.2

@@ -181,14 +181,13 @@ def longest_step(
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
 
-    def largest(k: int) -> Value:
-        return _largest([a[k] * a[k] + b[k] * b[k] for a, b in zip(rho, theta, strict=True)])
+    def largest(k: int) -> Value:  # without squares: past a near miss they are beyond the floats
+        return _largest([abs(each[k]) for each in (*rho, *theta)])
 
     fast = _largest([abs(x) for x in w])
     tol = atol + rtol * fast
-    square = tol * tol
-    h = power(square / ((p + 1.0) ** 2 * largest(p + 1) + TINY), 0.5 / p)
-    before = power(square / (float(p * p) * largest(p) + TINY), 0.5 / (p - 1))
+    h = power(tol / ((p + 1.0) * largest(p + 1) + TINY), 1.0 / p)
+    before = power(tol / (float(p) * largest(p) + TINY), 1.0 / (p - 1))
     h = expression.least(h, before)
     h = expression.least(h, TURN / (fast + TINY))
     angle = (p + 1.0) * (atol + rtol)
