@@ -174,7 +174,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
         def beside(q: Array, qd: Array, tau: Array = tau[state]) -> Array:
             return dense_dynamics.forward(mechanism, q, qd, tau).qdd
 
-        led = _lead_across(mechanism, q[state], qd[state], beside)
+        led = projection.state_led_across(mechanism, q[state], qd[state], beside)
         if led is not None:
             found.qdd[state] = led
             load = required_load(mechanism, q[state], qd[state], led) - tau[state]
@@ -209,7 +209,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             closing = closed_form.matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
 
-        led = _lead_across(mechanism, q, qd, beside)
+        led = projection.state_led_across(mechanism, q, qd, beside)
         if led is None:
             raise
     multipliers = _multipliers(mechanism, q, required_load(mechanism, q, qd, qdd) - led)
@@ -228,19 +228,6 @@ def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
     Psi = closed_form.closure_jacobian(mechanism, q)
     found: Array = np.linalg.pinv(Psi.T, rcond=RANK_CUT) @ load
     return found
-
-
-def _lead_across(
-    mechanism: Mechanism, q: Array, qd: Array, evaluate: Callable[[Array, Array], Array]
-) -> Array | None:
-    """`change_points.lead_across` of a function of q and qd."""
-    near = change_points.nearest_singular(mechanism, q)
-    if near is None or not near.crosses:
-        return None
-    closing, y = projection.dense_closing(mechanism), np.concatenate([q, qd])
-    return change_points.lead_across(
-        mechanism, closing, y, near, lambda states: evaluate(*np.split(states, 2, axis=1))
-    )
 
 
 # -- what the multipliers are ----------------------------------------------------------------------

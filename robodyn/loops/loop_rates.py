@@ -22,8 +22,9 @@ from robodyn.dynamics.closed_form import (
     matvec,
 )
 from robodyn.errors import InputError
-from robodyn.loops.change_points import nearest_singular, rank, rank_beside
+from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
+from robodyn.loops.projection import state_led_across
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -47,11 +48,26 @@ def loop_accelerations(
 ) -> Array:
     """All joint accelerations (..., n) from the actuated joints', rad/s^2.
 
-    q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point.
+    q and qd (..., n) are closed.  Raises SingularError at a dead centre or change point; next to a
+    change point they are those of the motion which leads across.
     """
-    q = as_states(mechanism, "q", q)
-    bias = closure_bias(mechanism, q, qd)
-    return _complete(mechanism, q, np.asarray(qdd_actuated, float), bias)
+    q, given = as_states(mechanism, "q", q), np.asarray(qdd_actuated, float)
+    found = _complete(mechanism, q, given, closure_bias(mechanism, q, qd))
+    if not mechanism.rows or not found.size:
+        return found
+    q, rates = (np.broadcast_to(x, found.shape) for x in (q, np.asarray(qd, float)))
+    near = nearness(mechanism, closure_jacobian(mechanism, q)) < NEAR
+    for state in map(tuple, np.argwhere(near)):
+        chosen = found[state][list(mechanism.actuated)]
+
+        def beside(q: Array, qd: Array, chosen: Array = chosen) -> Array:
+            there = _complete(mechanism, q, chosen, closure_bias(mechanism, q, qd))
+            return np.hstack([there, qd**2])  # what they are small against: they may all vanish
+
+        led = state_led_across(mechanism, q[state], rates[state], beside)
+        if led is not None:
+            found[state] = led[: mechanism.n]
+    return found
 
 
 def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:

@@ -115,6 +115,19 @@ def loop_terms(mechanism: Mechanism) -> int:
     return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)
 
 
+def state_led_across(
+    mechanism: Mechanism, q: Array, qd: Array, evaluate: Callable[[Array, Array], Array]
+) -> Array | None:
+    """`lead_across` of a function of q and qd (k, n); None beside no change point."""
+    near = nearest_singular(mechanism, q)
+    if near is None or not near.crosses:
+        return None
+    closing, y = dense_closing(mechanism), np.concatenate([q, qd])
+    return lead_across(
+        mechanism, closing, y, near, lambda states: evaluate(*np.split(states, 2, axis=1))
+    )
+
+
 class Projection:
     """The nearest closed state; next to a change point that of the branch which leads across.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
@@ -15,6 +15,7 @@ import robodyn
 from robodyn.dynamics.closed_form import closure_jacobian
 from robodyn.engines import machine
 from robodyn.loops.change_points import nearness
+from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
@@ -48,9 +49,9 @@ assembly: open
 """
 WATT = """gravity: 9.81
 links:
-  - {{name: crank, m: 0.5, l: 0.35, r: 0.1, I: 0.0024}}
-  - {{name: coupler, m: 1.7, l: 0.8, r: [0.31, 0.09], I: 0.052, from: crank}}
-  - {{name: rocker, m: 1.4, l: 0.55, r: [0.44, -0.06], I: 0.043, from: [{d!r}, 0]}}
+  - {{name: crank, m: 0.5, l: 0.375, r: 0.1, I: 0.0024}}
+  - {{name: coupler, m: 1.7, l: 0.8125, r: [0.31, 0.09], I: 0.052, from: crank}}
+  - {{name: rocker, m: 1.4, l: 0.5625, r: [0.44, -0.06], I: 0.043, from: [{d!r}, 0]}}
   - {{name: rod, m: 0.8, l: 0.66, r: 0.32, I: 0.034, from: {{link: coupler, at: [0.2, 0.3]}}}}
   - {{name: output, m: 0.6, l: 0.45, r: 0.21, I: 0.0115, from: {{link: rocker, at: [0.75, -0.2]}}}}
 closures: [[coupler, rocker], [rod, output]]
@@ -59,8 +60,8 @@ assembly: [open, open]
 """
 
 
-STATES = (1e-14, 1e-12, 1e-9, 1e-6, 1e-3)  # m
-MOTIONS = (1e-12, 1e-9, 1e-6, 1e-3)
+MISSES = (1e-14, 1e-13, 1e-12, 1e-9, 1e-6, 1e-3)  # m
+ROUNDING = (0.0, 3.0)  # eps L
 BESIDE = (0.03, 0.01, 1e-3, 1e-5, 1e-7)  # rad, from the near miss
 BATCH = 400  # states, which go another way than one
 TIGHT: dict[str, Options] = {
@@ -81,6 +82,7 @@ OWN = {"DOP853": 2e-11, "RK45": 1e-9, "LSODA": 1e-9, "Radau": 1e-8, "BDF": 1e-8}
 class Case(NamedTuple):
     """A linkage, and a motion past its near miss; angles and rates of the actuated joints."""
 
+    make: Callable[[float], Case]  # of a miss
     name: str
     miss: float  # m
     scene: str  # its text
@@ -94,6 +96,12 @@ class Case(NamedTuple):
     def mechanism(self) -> Mechanism:
         return _built(self.scene, self.name)
 
+    @property
+    def meant(self) -> Case:
+        """What is right: of a miss of rounding, with one freedom, that is the change point itself."""
+        rounding = 0.0 < self.miss <= 4.0 * EPS * loop_size(self.mechanism)
+        return self.make(0.0) if rounding and len(self.near) == 1 else self
+
 
 @lru_cache(maxsize=256)
 def _built(text: str, name: str) -> Mechanism:
@@ -102,38 +110,39 @@ def _built(text: str, name: str) -> Mechanism:
 
 def parallelogram(miss: float) -> Case:
     text = BARS.format(a=0.3, b=0.7, c=0.3, d=0.7 + miss)
-    return Case("parallelogram", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
+    return Case(parallelogram, "parallelogram", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
 
 
 def generic(miss: float) -> Case:
     """The longest and the shortest bar as long as the other two, but for the miss."""
-    text = BARS.format(a=0.35, b=0.8, c=0.55, d=0.35 + 0.8 - 0.55 + miss)
-    return Case("four-bar", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
+    text = BARS.format(a=0.375, b=0.8125, c=0.5625, d=0.625 + miss)
+    return Case(generic, "four-bar", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
 
 
 def slider_crank(miss: float) -> Case:
     """A rod as long as the crank: it can stay at the pivot, or turn with the crank."""
     text = CRANK.format(b=0.3 + miss)
-    return Case("slider-crank", miss, text, (np.pi / 2,), (-1.0,), (1.2,), (5.0,), 0.2)
+    return Case(slider_crank, "slider-crank", miss, text, (np.pi / 2,), (-1.0,), (1.2,), (5.0,), 0.2)
 
 
 def watt(miss: float) -> Case:
     """The four-bar as the first loop of a six-bar."""
-    text = WATT.format(d=0.35 + 0.8 - 0.55 + miss)
-    return Case("Watt six-bar", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
+    text = WATT.format(d=0.625 + miss)
+    return Case(watt, "Watt six-bar", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
 
 
 def five_bar(miss: float) -> Case:
     """Two freedoms: its bars can all but lie in one line."""
-    lengths = (0.4, 0.5, 0.6, 0.3)
+    lengths = (0.375, 0.5, 0.625, 0.25)
     names = ("a", "b", "c", "d")
-    hangs = ("[0, 0]", "a", f"[{0.4 + 0.5 - 0.6 + 0.3 + miss!r}, 0]", "c")
+    hangs = ("[0, 0]", "a", f"[{0.5 + miss!r}, 0]", "c")
     links = [
         f"{{name: {k}, m: {1 + l}, l: {l}, r: {l / 2}, I: {l / 9}, from: {h}}}"
         for k, l, h in zip(names, lengths, hangs, strict=True)
     ]
     text = f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [[b, d]]\nactuated: [a, c]\n"
-    return Case("five-bar", miss, text, (0.0, 0.0), (0.2, 1.0), (0.08, 0.4), (-0.8, -4.0), 0.2)
+    way = (0.0, 0.0), (0.2, 1.0), (0.08, 0.4), (-0.8, -4.0)
+    return Case(five_bar, "five-bar", miss, text, *way, 0.2)
 
 
 def four_bars(count: int, miss: float) -> Case:
@@ -145,7 +154,9 @@ def four_bars(count: int, miss: float) -> Case:
     closures = ", ".join(f"[h{k}, v{k + 1}]" for k in range(count))
     text = f"gravity: 9.81\nlinks: [{', '.join(links)}]\nclosures: [{closures}]\n"
     text += "actuated: [v0]\n"
-    return Case(f"{count}-four-bar", miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
+    make = {2: two_four_bars, 5: five_four_bars}[count]
+    name = f"{count}-four-bar"
+    return Case(make, name, miss, text, (0.0,), (1.0,), (0.5,), (-5.0,), 0.2)
 
 
 def two_four_bars(miss: float) -> Case:
@@ -249,7 +260,7 @@ def state_error(case: Case, beside: float, tau: float = 1.5) -> float:
     mechanism, rates = case.mechanism, case.rates
     driven = list(mechanism.actuated)
     q = robodyn.assemble(mechanism, np.array(case.near) + beside * np.array(case.aside))
-    _, qd, qdd, steady, torque = exact_state(mechanism, q, rates, tau)
+    _, qd, qdd, steady, torque = exact_state(case.meant.mechanism, q, rates, tau)
     applied = np.zeros(mechanism.n)
     applied[driven] = tau
     Psi = closure_jacobian(mechanism, q)
@@ -291,7 +302,8 @@ def trajectory_error(case: Case, beside: float) -> float:
         q, qd, qdd = motion.states(t)
         driven = list(mechanism.actuated)
         rates = qd[driven]
-        _, rate, _, steady, _ = exact_state(mechanism, q, rates.tolist(), 0.0, qdd[driven].tolist())
+        given = rates.tolist(), 0.0, qdd[driven].tolist()
+        _, rate, _, steady, _ = exact_state(case.meant.mechanism, q, *given)
         s = float(nearness(mechanism, closure_jacobian(mechanism, q)))
         square, terms = float(np.abs(rate).max()) ** 2, EPS / s**2
         worst = max(worst, np.abs(qdd - steady).max() / (square + np.abs(qdd).max()) / terms)
@@ -364,7 +376,7 @@ def swept(case: Case, engine: str, tolerance: float) -> np.ndarray:
 
 def motion_error(case: Case, way: str) -> tuple[float, float]:
     """What a motion misses at its end, and 2,000 eps L/s of s on the way."""
-    exact = exact_motion(case)
+    exact = exact_motion(case.meant)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if way in TIGHT:
@@ -376,27 +388,33 @@ def motion_error(case: Case, way: str) -> tuple[float, float]:
     return np.nan_to_num(error, nan=np.inf), bound + OWN.get(way, 0.0)
 
 
-def states(misses: Sequence[float] = STATES) -> Iterator[tuple[str, float]]:
+def cases(make: Callable[[float], Case], misses: Sequence[float]) -> Iterator[Case]:
+    """Those of misses in m, and of some of rounding, of the loop that misses by most."""
+    unit = EPS * loop_size(make(0.0).mechanism)
+    most = len(make(0.0).mechanism.rows) / 2 if "-four-bar" in make(0.0).name else 1.0
+    yield from map(make, (*(factor * unit / most for factor in ROUNDING), *misses))
+
+
+def states(misses: Sequence[float] = MISSES) -> Iterator[tuple[str, float]]:
     """Of each linkage the worst of several states, of `accel` and `torque`, and of `trajectory`."""
     for make in MAKERS:
-        for miss in misses:
-            case, found = make(miss), []
+        for case in cases(make, misses):
+            found = []
             for beside in BESIDE:
                 with suppress(robodyn.AssemblyError, robodyn.SingularError):  # out of reach
                     found.append(state_error(case, beside))
             if found:
-                yield f"{case.name}, misses by {miss:g} m", max(found)
+                yield f"{case.name}, misses by {case.miss:.2g} m", max(found)
             if make in FOLLOWED:
-                yield f"{case.name}, misses by {miss:g} m, trajectory", trajectory_error(case, 0.1)
+                yield f"{case.name}, misses by {case.miss:.2g} m, trajectory", trajectory_error(case, 0.1)
 
 
 def motions(
-    misses: Sequence[float] = MOTIONS, ways: Sequence[str] = WAYS
+    misses: Sequence[float] = MISSES, ways: Sequence[str] = WAYS
 ) -> Iterator[tuple[str, float, float]]:
     """Each linkage, by each way of integration, past its near miss: error and bound."""
     for make in MAKERS:
-        for miss in misses:
+        for case in cases(make, misses):
             for way in ways:
-                case = make(miss)
                 found, bound = motion_error(case, way)
-                yield f"{case.name}, misses by {miss:g} m, {way}", found, bound
+                yield f"{case.name}, misses by {case.miss:.2g} m, {way}", found, bound
