@@ -28,15 +28,32 @@ def test_cosine_and_sine_in_integers():
 
 
 def test_states():
-    for case, worst in near_misses.states((1e-14, 1e-9)):
+    for case, worst in near_misses.states((1e-14, 1e-9), ()):
         assert worst < 100.0, case
+
+
+@pytest.mark.parametrize("make", [near_misses.generic, near_misses.slider_crank])
+def test_states_at_a_change_point_missed_by_rounding(make):
+    for case in near_misses.cases(make, ()):
+        for beside in (0.01, 1e-3, 1e-5):
+            assert near_misses.state_error(case, beside, batches=(1,)) < 100.0, beside
 
 
 @pytest.mark.parametrize("make", near_misses.MAKERS[:-1], ids=lambda make: make.__name__)
 def test_motions(make):
     for way in (FAST, *near_misses.SWEPT):
-        found, bound = near_misses.motion_error(make(1e-9), way)
+        found, bound = near_misses.motion_error(make(1e-9), way, sure=False)
         assert found < bound, way
+
+
+@pytest.mark.parametrize("way", [FAST, "DOP853", "BDF"])
+@pytest.mark.parametrize("factor", [0.0, 2.0, None])
+def test_motions_past_the_narrowest_misses(way, factor):
+    """Squares of coefficients are beyond the floats there, and rates are coarse."""
+    miss = 1e-14 if factor is None else factor * near_misses.EPS * 2.0
+    case = near_misses.parallelogram(miss)
+    found, bound = near_misses.motion_error(case, way, sure=False)
+    assert found < bound
 
 
 @pytest.mark.skipif(not machine.available(), reason="needs llvmlite")

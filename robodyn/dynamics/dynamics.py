@@ -13,7 +13,6 @@ the constrained system is not, and where closures depend on one another.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from functools import lru_cache
 from typing import TypeVar
 

@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
-from robodyn.loops.change_points import SAME, apart, known, known_near, nearest_singular, nearness
+from robodyn.loops.change_points import (
+    EPS,
+    SAME,
+    apart,
+    known,
+    known_near,
+    nearest_singular,
+    nearness,
+)
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -26,6 +34,7 @@ Matrix = Sequence[Mapping[int, Value]]  # rows, with their columns that are not 
 
 SHARE = 0.5  # of the distance to a missed change point that a step may go
 FINE = 1e-3  # of it, rad, that a step may err
+ROUNDING = 10.0 * EPS  # of the rates, at a distance of 1 rad
 TURN = 1.5  # rad of the fastest joint in a step: two change points on its way would hide each other
 CLOSEST = 1e-9  # rad, the least distance that is counted with
 SLOWEST = 1e-9  # rad/s: what is slower is held like this
@@ -86,12 +95,16 @@ class Misses:
         least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
         return max(least, CLOSEST)
 
-    def holds(self, y: Array | Sequence[float]) -> tuple[float, float]:
-        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad."""
+    def holds(self, y: Array | Sequence[float]) -> tuple[float, float, float]:
+        """How long a step from y = (q, qd, ...) may be, s, and what it may err by, rad.
+
+        And what its rates err by in any case, rad/s: no tolerance below that can be met.
+        """
         n, y = self.mechanism.n, np.asarray(y)
         distance = self.distance(y[:n])
         fastest = max(float(np.abs(y[n : 2 * n]).max()), SLOWEST)
-        return min(SHARE * distance, TURN) / fastest, FINE * distance
+        longest = min(SHARE * distance, TURN) / fastest
+        return longest, FINE * distance, ROUNDING * fastest / distance
 
     def near(self, q: Array) -> bool:
         """Whether the nearest configuration that is known, if q is near one, is a miss."""

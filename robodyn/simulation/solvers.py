@@ -154,7 +154,7 @@ def projected(method: str) -> type[OdeSolver]:
             """Bound the step near a missed change point, and its error."""
             if self.misses is None:
                 return
-            longest, fine = self.misses.holds(self.y)
+            longest, fine, rounding = self.misses.holds(self.y)
             if longest < abs(self.t_bound - self.t):
                 self._bound(self.t + self.direction * longest)
             if self._tolerances is None:
@@ -164,6 +164,8 @@ def projected(method: str) -> type[OdeSolver]:
             rtol, atol = self._tolerances
             self.rtol = min(rtol, fine)
             self.atol = np.where(atol < UNBOUNDED, np.minimum(atol, fine), atol)
+            n = self.misses.mechanism.n
+            self.atol[n : 2 * n] = np.maximum(self.atol[n : 2 * n], rounding)
             if base is LSODA:
                 self._lsoda_solver._integrator.call_args[:2] = self.rtol, self.atol
 

@@ -133,7 +133,7 @@ class SteppingEngine:
         while len(ends) < steps:
             left = most = (bound - t) * direction
             if self.misses is not None:
-                longest, fine = self.misses.holds(state)
+                longest, fine, _ = self.misses.holds(state)
                 most = min(most, longest)
                 self.tolerances = min(self._given[0], fine), min(self._given[1], fine)
             h, new, series = self.expand(t, state, most, direction)
