@@ -73,7 +73,7 @@ TIGHT: dict[str, Options] = {
     "RK45": {"method": "RK45", "rtol": 1e-12, "atol": 1e-12},
     "LSODA": {"method": "LSODA", "rtol": 1e-12, "atol": 1e-12},
     "Radau": {"method": "Radau", "rtol": 1e-11, "atol": 1e-11},
-    "BDF": {"method": "BDF", "rtol": 1e-11, "atol": 1e-11},
+    "BDF": {"method": "BDF", "rtol": 1e-12, "atol": 1e-12},
 }
 SWEPT = ("sweep, python", "sweep, compiled") if machine.available() else ("sweep, python",)
 WAYS = (*(way for way in TIGHT if machine.available() or "compiled" not in way), *SWEPT)
