@@ -4,6 +4,7 @@ import json
 import math
 import os
 import random
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from robodyn.simulation.simulation import METHODS, Settings, run
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)
+FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
 SCENES = {
     **{f"tree of {n}": seeded_tree(10 + n, n) for n in (1, 3, 5)},
     **{name: seeded_scene(7, LOOPS[name]) for name in ("four-bar", "five-bar", "loop in a tree")},
@@ -57,6 +59,7 @@ def error(mech, start, times, exact, torques, settings):
     return float(np.abs(np.concatenate(rows) - exact).max())
 
 
+@cache
 def random_motion(name, tau):
     scene = SCENES[name]
     mech, start = scene.mechanism, np.concatenate([scene.q, scene.qd])
@@ -85,25 +88,24 @@ def test_the_accuracy_is_kept_on_known_motions(name):
         assert error(mech, states[0], times, states, torques, settings) <= asked
 
 
-@pytest.mark.parametrize("tau", [False, True])
 @pytest.mark.parametrize("name", SCENES)
-def test_the_accuracy_is_kept_on_random_mechanisms(name, tau):
-    mech, start, times, exact, torques = random_motion(name, tau)
-    for method in (AUTO, "DOP853", "RK45"):
-        for asked in ASKED:
-            settings, _ = settings_for(mech, start, times[-1], torques, Settings(method), asked)
-            assert error(mech, start, times, exact, torques, settings) <= asked, (method, asked)
+def test_random_mechanisms(name):
+    """The accuracy asked for is kept, and the estimate is near the error.
 
-
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA", "taylor"])
-@pytest.mark.parametrize("name", SCENES)
-def test_the_estimate_is_near_the_error(name, method):
-    mech, start, times, exact, torques = random_motion(name, False)
-    for rtol in (1e-5, 1e-9):
-        settings = Settings(method, rtol, rtol)
-        true = error(mech, start, times, exact, torques, settings)
-        estimate = error_estimate(mech, start, times[-1], torques, settings)
-        assert true / 10 < estimate < 10 * true
+    Every second one is driven; looser estimates are the affair of the drawn runs below.
+    """
+    driven = list(SCENES).index(name) % 2 == 1
+    for tau in (False, True) if FRESH else (driven,):
+        mech, start, times, exact, torques = random_motion(name, tau)
+        for method in (AUTO, "DOP853", "RK45"):
+            for asked in ASKED:
+                settings, _ = settings_for(mech, start, times[-1], torques, Settings(method), asked)
+                assert error(mech, start, times, exact, torques, settings) <= asked, (method, asked)
+        for method in ("DOP853", "RK45", "LSODA", "taylor"):
+            settings = Settings(method, 1e-9, 1e-9)
+            true = error(mech, start, times, exact, torques, settings)
+            estimate = error_estimate(mech, start, times[-1], torques, settings)
+            assert true / 10 < estimate < 10 * true, method
 
 
 def drawn_run(seed):
@@ -123,12 +125,12 @@ def drawn_run(seed):
     return mech, start, torques, Settings(method, tolerance, tolerance)
 
 
-FIRST_SEED = random.randrange(10**6) if os.environ.get("FRESH") else 0  # as `make hard` does
+FIRST_SEED = random.randrange(10**6) if FRESH else 0
 
 
-@pytest.mark.parametrize("tens", range(12 if os.environ.get("FRESH") else 3))
+@pytest.mark.parametrize("tens", range(12 if FRESH else 2))
 def test_the_estimate_is_not_exceeded(tens):
-    """By 120 random runs (30 of fixed seeds) at 1,001 times, against the tightest series."""
+    """By 120 random runs (20 of fixed seeds) at 1,001 times, against the tightest series."""
     times = np.linspace(0.0, 0.5, 1001)[1:]
     for seed in range(FIRST_SEED + 10 * tens, FIRST_SEED + 10 * tens + 10):
         mech, start, torques, settings = drawn_run(seed)
@@ -145,11 +147,13 @@ def test_torques_without_a_series_take_dop853():
     mech, torques = arm("abs(q2), 0")
     assert best_method(mech, torques) == "DOP853"
     assert best_method(*arm("sin(t), -qd2")) == "taylor"
-    times = [0.5, 1.0]
-    exact = reference(mech, START, np.array(times), torques).y
-    settings, _ = settings_for(mech, START, 1.0, torques, Settings(AUTO), 1e-8)
+    start = np.array([-1.3, -0.02, 0.5, 0.25])  # q2 changes its sign at 0.1 s
+    times = [0.1, 0.2]
+    exact = reference(mech, start, np.array(times), torques).y
+    assert (exact[:, 1] > 0.0).any()
+    settings, _ = settings_for(mech, start, 0.2, torques, Settings(AUTO), 1e-8)
     assert settings.method == "DOP853"
-    assert error(mech, START, times, exact, torques, settings) <= 1e-8
+    assert error(mech, start, times, exact, torques, settings) <= 1e-8
 
 
 def test_baumgarte_takes_dop853():
