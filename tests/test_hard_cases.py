@@ -6,11 +6,19 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hard_cases.cases import CASES, Row, near_misses, parallel_bars, parallel_bars_by_chance
+from hard_cases.cases import (
+    CASES,
+    Row,
+    long_run,
+    near_misses,
+    parallel_bars,
+    parallel_bars_by_chance,
+)
 
 CHOSEN = [case for case in CASES if case is not near_misses]  # test_near_misses.py is smaller
 PARTS: dict[Callable[..., Iterator[Row]], int] = {
-    parallel_bars: 10,
+    parallel_bars: 5,
+    long_run: 10,
     parallel_bars_by_chance: 10,
 }  # `make hard` takes all of them
 
