@@ -45,13 +45,6 @@ class TestSteps:
         assert np.array_equal(found.t, motion.t)
         assert np.array_equal(found.y[:3].T, motion.q)
 
-    @EACH
-    def test_near_the_reference(self, name):
-        known = reference(name)
-        options = {"tau": known.tau or None, "rtol": 1e-13, "atol": 1e-13, "t_eval": known.t}
-        found = solved(known.mechanism, known.states[0], known.t[-1], **options)
-        assert np.abs(found.y.T - known.states).max() < 1e-13 * SENSITIVITY[name] + 1e-13
-
     def test_steps_end_on_kinks(self):
         times = [0.0, 0.25, 0.3, 1.0]
         tau = actuation.table(scene("2r"), times, [[0, 0], [2, 1], [-1, 0], [0, 1]])
