@@ -1,6 +1,7 @@
 """The program of rows: every engine, on every kind of scene, against independent mechanics."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.simulation.extended import LONGS
 
+FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: more seeds
 DIGITS = 30
 ORDER = 12  # of the series of motions
 MADE = 1  # seeds of each shape for which machine code is made: 0.1 s a formula
@@ -126,14 +128,15 @@ def by_formulas(one, run, by_direction, parameters=False):
     return {kind: run(formula, given[kind]) for kind, formula in each.items()}
 
 
+MANY_SEEDS, SOME = (SEEDS, SEEDS[:8]) if FRESH else (SEEDS[:6], SEEDS[2:6:3])
 ENGINES = {
-    "series on floats": (lambda one: by_series(one, "floats"), SEEDS),
-    "series on floats, grounded": (lambda one: by_series(one, "floats", grounded=True), SEEDS),
-    "series in longdouble": (lambda one: by_series(one, "longdouble"), SEEDS[:8]),
-    "series in mpmath": (lambda one: by_series(one, "mpmath"), SEEDS[:8]),
-    "text, by angles": (lambda one: by_formulas(one, run_text, False), SEEDS[:8]),
-    "text, by directions": (lambda one: by_formulas(one, run_text, True), SEEDS[:4]),
-    "numpy blocks": (lambda one: by_formulas(one, run_blocks, True), SEEDS[:4]),
+    "series on floats": (lambda one: by_series(one, "floats"), MANY_SEEDS),
+    "series on floats, grounded": (lambda one: by_series(one, "floats", grounded=True), MANY_SEEDS),
+    "series in longdouble": (lambda one: by_series(one, "longdouble"), SOME),
+    "series in mpmath": (lambda one: by_series(one, "mpmath"), SOME),
+    "text, by angles": (lambda one: by_formulas(one, run_text, False), SOME),
+    "text, by directions": (lambda one: by_formulas(one, run_text, True), SOME),
+    "numpy blocks": (lambda one: by_formulas(one, run_blocks, True), SOME),
     "machine code": (lambda one: by_formulas(one, run_machine, True, True), SEEDS[:MADE]),
 }
 
