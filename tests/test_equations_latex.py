@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,22 +52,32 @@ def rows(document: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("numeric", [False, True])
-@pytest.mark.parametrize("name", [*NAMES, "random slider-crank", "random six-bar with a piston"])
-def test_every_formula_is_read_and_fits_the_page(name: str, numeric: bool) -> None:
-    """In Computer Modern at 10 pt; a row of a matrix with a blank of 10 pt between entries."""
+@cache
+def width_of(formula: str) -> float:
+    """In Computer Modern at 10 pt."""
     from matplotlib import rc_context
 
-    document = latex(equations(SCENES[name], numeric))
     with rc_context({"mathtext.fontset": "cm"}):
-        parser = MathTextParser("path")
-        for row in rows(document):
-            width = 0.0
-            for part in row.split("&"):
-                formula = part.replace(r"\quad", r"\ \ ").replace(r"\operatorname{diag}", "diag")
-                if formula.strip():
-                    width += parser.parse(f"${formula.strip()}$", dpi=72).width + 10
-            assert width <= PAGE, row
+        return float(MathTextParser("path").parse(f"${formula}$", dpi=72).width)
+
+
+# of some that differ only by their numbers, or hold no formula of another kind, `make hard` asks
+ALIKE = () if os.environ.get("FRESH") else ("stephenson-six-bar", "five-bar", "parallelogram")
+ASKED = [name for name in NAMES if name not in ALIKE]
+
+
+@pytest.mark.parametrize("numeric", [False, True])
+@pytest.mark.parametrize("name", [*ASKED, "random slider-crank", "random six-bar with a piston"])
+def test_every_formula_is_read_and_fits_the_page(name: str, numeric: bool) -> None:
+    """A row of a matrix with a blank of 10 pt between entries."""
+    document = latex(equations(SCENES[name], numeric))
+    for row in rows(document):
+        width = 0.0
+        for part in row.split("&"):
+            formula = part.replace(r"\quad", r"\ \ ").replace(r"\operatorname{diag}", "diag")
+            if formula.strip():
+                width += width_of(formula.strip()) + 10
+        assert width <= PAGE, row
 
 
 @pytest.mark.parametrize("numeric", [False, True])
