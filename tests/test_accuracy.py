@@ -79,7 +79,7 @@ def test_the_accuracy_is_kept_on_known_motions(name):
     torques = actuation.expressions(mech, data["tau"], "tau") if data["tau"] else at_rest(mech.n)
     states = np.array([[float(x) for x in s["q"] + s["qd"]] for s in data["states"]])
     times = [s["t"] for s in data["states"]]
-    for asked in ASKED:
+    for asked in ASKED if FRESH else ASKED[::2]:
         settings, estimate = settings_for(
             mech, states[0], times[-1], torques, Settings(AUTO), asked
         )
@@ -128,9 +128,9 @@ def drawn_run(seed):
 FIRST_SEED = random.randrange(10**6) if FRESH else 0
 
 
-@pytest.mark.parametrize("tens", range(12 if FRESH else 2))
+@pytest.mark.parametrize("tens", range(12 if FRESH else 1))
 def test_the_estimate_is_not_exceeded(tens):
-    """By 120 random runs (20 of fixed seeds) at 1,001 times, against the tightest series."""
+    """By 120 random runs (10 of fixed seeds) at 1,001 times, against the tightest series."""
     times = np.linspace(0.0, 0.5, 1001)[1:]
     for seed in range(FIRST_SEED + 10 * tens, FIRST_SEED + 10 * tens + 10):
         mech, start, torques, settings = drawn_run(seed)

@@ -406,7 +406,7 @@ def test_the_advice_for_a_stiff_run_works(robodyn: Run) -> None:
 )
 def test_a_torque_that_ends_in_nothing_finite(robodyn: Run, method: str, tau: str) -> None:
     """Whatever the method makes of it: an outcome and rows of numbers, no defect."""
-    options = ("--method", method, "--rtol", "1e-6", "--max-evals", 10_000)
+    options = ("--method", method, "--rtol", "1e-6", "--max-evals", 4000)
     given = robodyn(*ARM, "--tau", tau, "--time", 1, "--quiet", *options)
     given.fails(1, " at t = ", " of 1 s: ")
     assert given.rows
@@ -602,8 +602,7 @@ def test_an_interrupted_run_ends_at_a_whole_line(tmp_path: Path, number: signal.
     assert count == math.floor(facts["t_reached"] / 0.01 + 1e-9) + 1
 
 
-@pytest.mark.parametrize("number", ENDING)
-def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
     out = folder / "run.csv"
@@ -611,7 +610,7 @@ def test_an_interrupted_run_leaves_the_older_file(tmp_path: Path, number: signal
     run = (*ARM, "--time", 3000, "--every", 0.01, "--out", out, "--quiet")
     with running(*run, stdout=tmp_path / "none", stderr=subprocess.PIPE) as child:
         wait_until(lambda: sum(file.stat().st_size for file in folder.iterdir()) > 100_000)
-        said = end(child, number)
+        said = end(child, signal.SIGINT)
     assert out.read_text() == "old\n"
     assert check_whole_lines(kept(Outcome(1, "", said)).read_text()) > 500
     assert len(list(folder.iterdir())) == 2

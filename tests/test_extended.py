@@ -21,7 +21,7 @@ EPS = float(np.finfo(float).eps)
 REFERENCES = Path(__file__).parent / "references"
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it
 LONGEST = 5.0 if FRESH else 0.5  # s
-SLOW = () if FRESH else ("stephenson-six-bar",)  # to extrapolate; the other six-bar stays
+SLOW = () if FRESH else ("stephenson-six-bar", "five-bar")  # to extrapolate: as others are
 SLIDING = {"2r-chaotic": 2.0}  # s, where errors of the constants grow exponentially
 DISC = "gravity: 0\nlinks: [{name: disc, m: 0, l: 1, r: 0, I: 0.7, damping: %s}]\n"
 

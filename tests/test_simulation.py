@@ -392,7 +392,7 @@ class TestOrder:
     def test_of_the_dense_output(self, method, projection):
         """Between steps: RK23 keeps order 3, RK45 5, DOP853 7 or more; Radau's collocation 3."""
         least = {"RK23": 3, "RK45": 5, "DOP853": 7, "Radau": 3}[method]
-        parts = [four_bar_errors(method, projection, x) for x in (0.25, 0.4, 0.6, 0.75)]
+        parts = [four_bar_errors(method, projection, x) for x in (0.25, 0.6)]
         sizes = np.exp(np.mean([np.log(sizes) for sizes, _ in parts], axis=0))
         errors = np.sqrt(np.mean([errors**2 for _, errors in parts], axis=0))
         assert slope(sizes, errors) >= least - 0.4
@@ -959,10 +959,16 @@ class TestOutcomes:
         motion = simulate(mech, *START, 5.0, method=method, max_evals=60_000, **options)
         assert motion.outcome is Outcome.STIFF
         assert "Radau" in motion.outcome.advice
-        for other in ("Radau", "BDF", "LSODA"):
-            motion = simulate(mech, *START, 5.0, method=other, **options)
-            assert motion.outcome is Outcome.FINISHED
-            assert motion.report.steps < 2000
+
+    @pytest.mark.parametrize("method", ["Radau", "BDF", "LSODA"])
+    @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
+    @pytest.mark.parametrize("damping", ["0.3", "0.12"])
+    def test_what_is_advised_for_stiff_runs_works(self, method, tolerance, damping):
+        mech = mechanism(DAMPED_ARM.replace(f"damping: {damping}", f"damping: {damping}e+6"))
+        options = {"rtol": tolerance, "atol": tolerance}
+        motion = simulate(mech, *START, 5.0, method=method, **options)
+        assert motion.outcome is Outcome.FINISHED
+        assert motion.report.steps < 2000
 
     @pytest.mark.parametrize("method", EXPLICIT)
     def test_fast_is_not_stiff(self, method):
