@@ -164,6 +164,12 @@ def test_beside_a_part_that_is_too_fast_a_pulse_is_sampled():
         assert np.diff(leaves)[np.searchsorted(leaves, 5.0) - 1] < 1e-3
 
 
+def test_a_torque_too_fast_for_samples_is_told():
+    assert simulate(FREE, [0.0], [0.0], 1e-4, "sin(1e7*t)").report.hint == ""
+    told = simulate(FREE, [0.0], [0.0], 1.0, "sin(1e7*t)", max_evals=1000).report.hint
+    assert "too fast to be sampled" in told
+
+
 @pytest.mark.parametrize("method", ["LSODA", "BDF", "DOP853", "taylor"])
 @pytest.mark.parametrize("width", [1e-2, 1e-5])
 @pytest.mark.parametrize("impulse", [1e-4, 1.0])

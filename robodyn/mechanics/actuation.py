@@ -82,6 +82,7 @@ class Actuation:
     control: Control | None = None
     pieces: Pieces | None = None  # of an expression over a run; see `torque_times.py`
     leaves: tuple[float, ...] = ()
+    told_by_leaves: bool = True  # else it changes too fast for them
 
     @property
     def told(self) -> Steps | None:

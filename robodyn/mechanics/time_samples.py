@@ -250,8 +250,8 @@ def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
 
 def leaf_ends(
     functions: list[ast.expr], names: Names, edges: Array, samples: Array, small: float
-) -> Array:
-    """The ends of the leaves: `edges`, and what lies between them."""
+) -> tuple[Array, bool]:
+    """The ends of the leaves: `edges`, and what lies between them; whether there are enough."""
     angles = (np.arange(DEGREE + 1) + 0.5) * (np.pi / (DEGREE + 1))
     orders = np.arange(DEGREE + 1)
     between = np.arange(1, DEGREE + 1) * (np.pi / (DEGREE + 1))
@@ -285,12 +285,12 @@ def leaf_ends(
             good[at[~((off <= most[at]) | (undefined[at] & ~np.isfinite(known[k])))]] = False
         split = ~good & (half > NARROWEST * span)
         if len(ends) + split.sum() > LEAVES:
-            break
+            return ends, False
         a, b = a[split], b[split]
         inner = a + ASIDE * (b - a)
         ends = np.append(ends, inner)
         a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
-    return ends
+    return ends, True
 
 
 def _chebyshev(series: Array, x: Array) -> Array:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,24 +85,34 @@ def over_a_run(
         return actuation
     if found is None:
         return actuation
-    lines, kinks, values, leaves = found
-    if not values[0]:  # no switch
-        return replace(actuation, leaves=leaves)
-    pieces = Pieces(kinks, values)
+    actuation = replace(actuation, leaves=found.leaves, told_by_leaves=found.enough)
+    if not found.values[0]:  # no switch
+        return actuation
+    pieces = Pieces(found.kinks, found.values)
     scope = {**actuation.scope, "_piece": pieces.at, "_int": int, "_pick": _pick}
-    lines = ("_s = _piece(t)", *lines)
-    return replace(actuation, lines=lines, scope=scope, kinks=kinks, pieces=pieces, leaves=leaves)
+    lines = ("_s = _piece(t)", *found.lines)
+    return replace(actuation, lines=lines, scope=scope, kinks=found.kinks, pieces=pieces)
 
 
 def _pick(k: float, *values: float) -> float:
     return values[int(k)]
 
 
+class _Found(NamedTuple):
+    """Lines with switches held, when they switch and how they stand between, and the leaves."""
+
+    lines: tuple[str, ...]
+    kinks: tuple[float, ...]
+    values: list[tuple[float, ...]]
+    leaves: tuple[float, ...]
+    enough: bool  # leaves to resolve the torque
+
+
 @lru_cache(maxsize=16)
 def _found(
     lines: tuple[str, ...], state: tuple[float, ...], t_end: float, small: float
-) -> tuple[tuple[str, ...], tuple[float, ...], list[tuple[float, ...]], tuple[float, ...]] | None:
-    """The lines with switches held, when they switch, how they stand between, and the leaves.
+) -> _Found | None:
+    """What torques make of time from 0 to `t_end`.
 
     None for lines that are no expressions, or do not depend on time.  Raises InputError for those
     that switch too fast.
@@ -135,15 +145,11 @@ def _found(
         beside = {held: each for held, each in beside.items() if each}
         rewrite = WithLines({held: len(table) + 3 * k for k, held in enumerate(beside)})
         edges, table = cut(edges, table, list(beside.values()))
-        leaves = leaf_ends(parts.functions, names, edges, samples, small)
+        leaves, enough = leaf_ends(parts.functions, names, edges, samples, small)
     written = [f"{target} = {ast.unparse(rewrite.visit(torque))}" for target, torque in torques]
     values = [tuple(row) for row in table.T.tolist()] or [()] * (len(edges) - 1)
-    return (
-        tuple(written),
-        tuple(edges[1:-1].tolist()),
-        values,
-        tuple(np.sort(np.abs(leaves)).tolist()),
-    )
+    ends = tuple(np.sort(np.abs(leaves)).tolist())
+    return _Found(tuple(written), tuple(edges[1:-1].tolist()), values, ends, enough)
 
 
 class _TimeParts:

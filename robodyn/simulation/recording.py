@@ -105,7 +105,7 @@ class Report:
     missed: str = ""  # of a change point that the loops just miss there
     error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
     tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
-    hint: str = ""  # what would make it faster
+    hint: str = ""  # what would make it faster, or safer
 
 
 class StopRun(Exception):

@@ -41,6 +41,7 @@ Stabilize = Literal["projection", "baumgarte", "none"]
 METHODS: tuple[str, ...] = get_args(Method)
 ORDERS = (4, 60)  # of the Taylor series
 CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
+TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 
@@ -222,6 +223,7 @@ def run(
     given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
     work = actuation.active or mechanism.changes_energy
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
+    report.hint = "" if actuation.told_by_leaves else TOO_FAST
     report.stabilize = stabilize = settings.stabilize if mechanism.rows else "none"
     projects = stabilize == "projection"
     baumgarte = settings.baumgarte if stabilize == "baumgarte" else 0.0
