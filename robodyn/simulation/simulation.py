@@ -279,6 +279,8 @@ def run(
         except StopRun as stop:
             outcome = stop.outcome
     recorder.flush_rows()
+    if actuation.control is not None:  # it may follow another run before it is asked
+        recorder.settle()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
     return outcome, recorder
