@@ -85,11 +85,27 @@ class Rows(Observer):
 
 
 class _Ready(NamedTuple):
-    """A scene, its code, and a block with its numbers."""
+    """A scene, its code, and a block with its numbers, at an address."""
 
     scene: Scene
     code: Loaded
     block: Array
+    address: int = 0
+
+
+class _Room(NamedTuple):
+    """Where machine code leaves the ends of steps and the states there, and its table of places."""
+
+    ends: Array
+    states: Array
+    table: NDArray[np.int64]
+    address: int  # of the table
+
+    @classmethod
+    def of(cls, steps: int, N: int) -> _Room:
+        ends, states, table = np.empty(steps), np.empty((steps, N)), np.zeros(6, np.int64)
+        table[2:4] = ends.ctypes.data, states.ctypes.data
+        return cls(ends, states, table, table.ctypes.data)
 
 
 def _ready(
@@ -140,6 +156,7 @@ class CompiledEngine:
         self.order = default_order(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
+        self._room = _Room.of(0, 0)
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
@@ -165,7 +182,8 @@ class CompiledEngine:
                 raise NoCodeError("no state has a series") from error
             block = found.code.block()
             block[:] = found.block
-            found = self._blocks[held] = found._replace(block=block)
+            found = found._replace(block=block, address=block.ctypes.data)
+            self._blocks[held] = found
         return found
 
     @cached_property
@@ -192,7 +210,7 @@ class CompiledEngine:
 
     def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         pieces = self.actuation.pieces
-        scene, code, block = self._made(None if pieces is None else pieces.at(t))
+        scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
         N, place = len(scene.state), scene.place
         block[:N] = y
         block[N : 2 * N] = y
@@ -206,19 +224,21 @@ class CompiledEngine:
             block[place["base_t"]] = t
             block[base : base + 2 * n] = [*values, *slopes]
         if code.close is not None and status == RUNNING:  # where another engine leads across
-            code.close(block.ctypes.data)
+            code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        times = np.ascontiguousarray(times)
-        ends, states = np.empty(steps), np.empty((steps, N))
-        rows = np.empty((len(times), N))
-        where = [array.ctypes.data for array in (times, rows, ends, states)]
-        table = np.array([*where, len(times), 0], np.int64)
-        code.advance(block.ctypes.data, steps, table.ctypes.data)
+        if len(self._room.ends) < steps:
+            self._room = _Room.of(steps, N)
+        ends, states, table, told = self._room
+        times, rows = np.ascontiguousarray(times), np.empty((len(times), N))
+        table[4:] = len(times), 0
+        if len(times):
+            table[:2] = times.ctypes.data, rows.ctypes.data
+        code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[-1])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        return Chunk(ends[:taken], states[:taken], times[:given], rows[:given], found)
+        return Chunk(ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given], found)
 
 
 @lru_cache(maxsize=64)
