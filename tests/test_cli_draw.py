@@ -304,3 +304,9 @@ def test_the_pictures_of_the_readme_are_there_and_small() -> None:
 def test_the_most_poses_are_named_in_the_help(robodyn: Run) -> None:
     shown = robodyn("draw", "--help").succeeds().out
     assert re.search(rf"\[default:\s+{draw.DEFAULT_POSES}\]", shown)
+
+
+def test_settings_of_matplotlib_that_are_no_text(shell: Run, tmp_path: Path) -> None:
+    (tmp_path / "matplotlibrc").write_bytes(bytes(range(256)))
+    env = {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc")}
+    shell(f"robodyn draw robots/2r.yaml --q 0,1 -o {tmp_path}/x.png", env=env).succeeds()

@@ -25,7 +25,8 @@ from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.simulation.recording import Outcome, Report
-from robodyn.simulation.simulation import applied_torques, run
+from robodyn.simulation.run_torques import applied_torques, over_run
+from robodyn.simulation.simulation import run
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
@@ -98,6 +99,8 @@ def simulate(
 
         with remarks():
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
+    with named():
+        torques = over_run(mechanism, torques, begin, duration, settings.atol)
     kept = open_output(out, partial=lambda name: note(f"what was computed is in {name}"))
     with watching(duration, quiet) as watch, kept as stream:
 

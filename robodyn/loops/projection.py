@@ -110,6 +110,7 @@ def float_closing(mechanism: Mechanism) -> FloatClosing:
     return nearest
 
 
+@lru_cache(maxsize=64)
 def loop_terms(mechanism: Mechanism) -> int:
     """Entries of A and P, which the cost of straight-line code grows with."""
     return len(mechanism.A) + sum(len(row.P) + len(row.angles) for row in mechanism.rows)

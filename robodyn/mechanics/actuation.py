@@ -83,6 +83,7 @@ class Actuation:
     pieces: Pieces | None = None  # of an expression over a run; see `torque_times.py`
     leaves: tuple[float, ...] = ()
     told_by_leaves: bool = True  # else it changes too fast for them
+    given: Actuation | None = None  # what was given, where this was made of it for a run
 
     @property
     def told(self) -> Steps | None:

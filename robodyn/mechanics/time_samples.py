@@ -27,6 +27,8 @@ LEAVES = 32768  # beyond so many, the torque is left to the control of the steps
 ASIDE = 0.47  # where a leaf is split: where a root begins, no step should
 ROUNDED = 1e-15
 NARROWEST = 1e-10  # of the run, for a leaf
+UNTOLD = 1e-7  # part of the impulse that the narrowest leaves may hide
+ENTRIES = 5_000_000  # samples times parts, whatever is fast
 
 
 def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -137,7 +139,7 @@ def samples_of(
     The parts are `timely` ones, which may be faster, and `guards`, of which switches depend.
     """
     count = first = int(np.clip(WORK // size, *SAMPLES))
-    while count <= MOST:
+    while count <= MOST and count * size <= max(ENTRIES, first * size):
         t = _sampled(guards, timely, switches, count, t_end, every=True)
         if t is not None:
             return t
@@ -263,12 +265,13 @@ def leaf_ends(
     least = [max(SMOOTH * np.abs(x[np.isfinite(x)]).max(initial=0.0), small) for x in sampled]
     a, b, ends = edges[:-1], edges[1:], edges
     span = edges[-1] - edges[0]
+    impulse = missed = 0.0
     while len(a):
         middle, half = 0.5 * (a + b), 0.5 * (b - a)
         t = middle[:, None] + half[:, None] * places
         leaf = np.minimum(np.searchsorted(a, samples, "right") - 1, len(a) - 1)
         inside = (samples > a[leaf]) & (samples < b[leaf])
-        good = np.ones(len(a), bool)
+        good, worst, largest = np.ones(len(a), bool), np.zeros(len(a)), np.zeros(len(a))
         rounding = ROUNDED * np.maximum(np.abs(a), np.abs(b)) / (b - a)  # of t, part of a leaf
         memo = {}
         for x, known, off_by in zip(functions, sampled, least, strict=True):
@@ -283,14 +286,20 @@ def leaf_ends(
             u = (samples[k] - middle[at]) / half[at]
             off = np.abs(_chebyshev(series[at], u) - known[k])
             good[at[~((off <= most[at]) | (undefined[at] & ~np.isfinite(known[k])))]] = False
+            np.maximum.at(worst, at, np.where(np.isfinite(off), off, 0.0))
+            worst = np.fmax(worst, np.where(np.isfinite(miss), miss, 0.0))
+            largest = np.fmax(largest, np.nanmax(np.abs(values), axis=1, initial=0.0))
         split = ~good & (half > NARROWEST * span)
-        if len(ends) + split.sum() > LEAVES:
+        missed += float((half * worst)[~good & ~split].sum())
+        impulse += float((half * (largest + worst))[~split].sum())
+        values_ahead = 2 * split.sum() * len(places) * len(memo)
+        if len(ends) + split.sum() > LEAVES or values_ahead > 4 * ENTRIES:
             return ends, False
         a, b = a[split], b[split]
         inner = a + ASIDE * (b - a)
         ends = np.append(ends, inner)
         a, b = np.stack([a, inner], axis=1).ravel(), np.stack([inner, b], axis=1).ravel()
-    return ends, True
+    return ends, not missed > UNTOLD * impulse
 
 
 def _chebyshev(series: Array, x: Array) -> Array:

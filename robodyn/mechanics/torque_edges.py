@@ -8,7 +8,7 @@ straight line stands for it on a stretch so short that no digit of its impulse i
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +22,9 @@ ULPS = np.array([0.0, 1.0, 2.0, 4.0, 16.0, 64.0, 256.0])  # an end is asked at a
 STRETCHES = 10.0 ** -np.arange(3.0, 12.0)  # of the run; the longest that is a line is taken
 MOST = 0.3  # of a piece
 ENDS = np.array([1.0, 2.0]) / 3.0  # of a stretch: the line goes through what stands there
-CHECKED = np.array([0.003, 0.03, 0.1, 0.25, 0.5, 0.8, 1.0])
-LOST = 1e-15  # part of the largest torque times the run that a line may miss
+CHECKED = np.concatenate([[0.003, 0.01, 0.03], np.linspace(0.05, 1.0, 39)])
+USUAL = np.linspace(0.02, 0.98, 49)  # of a piece, where it is seen how large a torque is
+LOST = 1e-15  # part of a usual torque times the run that a line may miss
 
 
 class Line(NamedTuple):
@@ -51,25 +52,40 @@ def lines_at_edges(held: ast.expr, edges: Array, switches: Array, samples: Array
     undefined = ~np.isfinite(values_of(held, {"t": beside, "_s": stand})).all(axis=-1)
     if not undefined.any():
         return []
-    pieces = np.searchsorted(edges, samples, "right").clip(1, len(edges) - 1) - 1
-    known = values_of(held, {"t": samples, "_s": switches[:, pieces]})
-    least = LOST * span * np.abs(known[np.isfinite(known)]).max(initial=0.0)
     lines = []
     for piece, side in np.argwhere(undefined).tolist():
-        edge, most = ends[piece, side], inward[piece, side]
-        stretches = np.sign(most) * span * STRETCHES
-        stretches = stretches[np.abs(stretches) <= abs(most)]
-        t = edge + stretches[:, None] * np.concatenate([ENDS, CHECKED])
-        torque = values_of(held, {"t": t, "_s": switches[:, piece, None, None]})
-        slope = (torque[:, 1] - torque[:, 0]) / (t[:, 1] - t[:, 0])
-        first = torque[:, 0] - slope * t[:, 0]
-        off = np.abs(first[:, None] + slope[:, None] * t - torque).max(axis=1)
-        (short,) = np.nonzero(off * np.abs(stretches) <= least)
-        if short.size:
-            k = short[0]
-            begin, end = sorted((float(edge), float(edge + stretches[k])))
-            lines.append(Line(begin, end, float(first[k]), float(slope[k])))
+
+        def torque(t: Array, stands: Array = switches[:, piece, None]) -> Array:
+            return values_of(held, {"t": t, "_s": stands})
+
+        line = _line(torque, ends[piece, side], inward[piece, side], span, samples)
+        lines += [] if line is None else [line]
     return lines
+
+
+def _line(
+    torque: Callable[[Array], Array], edge: float, most: float, span: float, samples: Array
+) -> Line | None:
+    """The longest line from an edge that misses nothing which counts; `most` is how far it may go.
+
+    The samples are where what is narrow shows.
+    """
+    usual = np.abs(torque(edge + most / MOST * USUAL))
+    least = LOST * span * np.quantile(np.where(np.isfinite(usual), usual, 0.0), 0.8)
+    for stretch in np.sign(most) * span * STRETCHES:
+        if abs(stretch) > abs(most):
+            continue
+        low, high = sorted((float(edge), float(edge + stretch)))
+        within = samples[np.searchsorted(samples, low, "right") : np.searchsorted(samples, high)]
+        t = np.concatenate([edge + stretch * ENDS, edge + stretch * CHECKED, within])
+        x = torque(t)
+        slope = (x[1] - x[0]) / (t[1] - t[0])
+        first = x[0] - slope * t[0]
+        off = np.abs(first + slope * t - x)
+        off[len(t) - len(within) :][np.isnan(x[len(t) - len(within) :])] = 0.0  # at the edge itself
+        if off.max() * abs(stretch) <= least:
+            return Line(low, high, float(first), float(slope))
+    return None
 
 
 def cut(edges: Array, switches: Array, lines: Sequence[Sequence[Line]]) -> tuple[Array, Array]:

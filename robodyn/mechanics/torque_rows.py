@@ -178,7 +178,10 @@ class _Reader:
         if isinstance(exponent, Slotted):
             return self.function("exp", [self.product(exponent, self.function("log", [base]))])
         if not isinstance(base, Slotted):
-            return math.pow(base, exponent)
+            try:
+                return math.pow(base, exponent)
+            except (ValueError, OverflowError):  # a switch that stands at zero
+                return math.nan
         if not (exponent.is_integer() and 0.0 <= exponent <= MOST_FACTORS):
             return Slotted(self.program.add(Power(int(base), exponent)))
         result: Part = 1.0

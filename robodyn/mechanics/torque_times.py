@@ -12,6 +12,7 @@ zero or an extreme, there a sample is added, so that the narrowest pulse shows a
 from __future__ import annotations
 
 import ast
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,7 +78,7 @@ def over_a_run(
     A torque below `small`, N m, may be missed.
     Torques that are no expressions of time are returned as they are.
     """
-    if actuation.pieces is not None or not np.isfinite(t_end) or t_end == 0.0:
+    if actuation.pieces is not None or actuation.leaves or not math.isfinite(t_end) or not t_end:
         return actuation
     try:
         found = _found(actuation.lines, tuple(map(float, state)), float(t_end), small)
@@ -85,7 +86,8 @@ def over_a_run(
         return actuation
     if found is None:
         return actuation
-    actuation = replace(actuation, leaves=found.leaves, told_by_leaves=found.enough)
+    given = actuation
+    actuation = replace(given, leaves=found.leaves, told_by_leaves=found.enough, given=given)
     if not found.values[0]:  # no switch
         return actuation
     pieces = Pieces(found.kinks, found.values)
@@ -133,7 +135,7 @@ def _found(
     with np.errstate(all="ignore"):
         samples = samples_of(parts.timely, parts.guards, parts.switches, parts.size, t_end)
         if samples is None:
-            limit = f"switches faster than a million samples from 0 to {t_end:g} s tell"
+            limit = f"switches faster than samples from 0 to {t_end:g} s tell"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
         times = switching_times(parts.switches, samples)
         inner = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]

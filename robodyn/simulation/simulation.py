@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Literal, get_args
@@ -22,13 +21,12 @@ from robodyn.dynamics import closed_form, dense_dynamics, dynamics
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
-from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import harmless_torque, over_a_run
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Outcome, Recorder, Report, Sink, StopRun
 from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
+from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 
 Array = NDArray[np.float64]
 
@@ -151,12 +149,13 @@ def simulate(
     fault = loop_rates.check_closed(mechanism, q, qd)
     if fault is not None:
         raise fault[1]
-    actuation = _as_actuation(mechanism, tau)
+    state = np.concatenate([q, qd])
+    actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     outcome, recorder = run(
         mechanism,
-        np.concatenate([q, qd]),
+        state,
         float(t_end),
         actuation,
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
@@ -168,25 +167,6 @@ def simulate(
     y = np.concatenate([y for _, y in rows]) if rows else np.zeros((0, 2 * n))
     torques = applied_torques(mechanism, actuation, t, y)
     return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, mechanism, recorder.settle)
-
-
-def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
-    """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
-    if actuation.constants is not None:
-        return np.repeat([actuation.constants], len(t), axis=0)
-    torques = actuation.function(mechanism.n)
-
-    def at(t: float, y: list[float]) -> Sequence[float]:
-        try:
-            return torques(t, y)
-        except (ArithmeticError, ValueError):  # sin(t)/t at 0: what it is beside it
-            for beside in (np.nextafter(t, np.inf), np.nextafter(t, -np.inf)):
-                with suppress(ArithmeticError, ValueError):
-                    return torques(float(beside), y)
-            raise
-
-    rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
-    return np.array(rows, float).reshape(len(t), mechanism.n)
 
 
 def run(
@@ -209,8 +189,7 @@ def run(
     if not np.isfinite(t_end):
         raise InputError("time", value=t_end, limit="must be finite")
     if abs(t_end) > settings.max_step * settings.max_evaluations:
-        limit = f"{t_end:g} s would take more steps of it than the evaluations allowed"
-        limit += f" ({settings.max_evaluations}, --max-evals)"
+        limit = f"{t_end:g} s would take more steps than max_evals, {settings.max_evaluations}"
         raise InputError("max_step", value=settings.max_step, limit=limit)
     if isinstance(times, np.ndarray):
         _check_times(times, t_end)
@@ -219,8 +198,7 @@ def run(
         if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
-    small = harmless_torque(mechanism, settings.atol, t_end)
-    given, actuation = actuation, over_a_run(actuation, state.tolist(), float(t_end), small)
+    actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
     work = actuation.active or mechanism.changes_energy
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
     report.hint = "" if actuation.told_by_leaves else TOO_FAST
@@ -246,10 +224,10 @@ def run(
             dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
     else:
         report.evaluator = side().kind
-        if not np.isfinite(np.asarray(side().rates(0.0, y0), float)).all():
+        if not np.isfinite(side().rates(0.0, y0)).all():
             limit = "the torque or the acceleration is not finite there"
             raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, given)
+    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, actuation)
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
@@ -333,18 +311,3 @@ def _check_times(times: Array, t_end: float) -> None:
     )
     if not (ordered and within):
         raise InputError("t_eval", limit=f"must go from 0 towards {t_end:g} and not beyond")
-
-
-def _as_actuation(
-    mechanism: Mechanism,
-    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None,
-) -> Actuation:
-    if tau is None:
-        return Actuation((0.0,) * mechanism.n)
-    if isinstance(tau, Actuation):
-        return tau
-    if isinstance(tau, str):
-        return torque_sources.expressions(mechanism, tau, "tau")
-    if callable(tau):
-        return torque_sources.callback(mechanism, tau)
-    return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])

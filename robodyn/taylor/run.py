@@ -147,8 +147,10 @@ def taylor_run(
 
     stepping: Engine | None = None
     slow: SteppingEngine | None = None
-    seen = _seen(mechanism)
-    worth = WORTH if _straight(mechanism, order or default_order(max(rtol, atol))) else ROW_BY_ROW
+    seen, worth = _seen(mechanism), math.inf
+    if engine == "auto":
+        straight = _straight(mechanism, order or default_order(max(rtol, atol)))
+        worth = WORTH if straight else ROW_BY_ROW
     if engine == "compiled" or (engine == "auto" and seen[0] >= worth):
         stepping = fast()
         if stepping is None and engine == "compiled":

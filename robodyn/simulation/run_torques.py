@@ -1,0 +1,60 @@
+"""The torques of a run: made of what is given, looked at over the run, and told at its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.mechanics import actuation as torque_sources
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_times import harmless_torque, over_a_run
+
+Array = NDArray[np.float64]
+
+
+def as_actuation(
+    mechanism: Mechanism,
+    tau: Sequence[float] | str | Callable[..., Sequence[float]] | Actuation | None,
+) -> Actuation:
+    """Torques as constants, an expression, a function tau(t, q, qd), or none."""
+    if tau is None:
+        return Actuation((0.0,) * mechanism.n)
+    if isinstance(tau, Actuation):
+        return tau
+    if isinstance(tau, str):
+        return torque_sources.expressions(mechanism, tau, "tau")
+    if callable(tau):
+        return torque_sources.callback(mechanism, tau)
+    return torque_sources.constant(mechanism, [float(x) for x in np.asarray(tau, float)])
+
+
+def over_run(
+    mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
+) -> Actuation:
+    """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_run`."""
+    if not actuation.lines:
+        return actuation
+    small = harmless_torque(mechanism, atol, t_end)
+    return over_a_run(actuation, state.tolist(), float(t_end), small)
+
+
+def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
+    """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
+    if actuation.constants is not None:
+        return np.repeat([actuation.constants], len(t), axis=0)
+    torques = at = actuation.function(mechanism.n)
+    if actuation.given is not None:
+        given = actuation.given.function(mechanism.n)
+
+        def at(t: float, y: Sequence[float]) -> list[float]:
+            for function in (given, torques):  # which knows what sin(t)/t is at 0
+                with suppress(ArithmeticError, ValueError):
+                    return function(t, y)
+            return [np.nan] * mechanism.n  # where the run could not go on
+
+    rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
+    return np.array(rows, float).reshape(len(t), mechanism.n)
