@@ -17,7 +17,7 @@ Found = tuple[list[Array], NDArray[np.int64]]
 
 # States times additions of a formula after which machine code has paid for loading llvmlite and
 # making it, which take as long as numpy needs for these.
-WORTH = 2e7
+WORTH = 1e8
 
 
 class FormulaRows:

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STRAIGHT = 1500  # entries of A and P, times the order, up to which straight-line code serves
+# entries of A and P times the order, and links, up to which straight-line code serves: beyond, it
+# takes seconds to make and is more than Python compiles
+STRAIGHT, MOST_LINKS = 6000, 120
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
 CALL = 0.1  # s that a call of compiled code may take
@@ -73,7 +75,7 @@ def stepping_engine(
 
 def _straight(mechanism: Mechanism, order: int) -> bool:
     """Whether straight-line code serves."""
-    small = loop_terms(mechanism) * order <= STRAIGHT
+    small = mechanism.n <= MOST_LINKS and loop_terms(mechanism) * order <= STRAIGHT
     return small and dense_dynamics.elimination_is_safe(mechanism)
 
 
