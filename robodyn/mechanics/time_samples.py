@@ -28,7 +28,7 @@ ASIDE = 0.47  # where a leaf is split: where a root begins, no step should
 ROUNDED = 1e-15
 NARROWEST = 1e-10  # of the run, for a leaf
 UNTOLD = 1e-7  # part of the impulse that the narrowest leaves may hide
-ENTRIES = 5_000_000  # samples times parts, whatever is fast
+ENTRIES = 4_000_000  # samples times parts, whatever is fast
 
 
 def _defined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -248,6 +248,16 @@ def switching_times(switches: Sequence[ast.expr], t: Array) -> list[float]:
         else:
             groups.append([time])
     return [min(group, key=lambda x: len(repr(x))) for group in groups]
+
+
+def holes(functions: Sequence[ast.expr], names: Names) -> list[float]:
+    """The times among names["t"] at which a function has no value, but has one beside them."""
+    t, found = names["t"], set()
+    for function in functions:
+        known = np.isfinite(values_of(function, names))
+        alone = ~known[1:-1] & known[:-2] & known[2:]
+        found.update(t[1:-1][alone].tolist())
+    return sorted(found)
 
 
 def leaf_ends(

@@ -27,6 +27,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.time_samples import (
     call,
+    holes,
     leaf_ends,
     parts_of,
     samples_of,
@@ -138,8 +139,9 @@ def _found(
             limit = f"switches faster than samples from 0 to {t_end:g} s tell"
             raise InputError("tau", limit=f"{limit}; take a slower torque or a shorter time")
         times = switching_times(parts.switches, samples)
+        times += holes(parts.functions, {**names, "t": samples})
         inner = [t for t in times if NEAR_END * span < abs(t) < (1.0 - NEAR_END) * span]
-        edges = np.array(sorted([0.0, *inner, t_end]))
+        edges = np.array(sorted({0.0, *inner, t_end}))
         middles = 0.5 * (edges[1:] + edges[:-1])
         table = np.array([values_of(switch, {"t": middles}) for switch in parts.switches])
         table = table.reshape(-1, len(middles))
