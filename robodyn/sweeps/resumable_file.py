@@ -72,7 +72,7 @@ class ResumableFile:
                     opened.callback(close_quietly, stream)
                     stream.seek(0)
                 self._keep(header, -(-lines // chunk))
-                self.doubted &= there
+                self.doubted &= bool(known)
             except OSError as error:
                 reason = (error.strerror or str(error)).lower()
                 raise InputError("cannot be written", where=path, limit=reason) from error
