@@ -67,10 +67,14 @@ Place = tuple[int | None, complex]  # a point of a link, or of the ground (None)
 
 @dataclass(frozen=True)
 class Pose:
-    """A tree of links (the oracles' list of dicts) at the angles q: where its points are."""
+    """A tree of links (the oracles' list of dicts) at the angles q: where its points are.
+
+    `turn` is e^(i angle) in the numbers of q, such as mpmath's.
+    """
 
     tree: list[dict]
     q: np.ndarray
+    turn: Callable = lambda angle: complex(np.exp(1j * angle))
 
     @cached_property
     def alpha(self) -> list[float]:
@@ -87,8 +91,9 @@ class Pose:
         joints: list[complex] = []
         for link in self.tree:
             parent, at = link["parent"], link["at"]
-            turned = at if parent is None else joints[parent] + at * np.exp(1j * self.alpha[parent])
-            joints.append(complex(turned))
+            joints.append(
+                at if parent is None else joints[parent] + at * self.turn(self.alpha[parent])
+            )
         return joints
 
     def path(self, link: int | None) -> list[int]:
@@ -101,19 +106,17 @@ class Pose:
 
     def position(self, place: Place) -> complex:
         link, at = place
-        return (
-            at if link is None else complex(self.joints[link] + at * np.exp(1j * self.alpha[link]))
-        )
+        return at if link is None else self.joints[link] + at * self.turn(self.alpha[link])
 
     def in_link(self, link: int | None, point: complex) -> complex:
         """A point of the plane in the frame of a link."""
         if link is None:
             return point
-        return complex((point - self.joints[link]) * np.exp(-1j * self.alpha[link]))
+        return (point - self.joints[link]) * self.turn(-self.alpha[link])
 
     def slope(self, place: Place) -> np.ndarray:
         """d(point)/dq, (n,) complex: i (point - joint_j) for the joints j that move it."""
-        slope = np.zeros(len(self.tree), complex)
+        slope = np.zeros(len(self.tree), np.result_type(np.asarray(self.q), complex))
         for j in self.path(place[0]):
             slope[j] = 1j * (self.position(place) - self.joints[j])
         return slope

@@ -9,10 +9,8 @@ import oracles
 from random_mechanisms import (
     LOOPS,
     Pose,
-    Shape,
     assert_close,
     mechanism,
-    oracle_closures,
     oracle_tree,
     seeded_scene,
     seeded_tree,
@@ -37,15 +35,6 @@ links:
   - {{name: upper arm, m: {m1}, l: {l1}, r: {r1}, I: {I1}}}
   - {{name: forearm, m: {m2}, l: {l2}, r: {r2}, I: {I2}}}
 """
-
-
-SHAPES = {
-    "2R": Shape((None, 0)),
-    "3R": Shape((None, 0, 1)),
-    "four-bar": LOOPS["four-bar"],
-    "tree": Shape((None, 0, 1, 1, None)),
-    "six-bar": LOOPS["six-bar, dyad on the coupler"],
-}
 
 
 def random_parameters(kind, rng):
@@ -85,50 +74,7 @@ class TestLecture:
         assert_close(bias, terms.Psidot @ qd, size.loop * np.abs(qd).sum() ** 2)
 
 
-class TestLagrange:
-    """Against M, C, G, KE, PE, gap, Psi and Psidot qd that sympy derives from coordinates."""
-
-    @pytest.mark.parametrize("name", SHAPES)
-    def test_all_terms(self, name):
-        for seed in SEEDS:
-            scene = seeded_scene(seed, SHAPES[name])
-            mech, size = scene.mechanism, sizes(scene.mechanism.description)
-            rng = np.random.default_rng(seed)
-            q, qd = rng.uniform(-np.pi, np.pi, scene.n), rng.normal(size=scene.n) * 5.0
-            tree, closures = oracle_tree(mech.description), oracle_closures(mech.description)
-            terms = oracles.sympy_terms(tree, mech.gamma, closures)(q, qd)
-            speed = np.abs(qd).sum()
-            for found, expected, size_of_terms in [
-                (cf.mass_matrix(mech, q), terms.M, size.inertia),
-                (cf.coriolis_matrix(mech, q, qd), terms.C, size.inertia * speed),
-                (cf.gravity_vector(mech, q), terms.G, size.gravity),
-                (cf.kinetic_energy(mech, q, qd), terms.KE, size.inertia * speed**2),
-                (cf.potential_energy(mech, q), terms.PE, size.gravity + self.ground(mech)),
-                (cf.closure_gap(mech, q), terms.gap, size.loop),
-                (cf.closure_jacobian(mech, q), terms.Psi, size.loop),
-                (cf.closure_bias(mech, q, qd), terms.Psidot_qd, size.loop * speed**2),
-            ]:
-                assert_close(found, expected, size_of_terms)
-
-    @staticmethod
-    def ground(mech):
-        """The size of the energy of the ground pivots' heights, J."""
-        links = mech.description.links
-        return abs(mech.gamma) * sum((link.m + link.payload) * 1.5 for link in links)
-
-
 class TestThirtyDigits:
-    @settings(deadline=None, max_examples=80)
-    @given(trees(most=7))
-    def test_rounding_of_M_C_G(self, scene):
-        mech, size = scene.mechanism, sizes(scene.mechanism.description)
-        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, scene.q, scene.qd)
-        with mp.workdps(30):
-            coriolis = cf.coriolis_matrix(mech, scene.q, scene.qd)
-            assert_close(cf.mass_matrix(mech, scene.q), M, size.inertia, 1e-14)
-            assert_close(coriolis, C, size.coriolis(scene.qd), 1e-14)
-            assert_close(cf.gravity_vector(mech, scene.q), G, size.gravity, 1e-14)
-
     @pytest.mark.parametrize("scale", [1e-150, 1e-6, 1e6, 1e140])
     def test_terms_scale_with_the_masses(self, scale):
         """All masses and inertias times a power of ten: M, C and G times the same."""
@@ -173,19 +119,6 @@ class TestStructure:
         assert_close(cf.mass_matrix(mech, turned), M, size.inertia)
         C = cf.coriolis_matrix(mech, scene.q, scene.qd)
         assert_close(cf.coriolis_matrix(mech, turned, scene.qd), C, size.coriolis(scene.qd))
-
-    @settings(deadline=None, max_examples=80)
-    @given(trees())
-    def test_potential_energy_is_the_weights_height(self, scene):
-        """PE = -sum_b m_b gamma . s_b, zero at the origin; G = 0 without gravity."""
-        mech, size = scene.mechanism, sizes(scene.mechanism.description)
-        tree = oracle_tree(mech.description)
-        pose = Pose(tree, scene.q)
-        centres = np.array([pose.position((k, link["r"])) for k, link in enumerate(tree)])
-        m = np.array([link["m"] for link in tree])
-        expected = -(m * (np.conj(mech.gamma) * centres).real).sum()
-        reach = abs(mech.gamma) * float(m @ np.abs(centres))
-        assert_close(cf.potential_energy(mech, scene.q), expected, size.gravity + reach)
 
     def test_no_gravity_no_gravity_term(self):
         text = "\n".join(seeded_tree(3, 4).text.splitlines()[1:])

@@ -12,7 +12,6 @@ from robodyn import (
     closure_gap,
     coriolis_matrix,
     coupling_torques,
-    forward_dynamics,
     gravity_vector,
     inverse_dynamics,
     loop_velocities,
@@ -27,7 +26,6 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.scene.quantities import parse_coupling
 from robodyn.simulation.extended import reference
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.taylor.python_series import InterpretedEngine, step_text
 
 FIVE_BAR = """
 gravity: 9.81
@@ -139,28 +137,6 @@ class TestEvaluators:
         ahead = y[2] + 2 * y[0] - math.radians(20)
         faster = y[6] + 2 * y[4]
         assert found[6] + 2 * found[4] == pytest.approx(-2 * b * faster - b**2 * ahead, rel=1e-9)
-
-    def test_batches(self):
-        mech = mechanism(FIVE_BAR)
-        q, qd = self.state(mech)
-        tau = np.array([0.4, 0.0, 0.0, 0.0])
-        many = forward_dynamics(mech, *(np.broadcast_to(x, (40_000, 4)) for x in (q, qd, tau)))
-        assert many[-1] == pytest.approx(forward_dynamics(mech, q, qd, tau), rel=1e-10)
-
-    def test_the_series_in_code_and_in_arrays(self):
-        mech = mechanism(FIVE_BAR)
-        q, qd = self.state(mech)
-        torques = (0.4, 0.0, 0.0, 0.0)
-        rows = InterpretedEngine(mech, None, 12, 1e-9, 1e-9, Actuation(torques), False)
-        _, _, known = rows.expand(0.0, [*q, *qd], 0.01, 1.0)
-        z = np.array(known[:4]) + 1j * np.array(known[4:])
-        expand = step_text(mech, Actuation(torques), 12, False).expand
-        _, _, series = expand(0.0, [*q, *qd], (), (), 0.01, 1.0, 1e-9, 1e-9)
-        size = np.abs(z).max(axis=0)
-        assert np.abs(np.array(series[:4]) - z.real).max(axis=0) == pytest.approx(
-            0, abs=1e-13 * size.max()
-        )
-        assert np.array(series[4:]) / size == pytest.approx(z.imag / size, abs=1e-12)
 
     def test_the_identities_of_check(self):
         for mech in (mechanism(FIVE_BAR), geared("q3 = q1 - 1/3 q2", (0, 1))):

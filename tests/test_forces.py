@@ -9,11 +9,8 @@ from conftest import ROOT
 
 from random_mechanisms import (
     LOOPS,
-    Pose,
-    Scene,
     forced,
     mechanism,
-    oracle_tree,
     seeded_scene,
     seeded_tree,
 )
@@ -25,21 +22,17 @@ from robodyn import (
     kinetic_energy,
     load,
     other_forces,
-    pin_forces,
     potential_energy,
     reactions,
     shaking_force,
     simulate,
 )
 from robodyn.dynamics import identities
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
-from robodyn.engines.row_values import RowValues, rows_of
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces
+from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError, SingularError
-from robodyn.mechanics import parts
-from robodyn.mechanics.actuation import Actuation, expressions, table
-from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
+from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference
-from robodyn.simulation.right_hand_side import right_hand_side
 
 SEEDS = range(4)
 TREES = {f"tree {n}": seeded_tree(n, n) for n in (1, 2, 3, 5)}
@@ -53,100 +46,7 @@ SOME = SCENES[::5]
 EACH_KIND = pytest.mark.parametrize("kind", ["straight-line", "sparse", "dense"])
 
 
-class Forces:
-    """What acts on a scene at a state, force by force, with the kinematics of `Pose`."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.description: Description = scene.mechanism.description
-        self.pose = Pose(oracle_tree(self.description), scene.q)
-        self.qd = scene.qd
-
-    def place(self, point: Point) -> tuple[int | None, complex]:
-        return point.link, point.at
-
-    def torques(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """-dPE/dq of springs and constant loads, Q of the others, PE of the former."""
-        potential, other, PE = np.zeros(len(self.qd)), np.zeros(len(self.qd)), 0.0
-        pose, qd = self.pose, self.qd
-        for spring in self.description.springs:
-            if isinstance(spring, JointSpring):
-                stretched = pose.q[spring.joint] - spring.angle
-                potential[spring.joint] -= spring.stiffness * stretched
-                other[spring.joint] -= spring.damping * qd[spring.joint]
-                PE += spring.stiffness * stretched**2 / 2
-                continue
-            ends = [self.place(spring.first), self.place(spring.second)]
-            d = pose.position(ends[0]) - pose.position(ends[1])
-            slope = pose.slope(ends[0]) - pose.slope(ends[1])
-            stretched = abs(d) - spring.length
-            growth = (slope * d.conjugate()).real / abs(d)  # ds/dq
-            potential -= spring.stiffness * stretched * growth
-            other -= spring.damping * (growth @ qd) * growth
-            PE += spring.stiffness * stretched**2 / 2
-        for item in self.description.loads:
-            if isinstance(item, Moment):
-                path = pose.path(item.link)
-                potential[path] += item.torque
-                PE -= item.torque * pose.alpha[item.link]
-                continue
-            slope = pose.slope(self.place(item.point))
-            if item.turns:
-                force = item.force * np.exp(1j * pose.alpha[item.point.link])
-                other += (np.conj(force) * slope).real
-            else:
-                potential += (np.conj(item.force) * slope).real
-                PE -= (np.conj(item.force) * pose.position(self.place(item.point))).real
-        for k, link in enumerate(self.description.links):
-            if link.friction is not None:
-                other[k] -= link.friction.torque * math.tanh(qd[k] / link.friction.speed)
-        return potential, other, PE
-
-    def on_links(self) -> np.ndarray:
-        """What springs between points and loads put on each link, as Fx + i Fy."""
-        total, pose = np.zeros(len(self.qd), complex), self.pose
-        for spring in self.description.springs:
-            if isinstance(spring, JointSpring):
-                continue
-            ends = [self.place(spring.first), self.place(spring.second)]
-            d = pose.position(ends[0]) - pose.position(ends[1])
-            rate = (pose.slope(ends[0]) - pose.slope(ends[1])) @ self.qd
-            sdot = (np.conj(d) * rate).real / abs(d)
-            F = spring.stiffness * (abs(d) - spring.length) + spring.damping * sdot
-            for (link, _), sign in zip(ends, (-1.0, 1.0), strict=True):
-                if link is not None:
-                    total[link] += sign * F * d / abs(d)
-        for item in self.description.loads:
-            if isinstance(item, Load):
-                turned = np.exp(1j * pose.alpha[item.point.link]) if item.turns else 1.0
-                total[item.point.link] += item.force * turned
-        return total
-
-
-def without(scene: Scene):
-    """The mechanism of a scene without its springs and loads."""
-    return mechanism(scene.text[: scene.text.index("springs:")])
-
-
 class TestTorques:
-    @pytest.mark.parametrize("scene", SCENES)
-    def test_by_virtual_power(self, scene):
-        potential, other, PE = Forces(scene).torques()
-        mech, plain = scene.mechanism, without(scene)
-        size = 1.0 + np.abs(potential).max() + np.abs(other).max()
-        G = gravity_vector(mech, scene.q) - gravity_vector(plain, scene.q)
-        assert pytest.approx(-potential, abs=1e-13 * size) == G
-        damped = other_forces(mech, scene.q, scene.qd) - np.array(mech.damping) * scene.qd
-        damped += np.array(plain.damping) * scene.qd
-        assert damped == pytest.approx(other, abs=1e-13 * size)
-        added = potential_energy(mech, scene.q) - potential_energy(plain, scene.q)
-        assert added == pytest.approx(PE, abs=1e-12 * (1.0 + abs(PE)))
-
-    @pytest.mark.parametrize("scene", SCENES)
-    def test_forces_on_links(self, scene):
-        expected = Forces(scene).on_links()
-        found = rows_of(parts.acting, scene.mechanism).planar("on links", scene.q, scene.qd)
-        assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
-
     @pytest.mark.parametrize("scene", SOME)
     def test_of_many_states_they_are_those_of_each(self, scene):
         """Of one state they are taken in floats."""
@@ -160,18 +60,6 @@ class TestTorques:
             size = np.abs(many).max(initial=0.0)
             assert many == pytest.approx(np.array(each), rel=1e-12, abs=1e-12 * size)
             assert rows(name, q[:0], qd[:0]).shape == (0, *many.shape[1:])
-
-    @pytest.mark.parametrize("scene", SOME)
-    def test_batches_are_single_states(self, scene):
-        """Many states run through generated code on arrays."""
-        mech = scene.mechanism
-        count = 40_000
-        q, qd, qdd = (np.broadcast_to(x, (count, scene.n)) for x in scene.states)
-        tau = inverse_dynamics(mech, scene.q, scene.qd, scene.qdd)
-        many = inverse_dynamics(mech, q, qd, qdd)
-        assert many[[0, -1]] == pytest.approx(np.array([tau, tau]), rel=1e-9, abs=1e-9)
-        found = forward_dynamics(mech, q, qd, np.broadcast_to(tau, q.shape))
-        assert found[[0, -1]] == pytest.approx(np.array([scene.qdd] * 2), rel=1e-8, abs=1e-8)
 
     @pytest.mark.parametrize("scene", SCENES)
     def test_the_identities_of_check_hold(self, scene):
@@ -199,65 +87,7 @@ class TestTorques:
         assert not all(item.holds for item in identities.identities(wrong, sample))
 
 
-class TestRates:
-    @EACH_KIND
-    @pytest.mark.parametrize("scene", SOME)
-    def test_each_evaluator_gives_the_same(self, kind, scene):
-        mech = scene.mechanism
-        tau = np.zeros(scene.n)
-        tau[list(mech.actuated)] = 1.5
-        side = right_hand_side(mech, Actuation(tuple(tau.tolist())), work=True, kind=kind)
-        y = np.concatenate([scene.q, scene.qd, [0.0]])
-        found = np.asarray(side.rates(0.0, y), float)
-        expected = forward_dynamics(mech, scene.q, scene.qd, tau)
-        assert found[scene.n : -1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-        other = other_forces(mech, scene.q, scene.qd) - np.array(mech.damping) * scene.qd
-        assert found[-1] == pytest.approx((tau + other) @ scene.qd, rel=1e-10)
-
-    @pytest.mark.parametrize("scene", SOME)
-    def test_inverse_then_forward(self, scene):
-        mech = scene.mechanism
-        if mech.passive and len(mech.actuated) < scene.n - len(mech.rows):
-            pytest.fail("the shapes are driven")
-        tau = inverse_dynamics(mech, *scene.states)
-        found = forward_dynamics(mech, scene.q, scene.qd, tau)
-        assert found == pytest.approx(scene.qdd, rel=1e-8, abs=1e-8)
-
-
 class TestMotions:
-    @pytest.mark.parametrize("method", ["DOP853", "taylor", "Radau"])
-    @pytest.mark.parametrize("scene", SOME[::2])
-    def test_the_energy_balance(self, scene, method):
-        """E(t) - E(0) is the work of torques, dampers, friction and forces that turn."""
-        torques = ", ".join(["0.5*cos(t)"] * len(scene.mechanism.actuated))
-        motion = simulate(scene.mechanism, scene.q, scene.qd, 0.5, tau=torques, method=method)
-        assert motion.outcome.label == "finished"
-        assert motion.report.energy_drift < 1e-6
-
-    @pytest.mark.parametrize("scene", SOME[::2])
-    def test_the_taylor_series_agrees_with_dop853(self, scene):
-        mech = scene.mechanism
-        times = np.linspace(0.0, 0.5, 6)
-        rows = [[float(k)] * len(mech.actuated) for k in range(3)]
-        bent = table(mech, [0.0, 0.25, 1.0], rows)
-        for tau in (None, bent, expressions(mech, ",".join(["t*q1"] * len(mech.actuated)), "tau")):
-            first, second = (
-                simulate(
-                    mech,
-                    scene.q,
-                    scene.qd,
-                    0.5,
-                    tau=tau,
-                    t_eval=times,
-                    method=method,
-                    rtol=1e-11,
-                    atol=1e-11,
-                )
-                for method in ("DOP853", "taylor")
-            )
-            assert second.q == pytest.approx(first.q, abs=1e-7)
-            assert second.report.work == pytest.approx(first.report.work, abs=1e-6)
-
     def test_springs_alone_keep_the_energy(self):
         text = (
             "gravity: 9.81\nlinks:\n"
@@ -273,7 +103,7 @@ class TestMotions:
             motion = simulate(mech, [0.3, 0.2], [1, 0], 20.0, method=method, rtol=1e-11, atol=1e-11)
             assert motion.report.work == 0.0
             assert motion.report.energy_drift < 1e-8
-            E = robodyn_energy(mech, motion)
+            E = kinetic_energy(mech, motion.q, motion.qd) + potential_energy(mech, motion.q)
             assert np.ptp(E) < 1e-7 * motion.report.energy_in_motion
 
     @pytest.mark.parametrize("method", ["DOP853", "taylor"])
@@ -338,79 +168,7 @@ class TestMotions:
         assert motion.q[0] == pytest.approx(found.y[0, : scene.n], abs=1e-9)
 
 
-def robodyn_energy(mech, motion):
-    return kinetic_energy(mech, motion.q, motion.qd) + potential_energy(mech, motion.q)
-
-
 class TestReactions:
-    @pytest.mark.parametrize("scene", SCENES)
-    def test_free_bodies(self, scene):
-        """Newton's and Euler's equations of each link alone, with every force on it."""
-        mech = scene.mechanism
-        description = mech.description
-        tau, lam, *_ = inverse_dynamics_and_forces(mech, *scene.states)
-        R = reactions(mech, *scene.states, lam) @ [1, 1j]
-        pose = Pose(oracle_tree(description), scene.q)
-        n = scene.n
-        force = np.zeros(n, complex)
-        moment = np.zeros(n)
-
-        def act(place, F):
-            if place[0] is not None:
-                force[place[0]] += F
-                moment[place[0]] += (np.conj(pose.position(place)) * F).imag
-
-        def turn(link, torque):
-            if link is not None:
-                moment[link] += torque
-
-        for k, link in enumerate(description.links):
-            above = link.hangs_from.link
-            joint = (k, 0j)
-            act(joint, R[k])
-            if above is not None:
-                act((above, link.hangs_from.at), -R[k])
-            net = tau[k] - mech.damping[k] * scene.qd[k]
-            if link.friction is not None:
-                net -= link.friction.torque * math.tanh(scene.qd[k] / link.friction.speed)
-            for spring in description.springs:
-                if isinstance(spring, JointSpring) and spring.joint == k:
-                    net -= spring.stiffness * (scene.q[k] - spring.angle)
-            turn(k, net)
-            turn(above, -net)
-        for closure, pin in zip(description.closures, pin_forces(mech, lam), strict=True):
-            F = complex(*pin)
-            act((closure.first.link, closure.first.at), F)
-            act((closure.second.link, closure.second.at), -F)
-        for spring in description.springs:
-            if isinstance(spring, JointSpring):
-                continue
-            ends = [(p.link, p.at) for p in (spring.first, spring.second)]
-            d = pose.position(ends[0]) - pose.position(ends[1])
-            rate = (pose.slope(ends[0]) - pose.slope(ends[1])) @ scene.qd
-            sdot = (np.conj(d) * rate).real / abs(d)
-            F = -(spring.stiffness * (abs(d) - spring.length) + spring.damping * sdot) * d / abs(d)
-            act(ends[0], F)
-            act(ends[1], -F)
-        for item in description.loads:
-            if isinstance(item, Load):
-                turned = np.exp(1j * pose.alpha[item.point.link]) if item.turns else 1.0
-                act((item.point.link, item.point.at), item.force * turned)
-            else:
-                turn(item.link, item.torque)
-        accelerations = np.array([scene.qdd[pose.path(k)].sum() for k in range(n)])
-        for k, link in enumerate(description.links):
-            momentum, spin = 0j, link.I * accelerations[k]
-            for mass, at in ((link.m, link.r), (link.payload, complex(link.l))):
-                place = (k, at)
-                a = pose.slope(place) @ scene.qdd + pose.bias(place, scene.qd)
-                F = mass * (a - description.gravity)
-                momentum += F
-                spin += (np.conj(pose.position(place)) * F).imag
-            size = 1.0 + np.abs(R).max()
-            assert abs(force[k] - momentum) < 1e-11 * size
-            assert abs(moment[k] - spin) < 1e-10 * size
-
     def test_the_ground_carries_what_the_loads_put_on(self):
         """At rest: weight plus loads, springs to the ground included."""
         mech = mechanism(

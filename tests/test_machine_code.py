@@ -17,7 +17,7 @@ from conftest import ROOT
 
 import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
-from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
+from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.engines import expression, formula_rows, formulas, machine, object_cache, sines
 from robodyn.engines.assembler import Kernel, Module
@@ -144,44 +144,7 @@ class TestGraphs:
         assert not isinstance(graph.parameter("one", 1.0), Expression)
 
 
-SCENES = [
-    *(seeded_tree(seed, n) for seed, n in ((0, 1), (1, 2), (2, 3), (3, 6), (4, 12))),
-    *(seeded_scene(seed, LOOPS[name]) for seed, name in enumerate(sorted(LOOPS))),
-    *(forced(7 + seed, seeded_scene(seed, LOOPS[name])) for seed, name in enumerate(["four-bar"])),
-    forced(3, seeded_tree(3, 4)),
-]
-
-
 class TestBatches:
-    @FAMILIES
-    def test_as_dense_algebra(self, family, monkeypatch):
-        """Inverse and forward dynamics of trees and loops, springs and friction among them."""
-        compiled = Rows.compile
-        made = []
-
-        def compile(self):
-            made.append(compiled(self, 0 if family else None, family))
-            return made[-1]
-
-        monkeypatch.setattr(Rows, "compile", compile)
-        for scene in SCENES if not family else SCENES[::3]:
-            mech = scene.mechanism
-            states = [np.tile(state, (201, 1)) for state in scene.states]
-            for kind, dense in (
-                ("inverse", dense_dynamics.inverse),
-                ("forward", dense_dynamics.forward),
-            ):
-                call = getattr(dynamics, f"{kind}_dynamics_and_forces")
-                found, expected = call(mech, *states), dense(mech, *scene.states)
-                for values, known in zip(found[:2], expected[:2], strict=True):
-                    size = max(1.0, np.abs(known).max(initial=0.0))
-                    assert np.abs(values - known).max(initial=0.0) < 1e-9 * size
-                only = getattr(dynamics, f"{kind}_dynamics")(mech, *states)
-                size = np.abs(found[0]).max(initial=1.0)
-                assert np.abs(only - found[0]).max(initial=0.0) < 1e-12 * size
-        assert made
-        assert None not in made
-
     def test_any_number_of_rows_wherever_they_stand(self):
         """Tails, columns of one table, rows that are one row, and no rows."""
         mech = api.load(ROOT / "robots/2r.yaml")

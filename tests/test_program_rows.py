@@ -3,9 +3,10 @@
 import mpmath
 import numpy as np
 import pytest
+from engine_cases import KINDS, ROBOTS, SEEDS, cases
+from engine_table import NUMBERS
+from known_terms import DIGITS
 from mpmath import mp, mpf
-from program_cases import KINDS, ROBOTS, SEEDS, cases
-from test_program import DIGITS, NUMBERS
 
 from random_mechanisms import mechanism
 from robodyn.engines import straightline

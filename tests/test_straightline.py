@@ -5,24 +5,20 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
 from random_mechanisms import (
     LOOPS,
     Shape,
     assert_close,
-    loops,
     mechanism,
     seeded_scene,
     seeded_tree,
     sizes,
-    trees,
 )
 from robodyn.dynamics import closed_form as cf
 from robodyn.dynamics import dynamics as dyn
 from robodyn.engines import array_blocks, expression, formulas, source_text, straightline
 
-examples = settings(deadline=None, max_examples=40)
 WRITINGS = pytest.mark.parametrize("by_direction", [False, True], ids=["by angle", "by direction"])
 
 BLOCK = array_blocks.BLOCK
@@ -91,39 +87,6 @@ SIMPLE = {
 
 
 class TestAgainstNumpy:
-    @examples
-    @given(trees(most=7))
-    def test_inverse_of_trees(self, scene):
-        check_inverse(scene)
-
-    @examples
-    @given(trees(most=7))
-    def test_forward_of_trees(self, scene):
-        check_forward(scene)
-
-    @examples
-    @given(loops(SIMPLE))
-    def test_inverse_of_loops(self, scene):
-        check_inverse(scene)
-
-    @examples
-    @given(loops())
-    def test_forward_of_loops(self, scene):
-        check_forward(scene)
-
-    @WRITINGS
-    @pytest.mark.usefixtures("written")
-    def test_both_ways_to_write_it(self):
-        for seed in range(4):
-            for name, shape in LOOPS.items():
-                scene = seeded_scene(seed, shape)
-                check_forward(scene)
-                if name in SIMPLE:
-                    check_inverse(scene)
-            for n in (1, 2, 3, 6):
-                check_inverse(seeded_tree(seed, n))
-                check_forward(seeded_tree(seed, n))
-
     @WRITINGS
     @pytest.mark.usefixtures("written")
     def test_as_many_links_as_code_is_generated_for(self):

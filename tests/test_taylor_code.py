@@ -10,9 +10,7 @@ from test_simulation import reference, scene, slope
 
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
-from robodyn import forward_dynamics
 from robodyn.mechanics.actuation import Actuation, constant, expressions
-from robodyn.simulation.extended import _Series, _Task
 from robodyn.taylor.python_series import StraightEngine, step_text
 from robodyn.taylor.steps import relative_matrix
 
@@ -24,9 +22,6 @@ FREE = 1e100  # a tolerance that holds no step
 def drawn(name):
     """A random scene: a tree by its number of links, or a loop by its name."""
     return seeded_tree(name, name) if isinstance(name, int) else seeded_scene(11, LOOPS[name])
-
-
-EACH = pytest.mark.parametrize("name", [1, 2, 3, 4, 6, 8, *LOOPS])
 
 
 def torques(mech, seed=5):
@@ -64,64 +59,6 @@ def joints(mech, z):
 
 
 class TestCoefficients:
-    @EACH
-    def test_are_those_of_extended_precision(self, name):
-        found = drawn(name)
-        mech = found.mechanism
-        q, qd = (np.asarray(x, np.longdouble) for x in (found.q, found.qd))
-        y = np.concatenate([q, qd])
-        task = _Task(mech, y, np.array([1.0]), Actuation(torques(mech)))
-        series = _Series(task, ORDER, 1.0)
-        series(np.longdouble(0), y, np.longdouble(1))  # makes the program
-        fine, _, _ = series.expanded(series.made[None], np.longdouble(0), y, ORDER)
-        known = np.array(fine.rho) + 1j * np.array(fine.theta)
-        z, _ = straight(mech, [*found.q, *found.qd])
-        assert apart(z, known) < 2e-12
-
-    @EACH
-    def test_satisfy_the_equations_of_motion(self, name):
-        found = drawn(name)
-        mech, tau = found.mechanism, np.array(torques(found.mechanism))
-        qd, qdd, _ = joints(mech, straight(mech, [*found.q, *found.qd])[0])
-        expected = forward_dynamics(mech, found.q, found.qd, tau)
-        assert qd == pytest.approx(found.qd, rel=1e-13, abs=1e-13)
-        assert np.abs(qdd - expected).max() < 1e-10 * max(1.0, np.abs(expected).max())
-
-    @EACH
-    def test_third_derivative_is_the_slope_of_the_accelerations(self, name):
-        """Along the motion, by differences of forward_dynamics."""
-        found = drawn(name)
-        mech, tau = found.mechanism, np.array(torques(found.mechanism))
-        _, qdd, third = joints(mech, straight(mech, [*found.q, *found.qd])[0])
-        h = 1e-4 / max(1.0, np.abs(found.qd).max())
-        sides = []
-        for x in (-h, h):
-            q = found.q + x * found.qd + x**2 / 2 * qdd + x**3 / 6 * third
-            qd = found.qd + x * qdd + x**2 / 2 * third
-            sides.append(forward_dynamics(mech, q, qd, tau))
-        slope = (sides[1] - sides[0]) / (2 * h)
-        assert np.abs(slope - third).max() < 1e-4 * max(1.0, np.abs(third).max())
-
-    @EACH
-    def test_circle(self, name):
-        """r^2 + t^2 = 1 in every order."""
-        found = drawn(name)
-        z, _ = straight(found.mechanism, [*found.q, *found.qd])
-        for link in z:
-            square = np.convolve(link, link.conj())[: ORDER + 2]
-            size = np.convolve(abs(link), abs(link))[: ORDER + 2]
-            assert (abs(square - np.eye(1, ORDER + 2)[0]) <= 1e-14 * size).all()
-
-    @EACH
-    def test_closures(self, name):
-        """Of every order but 0: Re(P E z) = 0."""
-        found = drawn(name)
-        mech = found.mechanism
-        E = np.exp(1j * (mech.arrays.J @ found.q))
-        z, _ = straight(mech, [*found.q, *found.qd])
-        gaps = ((mech.arrays.P * E) @ z[:, 1:]).real
-        assert (np.abs(gaps) <= 1e-12 * (np.abs(mech.arrays.P) @ np.abs(z[:, 1:]))).all()
-
     def test_pendulum_by_mpmath(self):
         """theta'' = -omega^2 sin theta, by a polynomial through elliptic functions."""
         omega, amplitude = oracles.pendulum_frequency(0.4, 0.26, 0.0088, digits=60), mpf(2)

@@ -13,7 +13,7 @@ from conftest import ROOT
 import oracles
 import random_mechanisms
 from hard_cases.cases import n_four_bar
-from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
+from random_mechanisms import seeded_scene, seeded_tree
 from robodyn import (
     assemble,
     kinetic_energy,
@@ -28,7 +28,6 @@ from robodyn.taylor import Status
 pytest.importorskip("llvmlite")
 
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.expansion import longest_step
 from robodyn.engines.expression import Expression
 from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_steps import Scene
@@ -37,7 +36,6 @@ from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.taylor import NoCodeError, compiled
 from robodyn.taylor.compiled import CompiledEngine, serves
-from robodyn.taylor.run import stepping_engine
 
 REFERENCES = Path(__file__).parent / "references"
 ALL = 10**5  # steps, more than any motion here takes
@@ -119,54 +117,14 @@ class TestAgainstDOP853:
         expected = np.concatenate([motion.q[-1], motion.qd[-1]])
         assert np.abs(found - expected).max() < bound * max(1.0, np.abs(expected).max())
 
-    @pytest.mark.parametrize("seed", range(8))
-    def test_trees(self, seed):
-        drawn = seeded_tree(seed, 1 + seed)
-        tau = np.random.default_rng(seed).uniform(-3, 3, drawn.n).tolist()
-        self.compare(drawn.mechanism, drawn.q, drawn.qd, tau)
-
-    @pytest.mark.parametrize("shape", LOOPS)
-    def test_loops(self, shape):
-        drawn = seeded_scene(3, LOOPS[shape])
-        tau = [1.5] * len(drawn.mechanism.actuated)
-        self.compare(drawn.mechanism, drawn.q, drawn.qd, tau, 0.05, 1e-8)
-
     def test_long_chain(self):
         chain = random_mechanisms.Shape((None, *range(13)))
         drawn = seeded_scene(1, chain)
         self.compare(drawn.mechanism, drawn.q, 0.1 * drawn.qd, [0.0] * 14, 0.1)
 
 
-def with_forces(seed):
-    """A random state of a tree or a linkage, and that mechanism with all kinds of forces."""
-    shapes = list(LOOPS.values())
-    plain = (
-        seeded_tree(seed, 1 + seed % 4)
-        if seed < 6
-        else seeded_scene(seed, shapes[seed % len(shapes)])
-    )
-    return plain, build(from_text(forced(seed, plain).text, "x"))
-
-
 class TestForces:
     """Springs, dampers, friction, turning loads, couplings, and torques of the state and time."""
-
-    @pytest.mark.parametrize("seed", range(14))
-    def test_against_python(self, seed):
-        plain, mechanism = with_forces(seed)
-        joints = [j + 1 for j in mechanism.actuated]
-        text = ", ".join(f"sin(3*t)*tanh(q{j}) - 0.1*qd{j}" for j in joints)
-        tau = expressions(mechanism, text if seed % 2 else ", ".join("1" for _ in joints), "x")
-        y = np.concatenate([plain.q, plain.qd, [0.0]])
-        options = {"rtol": 1e-10, "atol": 1e-10, "work": True}
-        times = np.array([0.05, 0.1])
-        made = CompiledEngine(mechanism, tau, **options)
-        known = stepping_engine(mechanism, tau, 1e-10, 1e-10, work=True)
-        found, other = (x.advance(0.0, y, 0.1, times, ALL) for x in (made, known))
-        assert found.status is Status.REACHED
-        size = max(1.0, np.abs(other.row_y).max())
-        assert np.abs(found.row_y - other.row_y).max() < 1e-8 * size
-        assert abs(len(found.t) - len(other.t)) <= 2 + len(other.t) // 5
 
     @pytest.mark.parametrize("name", ["geared-five-bar", "spring-slider-crank"])
     def test_plain_processors(self, name):
@@ -264,40 +222,6 @@ def rates(rho, theta):
 
 class TestOrderAsALoop:
     """What code finds, its order a loop, are the series of the rows one by one."""
-
-    def check(self, mechanism, tau, y, **options):
-        made, block = expanded(mechanism, tau, y, **options)
-        assert (block == block[:, :1]).all()
-        start = made.motion.state(FLOATS, 0.0, y, ((), ()))
-        found = made.motion.expand(FLOATS, made.motion.program.numbers, 12, start)
-        wide, first = len(made.loop.columns), made.whole["rows"]
-        columns = block[first : first + 14 * wide, 0].reshape(14, wide).T
-        turns = [x for pair in zip(found.rho, found.theta, strict=True) for x in pair]
-        series = [*turns, *found.watched, *([found.power] if found.power else [])]
-        longest = longest_step(found, start.w, 1e-10, 1e-10)
-        assert block[made.place["longest"], 0] == pytest.approx(longest, rel=0.1)  # rough roots
-        for known, column in zip(series, columns, strict=False):
-            terms = np.array(known) * longest ** np.arange(len(known))
-            there = column[: len(known)] * longest ** np.arange(len(known))
-            assert np.abs(there - terms).max() < 1e-13 * max(1.0, np.abs(terms).max())
-
-    @pytest.mark.parametrize("path", sorted((ROOT / "robots").glob("*.yaml")), ids=lambda p: p.stem)
-    def test_robots(self, path):
-        mechanism = load(path)
-        count = len(mechanism.actuated)
-        q = assemble(mechanism, [1.0] * count) if mechanism.rows else np.linspace(0.3, 1, count)
-        tau = [0.5 * (j in mechanism.actuated) for j in range(mechanism.n)]
-        y = np.concatenate([q, np.zeros(mechanism.n), [0.25]])
-        self.check(mechanism, constant(mechanism, tau), y, lanes=8 if len(path.stem) % 2 else 1)
-
-    @pytest.mark.parametrize("seed", range(14))
-    def test_all_forces(self, seed):
-        plain, mechanism = with_forces(seed)
-        joints = [j + 1 for j in mechanism.actuated]
-        text = ", ".join(f"exp(-t)*sin(3*t)*tanh(q{j}) - 0.1*log(2 + qd{j}**2)" for j in joints)
-        tau = expressions(mechanism, text if seed % 2 else ", ".join("1" for _ in joints), "x")
-        y = np.concatenate([plain.q, plain.qd, [0.0]])
-        self.check(mechanism, tau, y, closes=seed % 3 > 0)
 
     def test_series_of_rates(self):
         mechanism, _, states = reference("five-bar")

@@ -1,0 +1,208 @@
+"""What every term of a mechanism is at a state, to 30 digits, of its description alone.
+
+M, C and G come from the Jacobians of the centres of gravity (`oracles.mp_terms`), closures from the
+kinematics of points (`random_mechanisms.Pose`), springs, loads and friction from virtual power,
+reactions from the balance of each body.
+"""
+
+import math
+from functools import cached_property
+
+import numpy as np
+from mpmath import mp, mpf
+
+import oracles
+from random_mechanisms import Pose, oracle_tree
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Description, JointSpring, Load, Moment, Point
+
+DIGITS = 30
+
+
+def real(values):
+    """Real parts of complex numbers of any kind."""
+    return np.array([x.real for x in values])
+
+
+class Forces:
+    """What acts on a description at a pose and rates, force by force, in numbers of any kind."""
+
+    def __init__(self, description: Description, pose: Pose, qd: np.ndarray, tanh=math.tanh):
+        self.description, self.pose, self.qd, self.tanh = description, pose, qd, tanh
+
+    def place(self, point: Point) -> tuple[int | None, complex]:
+        return point.link, point.at
+
+    def pull(self, spring):
+        """Ends, distance d, d's rate of change with q, and that of its length, of a spring."""
+        ends = [self.place(spring.first), self.place(spring.second)]
+        d = self.pose.position(ends[0]) - self.pose.position(ends[1])
+        slope = self.pose.slope(ends[0]) - self.pose.slope(ends[1])
+        return ends, d, real(slope * d.conjugate()) / abs(d)
+
+    def turned(self, item):
+        """The force of a load along the axes of the ground."""
+        return item.force * (self.pose.turn(self.pose.alpha[item.point.link]) if item.turns else 1)
+
+    def torques(self):
+        """-dPE/dq of springs and constant loads, Q of the others, PE of the former."""
+        potential, other, PE = 0 * self.qd, 0 * self.qd, 0.0
+        pose, qd = self.pose, self.qd
+        for spring in self.description.springs:
+            if isinstance(spring, JointSpring):
+                stretched = pose.q[spring.joint] - spring.angle
+                potential[spring.joint] -= spring.stiffness * stretched
+                other[spring.joint] -= spring.damping * qd[spring.joint]
+            else:
+                _, d, growth = self.pull(spring)
+                stretched = abs(d) - spring.length
+                potential = potential - spring.stiffness * stretched * growth
+                other = other - spring.damping * (growth @ qd) * growth
+            PE += spring.stiffness * stretched**2 / 2
+        for item in self.description.loads:
+            if isinstance(item, Moment):
+                potential[pose.path(item.link)] += item.torque
+                PE -= item.torque * pose.alpha[item.link]
+                continue
+            place = self.place(item.point)
+            torque = real(np.conj(pose.slope(place)) * self.turned(item))
+            if item.turns:
+                other = other + torque
+            else:
+                potential = potential + torque
+                PE -= (item.force.conjugate() * pose.position(place)).real
+        for k, link in enumerate(self.description.links):
+            if link.friction is not None:
+                other[k] -= link.friction.torque * self.tanh(qd[k] / link.friction.speed)
+        return potential, other, PE
+
+    def on_links(self):
+        """What springs between points and loads put on each link, as Fx + i Fy."""
+        total = [0j] * len(self.qd)
+        for spring in self.description.springs:
+            if isinstance(spring, JointSpring):
+                continue
+            ends, d, growth = self.pull(spring)
+            F = spring.stiffness * (abs(d) - spring.length) + spring.damping * (growth @ self.qd)
+            for (link, _), sign in zip(ends, (-1, 1), strict=True):
+                if link is not None:
+                    total[link] += sign * F * d / abs(d)
+        for item in self.description.loads:
+            if isinstance(item, Load):
+                total[item.point.link] += self.turned(item)
+        return np.array(total)
+
+
+def solve(K, b):
+    """x of K x = b by elimination, in numbers of any kind."""
+    work = np.concatenate([K, b[:, None]], axis=1)
+    for k in range(len(b)):
+        pivot = k + int(np.argmax(np.abs(work[k:, k])))
+        work[[k, pivot]] = work[[pivot, k]]
+        work[k] = work[k] / work[k, k]
+        others = np.arange(len(b)) != k
+        work[others] -= work[others, k, None] * work[k]
+    return work[:, -1]
+
+
+class Known:
+    """All terms at a state, of the description alone (of a coupling's row only its scale `arm`).
+
+    M qdd + C qd + D qd + G - Q = tau + Psi^T lambda, Psi qdd + bias = 0, and the gap.
+    """
+
+    def __init__(self, mech: Mechanism, q, qd) -> None:
+        description = self.description = mech.description
+        self.mech, n = mech, len(q)
+        with mp.workdps(DIGITS):
+            q, qd = (np.array([mpf(float(x)) for x in values]) for values in (q, qd))
+            self.q, self.qd = q, qd
+            tree = self.tree = oracle_tree(description)
+            pose = self.pose = Pose(tree, q, mp.expj)
+            self.M, self.C, G = oracles.mp_terms(tree, description.gravity, q, qd, DIGITS)
+            self.forces = Forces(description, pose, qd, mp.tanh)
+            potential, other, PE = self.forces.torques()
+            self.G = G - potential
+            self.Q = other - np.array([link.damping for link in description.links]) * qd
+            self.PE = PE - sum(
+                link["m"] * (description.gravity.conjugate() * pose.position((k, link["r"]))).real
+                for k, link in enumerate(tree)
+            )
+            self.KE = qd @ self.M @ qd / 2
+            self.h = self.C @ qd + self.G - self.Q
+            Psi, bias, gap = [], [], []
+            for closure in description.closures:
+                sides = [self.forces.place(x) for x in (closure.first, closure.second)]
+                d, slope, bend = (
+                    a - b
+                    for a, b in (
+                        [pose.position(side) for side in sides],
+                        [pose.slope(side) for side in sides],
+                        [pose.bias(side, qd) for side in sides],
+                    )
+                )
+                for direction in self.directions(closure):
+                    gap.append((direction.conjugate() * d).real)
+                    Psi.append(real(direction.conjugate() * slope))
+                    bias.append((direction.conjugate() * bend).real)
+            arms = [row.arm for row in mech.rows if row.closure is None]
+            for coupling, arm in zip(description.couplings, arms, strict=True):
+                row = 0 * q
+                row[coupling.joint] += 1
+                for k, ratio in coupling.terms:
+                    row[k] -= ratio
+                Psi.append(arm * row)
+                bias.append(mpf(0))
+                gap.append(arm * (row @ q - coupling.angle))
+            r = self.r = len(gap)
+            self.Psi = np.array(Psi, object).reshape(r, n)
+            self.bias, self.gap = np.array(bias, object), np.array(gap, object)
+
+    @staticmethod
+    def directions(closure):
+        """Unit vectors along which a closure holds."""
+        return (1, 1j) if closure.along is None else (1j * closure.along / abs(closure.along),)
+
+    @cached_property
+    def condition(self) -> float:
+        K = self.system.astype(float)
+        return float(np.linalg.cond(K))
+
+    @cached_property
+    def system(self):
+        r = self.r
+        return np.block([[self.M, -self.Psi.T], [self.Psi, np.zeros((r, r), object)]])
+
+    def accelerations(self, tau):
+        """qdd and lambda."""
+        with mp.workdps(DIGITS):
+            right = np.concatenate([tau - self.h, -self.bias])
+            return np.split(solve(self.system, right), [len(self.h)])
+
+    def torques(self, qdd):
+        """tau and lambda."""
+        with mp.workdps(DIGITS):
+            n = len(self.h)
+            driven = np.eye(n)[:, list(self.mech.actuated)]
+            solution = solve(np.hstack([driven, self.Psi.T]), self.M @ qdd + self.h)
+            tau, multipliers = np.split(solution, [n - self.r])
+            return driven @ tau, multipliers
+
+    def reactions(self, qdd, multipliers):
+        """The force of each joint on its link, Fx + i Fy: what else acts, and m a, balance it."""
+        with mp.workdps(DIGITS):
+            left = [-x for x in self.forces.on_links()]
+            rows = iter(multipliers)
+            for closure in self.description.closures:
+                F = sum(direction * next(rows) for direction in self.directions(closure))
+                for point, sign in ((closure.first, -1), (closure.second, 1)):
+                    if point.link is not None:
+                        left[point.link] += sign * F
+            for k, link in enumerate(self.tree):
+                place = k, link["r"]
+                a = self.pose.slope(place) @ qdd + self.pose.bias(place, self.qd)
+                left[k] += link["m"] * (a - self.description.gravity)
+            for k in reversed(range(len(left))):
+                if (parent := self.tree[k]["parent"]) is not None:
+                    left[parent] += left[k]
+            return np.array([[x.real, x.imag] for x in left])
