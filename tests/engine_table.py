@@ -120,21 +120,24 @@ def by_batches(one, count=dyn.BATCH + 1, alone=True):
 def by_batches_of_code(one, family=""):
     """Batches by machine code alone, as if it were worth it for any number of states."""
     made, compiled, worth = [], Rows.compile, formula_rows.WORTH
+    written = [dyn._generated(kind, one.mech) for kind in ("forward", "inverse")]
+    written = [rows for rows in written if rows is not None]
 
     def compile(self):
         made.append(compiled(self, 0 if family else None, family))
         return made[-1]
 
+    for rows in written:
+        rows._machine.clear()
     Rows.compile, formula_rows.WORTH = compile, 0.0
-    dyn._generated.cache_clear()
     try:
         found = by_batches(one, alone=one.mech.has_state_forces)
     finally:
         Rows.compile, formula_rows.WORTH = compiled, worth
-        dyn._generated.cache_clear()
+        for rows in written:
+            rows._machine.clear()
     assert None not in made
-    written = [dyn._generated(kind, one.mech) for kind in ("forward", "inverse")]
-    assert bool(made) == any(x is not None for x in written)
+    assert bool(made) == bool(written)
     return found
 
 

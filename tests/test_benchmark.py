@@ -49,7 +49,7 @@ def assert_front(runs):
 
 def test_every_method_is_measured_and_the_front_is_right():
     parts = []
-    result = arm(watch=parts.append, repeats=3)
+    result = arm(watch=parts.append, repeats=2)
     expected = {"DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"}
     if importlib.util.find_spec("llvmlite") is not None:
         expected.add("taylor compiled")
@@ -66,7 +66,7 @@ def test_every_method_is_measured_and_the_front_is_right():
         assert x.gap == 0.0
         assert x.evaluations > 0
         assert x.steps > 0
-        assert len(x.seconds) == 3
+        assert len(x.seconds) == 2
         assert 0.0 < x.least <= x.median
 
 

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,12 @@ def whole(plan: Plan, **options) -> Rows:
     parts = [*results(plan, **options)]
     outcomes = [*itertools.chain.from_iterable(part.outcomes for part in parts)]
     return Rows(np.concatenate([part.values for part in parts]), outcomes)
+
+
+@cache
+def alone(engine: str) -> Rows:
+    """`TestWorkers.SMALL` by one process."""
+    return whole(replace(TestWorkers.SMALL, engine=engine), workers=1)
 
 
 def column(plan: Plan, rows: Rows, name: str) -> np.ndarray:
@@ -209,14 +216,14 @@ class TestWorkers:
     def test_any_number_gives_the_same(self, engine) -> None:
         small = replace(self.SMALL, engine=engine)
         assert small.chunks == 4
-        expected = whole(small, workers=1)
+        expected = alone(engine)
         for workers in (2, 3):
             found = whole(small, workers=workers)
             assert found.values.tobytes() == expected.values.tobytes()
             assert found.outcomes == expected.outcomes
 
     def test_a_later_beginning_gives_the_rest(self) -> None:
-        expected = whole(self.SMALL, workers=1).values
+        expected = alone(self.SMALL.engine).values
         assert whole(self.SMALL, begin=2).values.tobytes() == expected[40:].tobytes()
         assert [*results(self.SMALL, begin=4)] == []
 
@@ -313,7 +320,7 @@ class TestCluster:
 
     @pytest.mark.filterwarnings("ignore")
     def test_gives_what_one_process_gives(self, address) -> None:
-        expected = whole(TestWorkers.SMALL, workers=1)
+        expected = alone(TestWorkers.SMALL.engine)
         found = whole(TestWorkers.SMALL, scheduler=address)
         assert found.values.tobytes() == expected.values.tobytes()
         assert found.outcomes == expected.outcomes
@@ -378,7 +385,7 @@ class TestCluster:
 
     @pytest.mark.filterwarnings("ignore")
     def test_workers_that_come_back_go_on(self, fleeting) -> None:
-        expected = whole(TestWorkers.SMALL, workers=1)
+        expected = alone(TestWorkers.SMALL.engine)
         told: list[str] = []
 
         def tell(text: str) -> None:
