@@ -28,6 +28,10 @@ from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
 EVERY = pytest.mark.parametrize("name", [*KINDS, *ROBOTS], ids=lambda x: getattr(x, "stem", x))
 CODE = machine.available()
+QUICK = (
+    *("closed form", "dense algebra", "calls", "rates, sparse", "rates, dense"),
+    "series on floats",
+)
 
 
 def each(engines):
@@ -73,10 +77,12 @@ def test_quantities_of_any_scene(scenes):
     """Zeros, equal numbers and states in line among them."""
 
     @settings(deadline=None, max_examples=80)
-    @given(scenes, st.sampled_from(["code by angles", "code by directions"]))
+    @given(
+        scenes, st.sampled_from(["code by angles", "code by directions", "rates, straight-line"])
+    )
     def walk(scene, code):
         one = case(scene.mechanism, scene.q, scene.qd, 1, scene.qdd)
-        for label in ("closed form", "dense algebra", "calls", "series on floats", code):
+        for label in (*QUICK, code):
             check(one, engine_table.ENGINES[label].find)
 
     walk()

@@ -7,18 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK
-from hypothesis import given, settings
+from hypothesis import settings
 from scipy.integrate import solve_ivp
 
 import oracles
 from random_mechanisms import (
     LOOPS,
     Shape,
-    loops,
     mechanism,
     seeded_scene,
     seeded_tree,
-    trees,
 )
 from robodyn import closure_gap, closure_jacobian, load, loop_velocities, simulate
 from robodyn.dynamics import dense_dynamics
@@ -89,21 +87,6 @@ def condition(scene):
 
 
 class TestEvaluatorsAgree:
-    @examples
-    @given(trees(most=7))
-    def test_on_trees(self, scene):
-        check_agreement(scene)
-
-    @examples
-    @given(loops())
-    def test_on_loops(self, scene):
-        check_agreement(scene)
-
-    @pytest.mark.parametrize("name", LOOPS)
-    def test_on_loops_of_every_shape(self, name):
-        for seed in range(3 if FRESH else 1):
-            check_agreement(seeded_scene(seed, LOOPS[name]))
-
     @pytest.mark.parametrize("n", [12, 20])
     def test_on_larger_trees(self, n):
         check_agreement(seeded_tree(n, n))
