@@ -1,13 +1,11 @@
 """The three evaluators of dy/dt against each other and against the oracles; the projection."""
 
 import math
-import os
 from functools import cache
 
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK
-from hypothesis import settings
 from scipy.integrate import solve_ivp
 
 import oracles
@@ -29,8 +27,6 @@ from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 
 KINDS = ("straight-line", "sparse", "dense")
 EACH_KIND = pytest.mark.parametrize("kind", KINDS)
-FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: more examples
-examples = settings(deadline=None, max_examples=25 if FRESH else 8)
 
 
 def sides(mech, source=None, **options):
