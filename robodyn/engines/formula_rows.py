@@ -83,8 +83,8 @@ class FormulaRows:
         array_blocks.evaluate(function, buffers, states, outputs)
         first, quality = outputs[0], outputs[-1]
         with np.errstate(all="ignore"):
-            finite = np.isfinite(first.sum())
-        if not pivots and finite:  # one pass over a large batch, not four
+            sure = np.isfinite(first.sum()) and (quality > self.least).all()
+        if sure:  # one pass over a large batch, not four
             return outputs[:wanted], np.zeros(0, np.int64)
         sound = (quality > self.least).all(axis=-1) & np.isfinite(first).all(axis=-1)
         return outputs[:wanted], np.flatnonzero(~sound)

@@ -124,9 +124,7 @@ def array_source(outputs: Sequence[Value], names: Sequence[str]) -> tuple[list[s
             place[node.index] = f"w{buffers}"
             buffers += 1
         to = place[node.index]
-        if node.op == "keep":
-            lines.append(f"copyto({to}, {args[0]})")
-        elif node.op == "choose":
+        if node.op == "choose":
             lines.append(f"copyto({to}, where(less({args[0]}, {args[1]}), {args[2]}, {args[3]}))")
         else:
             lines.append(f"{_CALLS.get(node.op, node.op)}({', '.join(args)}, {to})")
