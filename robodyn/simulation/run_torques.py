@@ -45,7 +45,7 @@ def over_run(
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:
     """The joint torques (T, n) of an actuation at times (T,) and states (T, 2n or more)."""
     if actuation.constants is not None:
-        return np.repeat([actuation.constants], len(t), axis=0)
+        return np.full((len(t), mechanism.n), actuation.constants)
     torques = at = actuation.function(mechanism.n)
     if actuation.given is not None:
         given = actuation.given.function(mechanism.n)

@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -163,8 +163,8 @@ def simulate(
         times,
     )
     n = mechanism.n
-    t = np.concatenate([t for t, _ in rows]) if rows else np.zeros(0)
-    y = np.concatenate([y for _, y in rows]) if rows else np.zeros((0, 2 * n))
+    rows = rows or [(np.zeros(0), np.zeros((0, 2 * n)))]
+    t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
     torques = applied_torques(mechanism, actuation, t, y)
     return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, mechanism, recorder.settle)
 
@@ -208,9 +208,12 @@ def run(
     y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
     taylor = settings.method == "taylor"
 
-    @cache
+    sides: list[RightHandSide] = []
+
     def side() -> RightHandSide:
-        return right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte)
+        if not sides:
+            sides.append(right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte))
+        return sides[0]
 
     n = mechanism.n
     if t_end != 0.0 and mechanism.rows:

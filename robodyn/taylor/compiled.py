@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,21 +94,6 @@ class _Ready(NamedTuple):
     address: int = 0
 
 
-class _Room(NamedTuple):
-    """Where machine code leaves the ends of steps and the states there, and its table of places."""
-
-    ends: Array
-    states: Array
-    table: NDArray[np.int64]
-    address: int  # of the table
-
-    @classmethod
-    def of(cls, steps: int, N: int) -> _Room:
-        ends, states, table = np.empty(steps), np.empty((steps, N)), np.zeros(6, np.int64)
-        table[2:4] = ends.ctypes.data, states.ctypes.data
-        return cls(ends, states, table, table.ctypes.data)
-
-
 def _ready(
     mechanism: Mechanism,
     actuation: Actuation,
@@ -156,7 +142,7 @@ class CompiledEngine:
         self.order = default_order(max(rtol, atol)) if order is None else order
         self._options, self._tolerances = (work, project, family), (float(rtol), float(atol))
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
-        self._room = _Room.of(0, 0)
+        self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
@@ -182,8 +168,7 @@ class CompiledEngine:
                 raise NoCodeError("no state has a series") from error
             block = found.code.block()
             block[:] = found.block
-            found = found._replace(block=block, address=block.ctypes.data)
-            self._blocks[held] = found
+            found = self._blocks[held] = _Ready(found.scene, found.code, block, block.ctypes.data)
         return found
 
     @cached_property
@@ -211,7 +196,7 @@ class CompiledEngine:
     def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         pieces = self.actuation.pieces
         scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
-        N, place = len(scene.state), scene.place
+        N, place = len(y), scene.place
         block[:N] = y
         block[N : 2 * N] = y
         direction = 1.0 if bound >= t else -1.0
@@ -227,18 +212,22 @@ class CompiledEngine:
             code.close(address)
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
-        if len(self._room.ends) < steps:
-            self._room = _Room.of(steps, N)
-        ends, states, table, told = self._room
-        times, rows = np.ascontiguousarray(times), np.empty((len(times), N))
-        table[4:] = len(times), 0
-        if len(times):
-            table[:2] = times.ctypes.data, rows.ctypes.data
+        wanted = len(times)
+        sizes = len(TABLE), wanted, wanted * N, steps, steps * N
+        a, b, c, d, end = accumulate(sizes)
+        if len(self._room) < end:
+            self._room = np.empty(end)
+        room = self._room
+        table, told = room[:a].view(np.int64), room.ctypes.data
+        table[:] = told + 8 * a, told + 8 * b, told + 8 * c, told + 8 * d, wanted, 0
+        room[a:b] = times
         code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[-1])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
-        return Chunk(ends[:taken].copy(), states[:taken].copy(), times[:given], rows[:given], found)
+        rows = room[b : b + given * N].reshape(given, N)
+        states = room[d : d + taken * N].reshape(taken, N)
+        return Chunk(room[c : c + taken].copy(), states.copy(), times[:given], rows.copy(), found)
 
 
 @lru_cache(maxsize=64)

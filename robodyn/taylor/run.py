@@ -50,6 +50,7 @@ LEAD = 8  # steps of DOP853 away from where a torque has no series
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
 SMALLEST_RTOL = 3e-14  # of scipy's methods
+SPARE = 16  # engines in machine code of runs that are over
 
 
 def stepping_engine(
@@ -102,6 +103,9 @@ def compiled_engine(
         return None
 
 
+_spare: dict[tuple[object, ...], Engine] = {}  # under constant torques; no run uses them now
+
+
 @lru_cache(maxsize=64)
 def _seen(mechanism: Mechanism) -> list[float]:
     """How many steps of a mechanism were made in Python, as the only item."""
@@ -144,8 +148,12 @@ def taylor_run(
         made.halts = recorder.watch
         return made
 
+    key = mechanism, actuation.constants, rtol, atol, order, project, work
+
     def fast() -> Engine | None:
-        return compiled_engine(mechanism, actuation, rtol, atol, order, project=project, work=work)
+        return _spare.pop(key, None) or compiled_engine(
+            mechanism, actuation, rtol, atol, order, project=project, work=work
+        )
 
     stepping: Engine | None = None
     slow: SteppingEngine | None = None
@@ -226,6 +234,10 @@ def taylor_run(
                 recent.clear()
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
+            if actuation.constants is not None and not isinstance(stepping, SteppingEngine):
+                if len(_spare) == SPARE:
+                    _spare.clear()
+                _spare[key] = stepping
             return Outcome.FINISHED
         idle = idle + 1 if t == before else 0
         if idle == MOST_IDLE:
