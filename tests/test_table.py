@@ -17,6 +17,7 @@ import struct
 import sys
 import tracemalloc
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import BinaryIO, Literal, cast
 
@@ -27,8 +28,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
+from robodyn.tables.decimals import decimals
 from robodyn.tables.output_file import open_output
-from robodyn.tables.table import LONGEST_ROW, READ_BYTES, Chunk, Reader
+from robodyn.tables.table import FEW, LONGEST_ROW, READ_BYTES, Chunk, Reader
 from robodyn.tables.table_writer import WRITERS, JsonWriter, Writer
 
 
@@ -708,3 +710,52 @@ def test_a_whole_command(tmp_path: Path) -> None:
                 writer.write_rows(chunk.lines, 2 * chunk.values)
             writer.close()
         assert path.read_text() == "t,q,note,tau\n0,1,a,2.0\n1,2,b,4.0\n"
+
+
+def halfway(x: float) -> str:
+    """The decimal in the middle between a float and the next, all its digits."""
+    return format((Decimal(x) + Decimal(math.nextafter(x, math.inf))) / 2, "f")
+
+
+class TestDecimals:
+    DIGITS = st.from_regex(r"-?[0-9]{0,12}\.[0-9]{1,9}|-?[0-9]{1,3}\.[0-9]{0,20}", fullmatch=True)
+    NEAR = st.floats(1e-3, 1e6).map(halfway)
+
+    @given(st.lists(st.tuples(DIGITS, st.floats(0.01, 1e9).map(repr)), min_size=1))
+    def test_each_is_what_float_makes_of_it(self, rows: list[tuple[str, str]]) -> None:
+        found = decimals([",".join(row) for row in rows], 2, [1, 0])
+        expected = [[float(row[1]), float(row[0])] for row in rows]
+        if found is None:  # more digits than whole numbers of 62 bits have
+            assert any(len(text) > 18 for row in rows for text in row)
+        else:
+            assert found.tobytes() == np.array(expected).tobytes()
+
+    @given(NEAR, st.sampled_from(["", "1", "0000000001"]))
+    def test_next_to_a_tie(self, text: str, more: str) -> None:
+        text = text[: 20 - len(more)] + more
+        found = decimals([text, text + "0"], 1, [0])
+        assert found is None or found.tolist() == [[float(text)]] * 2
+        lines = f"{text}\n" * FEW
+        assert table(f"x\n{lines}".encode(), ["x"])[1].tolist() == [[float(text)]] * FEW
+
+    @pytest.mark.parametrize(
+        "line",
+        [
+            *("1", "1.0.0,2", "1.0,.", "1.0,-.", "1.-0,2.0", "1.0, 2.0", "+1.0,2.0", "--1.0,2.0"),
+            *("12345678901234567890.5,1.0", "-12345678901234567890.5,1.0", f"0.{23 * '0'}1,1.0"),
+        ],
+    )
+    @pytest.mark.parametrize("sound", [0, 1])
+    def test_other_lines_are_not_for_it(self, line: str, sound: int) -> None:
+        assert decimals(["1.0,-2.0"] * sound + [line], 2, [0, 1]) is None
+        assert decimals([line] + ["1.0,-2.0"] * sound, 2, [0, 1]) is None
+
+    def test_a_point_too_many_in_one_field_does_not_make_up_for_another(self) -> None:
+        assert decimals(["1.0.0,2", "1,2.0.0"], 2, [0, 1]) is None
+        assert decimals(["1.0,2.0,3.0", "4.0"], 2, [0, 1]) is None
+
+    def test_numbers_with_exponents_among_others(self) -> None:
+        rows = [[1.5, 2.5], [1e-05, -0.0], [-0.0, 1e300]] * FEW
+        lines = [",".join(map(repr, row)) for row in rows]
+        values = table("\n".join(["x,y", *lines, ""]).encode(), ["x", "y"])[1]
+        assert values.tobytes() == np.array(rows).tobytes()

@@ -19,7 +19,8 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain, repeat
+from itertools import chain, compress, repeat
+from operator import contains
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
+FEW = 50  # lines that loadtxt reads in less time
 LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 
 
@@ -108,15 +110,26 @@ class Reader:
             return None
         import numpy as np  # here, so that a command that writes one row starts without it
 
-        # loadtxt parses exactly, but given columns it does not mind rows of unequal length.
-        if set(map(str.count, rows.lines, repeat(","))) != {len(self.header) - 1}:
-            return None
-        try:
-            values = np.loadtxt(
-                rows.lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
-            )
-        except ValueError:
-            return None
+        from robodyn.tables.decimals import decimals
+
+        powers = np.fromiter(map(contains, rows.lines, repeat("e")), bool, len(rows.lines))
+        values = np.empty((len(powers), len(places)))
+        for chosen in (powers, ~powers):
+            lines = list(compress(rows.lines, chosen))
+            found = None
+            if chosen is not powers and len(lines) >= FEW:
+                found = decimals(lines, len(self.header), places)
+            if found is None and lines:
+                # loadtxt parses exactly, but given columns does not mind rows of unequal length
+                if set(map(str.count, lines, repeat(","))) != {len(self.header) - 1}:
+                    return None
+                try:
+                    found = np.loadtxt(
+                        lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
+                    )
+                except ValueError:
+                    return None
+            values[chosen] = found
         return values if np.isfinite(values).all() else None
 
     def _parse_slow(
