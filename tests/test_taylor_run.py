@@ -22,6 +22,7 @@ from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import Settings, run
 from robodyn.taylor import compiled
 from robodyn.taylor import run as taylor_run
 
@@ -202,6 +203,27 @@ class TestEngines:
             taylor(mech, q, qd, 0.2, engine=kind, **options) for kind in ("compiled", "python")
         ]
         assert apart(*found) < 1e-11
+
+    @pytest.mark.parametrize("name", ["2r", "four-bar"])
+    def test_a_run_does_not_depend_on_those_before(self, name):
+        """Nor on one that goes on at the same time, with the same code."""
+        pytest.importorskip("llvmlite")
+        mech = load(ROOT / f"robots/{name}.yaml")
+        cranks = [[0.5, 0.3], [1.2, -0.4]] if mech.n == 2 else [[0.7], [1.9]]
+        first, second = (assemble(mech, crank) for crank in cranks)
+        still, inner = np.zeros(mech.n), []
+
+        def watch(t):
+            inner.append(taylor(mech, second, still, 5.0, engine="compiled"))
+            return False
+
+        settings = Settings("taylor", engine="compiled")
+        alone = [taylor(mech, q, still, 5.0, engine="compiled") for q in (first, second)]
+        begin, unforced = np.concatenate([first, still]), Actuation((0.0,) * mech.n)
+        _, recorder = run(mech, begin, 5.0, unforced, settings, lambda t, y: None, watch=watch)
+        again = taylor(mech, first, still, 5.0, engine="compiled")
+        assert apart(again, alone[0]) == apart(inner[0], alone[1]) == 0.0
+        assert recorder.settle().energy_drift == alone[0].report.energy_drift
 
     def test_rows_do_not_depend_on_the_others(self):
         rows = [

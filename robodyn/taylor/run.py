@@ -235,7 +235,7 @@ def taylor_run(
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
         if t == t_end:
             if actuation.constants is not None and not isinstance(stepping, SteppingEngine):
-                if len(_spare) == SPARE:
+                if len(_spare) >= SPARE:
                     _spare.clear()
                 _spare[key] = stepping
             return Outcome.FINISHED
