@@ -50,7 +50,7 @@ LEAD = 8  # steps of DOP853 away from where a torque has no series
 PATIENCE = 1.0  # s in Python after which a run is worth a hint
 HINT = "pip install 'robodyn[fast]' compiles the Taylor series: long runs take a tenth of the time"
 SMALLEST_RTOL = 3e-14  # of scipy's methods
-SPARE = 16  # engines in machine code of runs that are over
+SPARE = 32  # engines in machine code of runs that are over
 
 
 def stepping_engine(
