@@ -89,10 +89,12 @@ class Misses:
         self.mechanism, self._known = mechanism, known(mechanism)
         self._guards = regular_rank(mechanism) == len(mechanism.rows)
 
-    def distance(self, q: Array) -> float:
+    def distance(self, q: Array | Sequence[float]) -> float:
         """To the nearest known one, rad; infinite where none is known."""
         missed = [each for each in self._known if not each.crosses]
-        least = min((float(apart(self.mechanism, q, each.q)) for each in missed), default=np.inf)
+        least = min(
+            (float(apart(self.mechanism, np.asarray(q), each.q)) for each in missed), default=np.inf
+        )
         return max(least, CLOSEST)
 
     def holds(self, y: Array | Sequence[float]) -> tuple[float, float, float]:
@@ -100,9 +102,9 @@ class Misses:
 
         And what its rates err by in any case, rad/s: no tolerance below that can be met.
         """
-        n, y = self.mechanism.n, np.asarray(y)
+        n = self.mechanism.n
         distance = self.distance(y[:n])
-        fastest = max(float(np.abs(y[n : 2 * n]).max()), SLOWEST)
+        fastest = max(*map(abs, y[n : 2 * n]), SLOWEST)
         longest = min(SHARE * distance, TURN) / fastest
         return longest, FINE * distance, ROUNDING * fastest / distance
 
