@@ -45,6 +45,22 @@ FOUR_BAR = oracles.FourBar(
     *(1.1, 0.0),  # ground pivot
 )
 
+# a boom that slides out of an arm that turns
+RP_ARM = """
+links:
+  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05}
+  - {name: boom, joint: prismatic, axis: [1, 0], m: 0.9, l: 0.5, r: 0.2, I: 0.03, damping: 3}
+"""
+# a crank that moves a yoke to and fro by a pin in its slot
+SCOTCH_YOKE = """
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: yoke, joint: prismatic, axis: [1, 0], m: 1.5, l: 0.2, r: 0.1, I: 0.01, from: [0.3, 0]}
+closures:
+  - {point: crank, on: {link: yoke, through: [-0.3, 0], along: [0, 1]}}
+actuated: [crank]
+"""
+
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:

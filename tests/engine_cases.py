@@ -64,7 +64,8 @@ def plain_scene(name, seed):
 
 
 KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar")
-ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
+# of the cart-pole the torque of one joint alone makes no motion that is asked for
+ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem != "cart-pole")
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,9 @@ def by_calls(one):
     assert np.array_equal(tau, dyn.inverse_dynamics(mech, *state, one.qdd))
     assert not tau[list(mech.passive)].any()
     multipliers = iter(inner)
-    for closure, (x, y) in zip(mech.description.closures, pin_forces(mech, inner), strict=True):
+    for closure, (x, y) in zip(
+        mech.description.closures, pin_forces(mech, inner, one.q), strict=True
+    ):
         F = sum(direction * next(multipliers) for direction in one.at.directions(closure))
         assert abs(complex(x, y) - F) <= 1e-14 * abs(F)
     found = {"qdd": qdd, "outer": outer, "tau": tau, "inner": inner}
@@ -159,7 +161,7 @@ def relative(mech, values):
     """Values in angles of joints, of those in angles of links."""
     return [
         x - (0.0 if above is None else values[above])
-        for x, above in zip(values, mech.parent, strict=True)
+        for x, above in zip(values, mech.above, strict=True)
     ]
 
 

@@ -61,7 +61,7 @@ class Forces:
             PE += spring.stiffness * stretched**2 / 2
         for item in self.description.loads:
             if isinstance(item, Moment):
-                potential[pose.path(item.link)] += item.torque
+                potential[pose.turning(item.link)] += item.torque
                 PE -= item.torque * pose.alpha[item.link]
                 continue
             place = self.place(item.point)
@@ -131,6 +131,7 @@ class Known:
             self.KE = qd @ self.M @ qd / 2
             self.h = self.C @ qd + self.G - self.Q
             Psi, bias, gap = [], [], []
+            arms = iter([row.arm for row in mech.rows if row.arm])
             for closure in description.closures:
                 sides = [self.forces.place(x) for x in (closure.first, closure.second)]
                 d, slope, bend = (
@@ -141,11 +142,21 @@ class Known:
                         [pose.bias(side, qd) for side in sides],
                     )
                 )
+                turning = self.turned_by(closure.second.link if closure.along else None)
+                w = turning @ qd
                 for direction in self.directions(closure):
-                    gap.append((direction.conjugate() * d).real)
-                    Psi.append(real(direction.conjugate() * slope))
-                    bias.append((direction.conjugate() * bend).real)
-            arms = [row.arm for row in mech.rows if row.closure is None]
+                    back = direction.conjugate()
+                    gap.append((back * d).real)
+                    Psi.append(real(back * slope) + (back * d).imag * turning)
+                    bias.append((back * (bend - 2j * w * (slope @ qd) - w * w * d)).real)
+                if closure.aligned is not None:
+                    first, second, arm = closure.first.link, closure.second.link, next(arms)
+                    off = self.turned_by(first) - self.turned_by(second)
+                    carrier = 0 if second is None else pose.alpha[second]
+                    angle = pose.alpha[first] - carrier - mpf(closure.aligned)
+                    gap.append(arm * mp.sin(angle))
+                    Psi.append(arm * mp.cos(angle) * off)
+                    bias.append(-arm * mp.sin(angle) * (off @ qd) ** 2)
             for coupling, arm in zip(description.couplings, arms, strict=True):
                 row = 0 * q
                 row[coupling.joint] += 1
@@ -158,10 +169,19 @@ class Known:
             self.Psi = np.array(Psi, object).reshape(r, n)
             self.bias, self.gap = np.array(bias, object), np.array(gap, object)
 
-    @staticmethod
-    def directions(closure):
+    def turned_by(self, link):
+        """d(angle of a link)/dq."""
+        found = 0 * self.q
+        found[self.pose.turning(link)] += 1
+        return found
+
+    def directions(self, closure):
         """Unit vectors along which a closure holds."""
-        return (1, 1j) if closure.along is None else (1j * closure.along / abs(closure.along),)
+        if closure.along is None:
+            return (1, 1j)
+        carrier = closure.second.link
+        turn = 1 if carrier is None else self.pose.turns[carrier]
+        return (1j * closure.along / abs(closure.along) * turn,)
 
     @cached_property
     def condition(self) -> float:
@@ -195,6 +215,8 @@ class Known:
             rows = iter(multipliers)
             for closure in self.description.closures:
                 F = sum(direction * next(rows) for direction in self.directions(closure))
+                if closure.aligned is not None:
+                    next(rows)  # a moment
                 for point, sign in ((closure.first, -1), (closure.second, 1)):
                     if point.link is not None:
                         left[point.link] += sign * F

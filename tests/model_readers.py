@@ -1,10 +1,12 @@
 """Reads URDF and MJCF in three dimensions, by what their references say, and nothing of robodyn.
 
-A model is a tree of bodies, each fixed to its parent or turning about an axis.  From frames alone,
+A model is a tree of bodies, each fixed to its parent, turning about an axis or sliding along it.
+From frames alone,
 
     M = sum_b m Jv^T Jv + Jw^T I Jw        G = -sum_b m Jv^T g
 
-with the columns Jv_j = a_j x (c_b - p_j), Jw_j = a_j of the joints j below body b.
+with the columns Jv_j = a_j x (c_b - p_j), Jw_j = a_j of the joints j below body b; where j slides
+Jv_j = a_j, Jw_j = 0.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ class Body:
     turn: Array  # (3, 3)
     joint: str | None = None  # None: fixed
     axis: Array | None = None
+    slides: bool = False
     damping: float = 0.0
     stiffness: float = 0.0
     springref: float = 0.0
@@ -69,10 +72,12 @@ class Model:
         found = {self.root: (np.zeros(3), np.eye(3))}
         for body in self.bodies:
             place, turn = found[body.parent]
-            here = turn @ body.turn
-            if body.joint is not None:
+            here, there = turn @ body.turn, place + turn @ body.place
+            if body.slides:
+                there = there + here @ body.axis * q[body.joint]
+            elif body.joint is not None:
                 here = here @ rotation(body.axis, q[body.joint])
-            found[body.name] = place + turn @ body.place, here
+            found[body.name] = there, here
         return found
 
     def slopes(self, q: Mapping[str, float], name: str, at: Array) -> tuple[Array, Array, Array]:
@@ -87,7 +92,10 @@ class Model:
                 pivot, turn = frames[name]
                 axis = turn @ body.axis
                 j = self.joints.index(body.joint)
-                Jv[:, j], Jw[:, j] = np.cross(axis, point - pivot), axis
+                if body.slides:
+                    Jv[:, j] = axis
+                else:
+                    Jv[:, j], Jw[:, j] = np.cross(axis, point - pivot), axis
             name = body.parent
         return point, Jv, Jw
 
@@ -173,8 +181,13 @@ def read_urdf(text: str) -> Model:
                 continue
             place, turn = _urdf_origin(joint)
             body = Body(name, parent, place, turn)
-            if joint.get("type") == "continuous":
+            if joint.get("type") in ("continuous", "prismatic"):
                 body.joint, body.axis = joint.get("name"), unit(one(joint, "axis").get("xyz"))
+                body.slides = joint.get("type") == "prismatic"
+                if body.slides:
+                    limit = {key: float(value) for key, value in one(joint, "limit").items()}
+                    assert limit.keys() == {"lower", "upper", "effort", "velocity"}
+                    assert -limit["lower"] == limit["upper"] == limit["effort"] >= 1e6
             else:
                 assert joint.get("type") == "fixed"
             for mimic in joint.findall("mimic"):
@@ -223,10 +236,16 @@ def read_mjcf(text: str) -> Model:
             assert site.get("name") not in model.sites
             model.sites[site.get("name")] = name, numbers(site.get("pos"), 3)
         for child in element.findall("body"):
-            assert child.keys() == ["name", "pos"]  # not turned
-            body = Body(child.get("name"), name, numbers(child.get("pos"), 3), np.eye(3))
+            assert {"name", "pos"} <= set(child.keys()) <= {"name", "pos", "xyaxes"}
+            turn = np.eye(3)
+            if "xyaxes" in child.attrib:
+                turn[:2] = numbers(child.get("xyaxes"), 6).reshape(2, 3)
+                assert np.abs(turn @ turn.T - np.eye(3)).max() < 1e-15
+            body = Body(child.get("name"), name, numbers(child.get("pos"), 3), turn.T)
             for joint in child.findall("joint"):
-                assert joint.get("type") == "hinge"
+                assert joint.get("type") in ("hinge", "slide")
+                body.slides = joint.get("type") == "slide"
+                assert body.slides or "xyaxes" not in child.attrib
                 assert not {"range", "ref", "pos", "armature"} & set(joint.keys())
                 body.joint, body.axis = joint.get("name"), unit(joint.get("axis"))
                 body.damping, body.stiffness, body.springref = (

@@ -295,7 +295,8 @@ def four_bar_tree(p):
 #   m kg, I kg m^2 about the centre of gravity, r m the centre of gravity in the link frame
 #   (complex, or float along the link), l m the length (no part in the dynamics), parent the
 #   index of the link that it hangs from or None for the ground, at m its joint (complex) in the
-#   parent's link frame or in the ground frame.
+#   parent's link frame or in the ground frame; axis, where it slides, the unit vector (complex) of
+#   that frame along which it does, and along which its own x axis lies.
 # gamma = gx + i gy is the acceleration of gravity, m/s^2: -9.81j points along -Y.
 # ---------------------------------------------------------------------------------------------
 
@@ -313,25 +314,31 @@ class LagrangeTerms(NamedTuple):
     Psidot_qd: np.ndarray  # (2c,) m/s^2
 
 
-def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30):
+def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30, lines=()):
     """A function terms(q, qd) -> LagrangeTerms, derived symbolically from Cartesian coordinates.
 
     A closure is a pair of points that coincide, each (link index or None, point), the point in
-    the link frame or the ground frame. The `mpmath` backend takes every float as exact and
-    evaluates at `digits` digits. The derivation is done once for each shape of tree.
+    the link frame or the ground frame; a line is such a pair and the direction, in the frame of
+    the second, of the line through it that the first stays on. The `mpmath` backend takes every
+    float as exact and evaluates at `digits` digits. The derivation is done once for each shape of
+    tree.
     """
     number, dtype = {"numpy": (float, float), "mpmath": (mpf, object)}[backend]
     parents = tuple(link["parent"] for link in tree)
+    slides = tuple("axis" in link for link in tree)
     ends = tuple((first[0], second[0]) for first, second in closures)
-    evaluate = _lagrange(parents, ends, backend)
+    on_lines = tuple((first[0], second[0]) for first, second, _ in lines)
+    evaluate = _lagrange(parents, slides, ends, on_lines, backend)
 
     # in the order of the symbols in _lagrange
     points = [gamma, *(link["r"] for link in tree), *(link["at"] for link in tree)]
+    points += [link.get("axis", 1.0 + 0j) for link in tree]
     points += [point for closure in closures for _, point in closure]
+    points += [each for (_, a), (_, b), along in lines for each in (a, b, along)]
     values = [link["m"] for link in tree] + [link["I"] for link in tree]
     values += [coordinate for point in points for coordinate in (point.real, point.imag)]
 
-    n, rows = len(tree), 2 * len(ends)
+    n, rows = len(tree), 2 * len(ends) + len(lines)
     shapes = [(n, n), (n, n), (n,), (), (), (rows,), (rows, n), (rows,)]
     cuts = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
 
@@ -347,7 +354,7 @@ def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30):
 
 
 @functools.cache
-def _lagrange(parents, ends, backend):
+def _lagrange(parents, slides, ends, on_lines, backend):
     """All terms of a tree of this shape as one function (q, qd, values) -> flat list.
 
     With centres of gravity (x, y) and absolute rates w,
@@ -360,26 +367,32 @@ def _lagrange(parents, ends, backend):
 
     n = len(parents)
     q, qd, m, I = (sp.symbols(f"{name}:{n}") for name in ("q", "qd", "m", "I"))
-    gamma, *points = (sp.symbols(f"x{i} y{i}") for i in range(1 + 2 * n + 2 * len(ends)))
-    r, at, closing = points[:n], points[n : 2 * n], points[2 * n :]
+    count = 1 + 3 * n + 2 * len(ends) + 3 * len(on_lines)
+    gamma, *points = (sp.symbols(f"x{i} y{i}") for i in range(count))
+    r, at, axes, closing = points[:n], points[n : 2 * n], points[2 * n : 3 * n], points[3 * n :]
     values = [*m, *I, *gamma, *(coordinate for point in points for coordinate in point)]
 
     def on_ground(link, point):
         """Ground coordinates of a point of a link (or of the ground)."""
         if link is None:
             return point
-        (x, y), (x0, y0) = point, joint[link]
-        c, s = sp.cos(alpha[link]), sp.sin(alpha[link])
+        (x, y), (x0, y0), (c, s) = point, joint[link], turn[link]
         return x0 + c * x - s * y, y0 + s * x + c * y
 
     def rate(expression):
         """d/dt of an expression in q, by the chain rule."""
         return sum(sp.diff(expression, q[j]) * qd[j] for j in range(n))
 
-    alpha, joint = [], []
+    alpha, joint, turn = [], [], []  # of each link's frame: its rate's angle, origin, cosine, sine
     for i, parent in enumerate(parents):
-        alpha.append(q[i] if parent is None else alpha[parent] + q[i])
-        joint.append(on_ground(parent, at[i]))
+        angle = sp.Integer(0) if parent is None else alpha[parent]
+        c, s = (1, 0) if parent is None else turn[parent]
+        x, y = on_ground(parent, at[i])
+        u, v = axes[i] if slides[i] else (sp.cos(q[i]), sp.sin(q[i]))
+        turn.append((c * u - s * v, s * u + c * v))
+        alpha.append(angle if slides[i] else angle + q[i])
+        along = q[i] if slides[i] else 0
+        joint.append((x + along * turn[i][0], y + along * turn[i][1]))
 
     KE = PE = sp.Integer(0)
     for i in range(n):
@@ -400,6 +413,12 @@ def _lagrange(parents, ends, backend):
     for c, (first, second) in enumerate(ends):
         a, b = on_ground(first, closing[2 * c]), on_ground(second, closing[2 * c + 1])
         gap += [a[0] - b[0], a[1] - b[1]]
+    for c, (first, second) in enumerate(on_lines):
+        one, other, (dx, dy) = closing[2 * len(ends) + 3 * c :][:3]
+        a, b = on_ground(first, one), on_ground(second, other)
+        c, s = (1, 0) if second is None else turn[second]
+        nx, ny = -(s * dx + c * dy), c * dx - s * dy  # the line's direction, a quarter turn on
+        gap.append(nx * (a[0] - b[0]) + ny * (a[1] - b[1]))
     Psi = [[sp.diff(row, q[j]) for j in range(n)] for row in gap]
     Psidot_qd = [sum(rate(row[j]) * qd[j] for j in range(n)) for row in Psi]
 
@@ -503,18 +522,32 @@ def mp_terms(tree, gamma, q, qd, digits=30):
     with mp.workdps(digits):
         for b, link in enumerate(tree):
             parent = link["parent"]
-            angle = frames[parent].angle + mpf(q[b])
-            frames[b] = _Frame(angle, mp.cos(angle), mp.sin(angle), frames[parent].w + mpf(qd[b]))
-            p[b], v[b] = moved(parent, link["at"])
             path[b] = [*path[parent], b]
+            p[b], v[b] = moved(parent, link["at"])
+            if "axis" in link:
+                (c, s), w = frames[parent].turned(link["axis"]), frames[parent].w
+                frames[b] = _Frame(frames[parent].angle, c, s, w)
+                x, xd = mpf(q[b]), mpf(qd[b])
+                p[b] = p[b][0] + x * c, p[b][1] + x * s
+                v[b] = v[b][0] + xd * c - x * w * s, v[b][1] + xd * s + x * w * c
+            else:
+                angle, w = frames[parent].angle + mpf(q[b]), frames[parent].w + mpf(qd[b])
+                c, s = frames[parent].turned(mp.expj(mpf(q[b])))
+                frames[b] = _Frame(angle, c, s, w)
 
             s, sd = moved(b, link["r"])
             J = {j: (p[j][1] - s[1], s[0] - p[j][0]) for j in path[b]}
             Jdot = {j: (v[j][1] - sd[1], sd[0] - v[j][0]) for j in path[b]}
+            turns = dict.fromkeys(path[b], 1)
+            for j in path[b]:
+                if "axis" in tree[j]:
+                    c, d, w = frames[j].c, frames[j].s, frames[j].w
+                    J[j], Jdot[j], turns[j] = (c, d), (-w * d, w * c), 0
             for i in path[b]:
                 G[i] -= link["m"] * (J[i][0] * gamma.real + J[i][1] * gamma.imag)
                 for j in path[b]:
-                    M[i, j] += link["m"] * (J[i][0] * J[j][0] + J[i][1] * J[j][1]) + link["I"]
+                    M[i, j] += link["m"] * (J[i][0] * J[j][0] + J[i][1] * J[j][1])
+                    M[i, j] += link["I"] * turns[i] * turns[j]
                     C[i, j] += link["m"] * (J[i][0] * Jdot[j][0] + J[i][1] * Jdot[j][1])
     return M, C, G
 

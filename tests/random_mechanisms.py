@@ -8,6 +8,7 @@ The kinematics here are those of points and joints: d(point)/dq_j = i (point - j
 Units are SI and radians; points of the plane are complex numbers.
 """
 
+import cmath
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
+from mpmath import mp
 
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
@@ -80,21 +82,31 @@ class Pose:
     def alpha(self) -> list[float]:
         """Absolute angles."""
         angles: list[float] = []
-        for link, angle in zip(self.tree, self.q, strict=True):
+        for link, own in zip(self.tree, self.q, strict=True):
             parent = link["parent"]
-            angles.append(angle + (0.0 if parent is None else angles[parent]))
+            if "axis" in link:
+                own = cmath.phase(link["axis"]) if isinstance(own, float) else mp.arg(link["axis"])
+            angles.append(own + (0.0 if parent is None else angles[parent]))
         return angles
 
     @cached_property
+    def turns(self) -> list[complex]:
+        """The direction of each link's frame."""
+        return [self.turn(angle) for angle in self.alpha]
+
+    @cached_property
     def joints(self) -> list[complex]:
-        """Each link's own joint."""
+        """Each link's own origin."""
         joints: list[complex] = []
-        for link in self.tree:
+        for k, link in enumerate(self.tree):
             parent, at = link["parent"], link["at"]
-            joints.append(
-                at if parent is None else joints[parent] + at * self.turn(self.alpha[parent])
-            )
+            joint = at if parent is None else joints[parent] + at * self.turns[parent]
+            joints.append(joint + (self.q[k] * self.turns[k] if "axis" in link else 0))
         return joints
+
+    def turning(self, link: int | None) -> list[int]:
+        """The joints that turn a link."""
+        return [k for k in self.path(link) if "axis" not in self.tree[k]]
 
     def path(self, link: int | None) -> list[int]:
         """The links from `link` down to the ground."""
@@ -106,19 +118,23 @@ class Pose:
 
     def position(self, place: Place) -> complex:
         link, at = place
-        return at if link is None else self.joints[link] + at * self.turn(self.alpha[link])
+        return at if link is None else self.joints[link] + at * self.turns[link]
 
     def in_link(self, link: int | None, point: complex) -> complex:
         """A point of the plane in the frame of a link."""
         if link is None:
             return point
-        return (point - self.joints[link]) * self.turn(-self.alpha[link])
+        return (point - self.joints[link]) * self.turns[link].conjugate()
 
     def slope(self, place: Place) -> np.ndarray:
-        """d(point)/dq, (n,) complex: i (point - joint_j) for the joints j that move it."""
+        """d(point)/dq, (n,) complex: i (point - joint_j) for the joints j that turn it.
+
+        Of those that slide their direction.
+        """
         slope = np.zeros(len(self.tree), np.result_type(np.asarray(self.q), complex))
         for j in self.path(place[0]):
-            slope[j] = 1j * (self.position(place) - self.joints[j])
+            slides = "axis" in self.tree[j]
+            slope[j] = self.turns[j] if slides else 1j * (self.position(place) - self.joints[j])
         return slope
 
     def bias(self, place: Place, qd: np.ndarray) -> complex:
@@ -127,7 +143,10 @@ class Pose:
         total = 0j
         for j in self.path(place[0]):
             joint = self.slope((self.tree[j]["parent"], self.tree[j]["at"])) @ qd
-            total += 1j * (velocity - joint) * qd[j]
+            if "axis" in self.tree[j]:
+                total += 1j * sum(qd[k] for k in self.turning(j)) * self.turns[j] * qd[j]
+            else:
+                total += 1j * (velocity - joint) * qd[j]
         return total
 
 
@@ -397,6 +416,8 @@ def oracle_tree(description: Description) -> list[dict]:
         I = link.I + link.m * abs(link.r - r) ** 2 + link.payload * abs(link.l - r) ** 2
         at, parent = link.hangs_from.at, link.hangs_from.link
         tree.append({"m": m, "l": link.l, "r": r, "I": I, "parent": parent, "at": at})
+        if link.axis is not None:
+            tree[-1]["axis"] = link.axis
     return tree
 
 
@@ -431,11 +452,13 @@ def sizes(description: Description) -> Sizes:
     """Sum over the bodies of mass times the way from the ground, and its square."""
     tree = oracle_tree(description)
     reach: list[float] = []  # the way from the ground to each link's joint
+    most = max(max(link["l"], abs(link["at"]), abs(link["r"])) for link in tree)
     for link in tree:
         parent = link["parent"]
         reach.append(0.0 if parent is None else reach[parent] + abs(link["at"]))
+        reach[-1] += 2.0 * most if "axis" in link else 0.0
     inertia = sum(
-        link["m"] * (way + abs(link["r"])) ** 2 + link["I"]
+        link["m"] * ((way + abs(link["r"])) ** 2 + ("axis" in link)) + link["I"]
         for link, way in zip(tree, reach, strict=True)
     )
     moment = sum(link["m"] * (way + abs(link["r"])) for link, way in zip(tree, reach, strict=True))

@@ -1,7 +1,7 @@
 """Every engine that finds the Taylor series of a motion, as a function of a case and its torques.
 
-A series is the links' turns rho + i theta, (2, n, ORDER + 2), the power, what torques watch, and
-the longest step of TOLERANCE.
+A series is the links' turns rho + i theta (of what slides 1 + i s), (2, n, ORDER + 2), the
+power, what torques watch, and the longest step of TOLERANCE.
 """
 
 import ctypes
@@ -105,7 +105,8 @@ def by_program(one, actuation, kind, grounded=False):
         watched = [longs(x) for x in found.watched]
         power, (rho, theta) = longs(found.power or ()), turns.astype(float)
         floats = Coefficients(rho, theta, power.astype(float), [x.astype(float) for x in watched])
-        longest = longest_step(floats, [float(x) for x in start.w], TOLERANCE, TOLERANCE)
+        w, slides = [float(x) for x in start.w], one.mech.slides
+        longest = longest_step(floats, w, TOLERANCE, TOLERANCE, slides=slides)
     return Found(turns, power, watched, longest)
 
 

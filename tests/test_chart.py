@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from conftest import within
+from conftest import RP_ARM, within
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import build
 from robodyn.pictures.chart import (
     MOST_POINTS,
     chart,
@@ -24,7 +25,8 @@ from robodyn.pictures.chart import (
     tick_texts,
     ticks,
 )
-from robodyn.pictures.column_units import UNITS, unit_of
+from robodyn.pictures.column_units import UNITS, scene_units, unit_of, with_unit
+from robodyn.scene.description import from_text
 
 MOTION = ("t", "q1", "q2", "qd1", "qd2", "qdd1", "qdd2", "tau1", "fx1", "fy1", "energy", "gap")
 
@@ -238,3 +240,17 @@ def test_spread_moves_only_what_it_must() -> None:
     assert spread([5, 5], 1, 0, 10) == [4.5, 5.5]
     assert spread([10, 10, 2], 1, 0, 10) == [9, 10, 2]
     assert spread([1, 2, 3], 6, 0, 10) is None
+
+
+def test_units_of_joints_that_slide() -> None:
+    """Told by the scene alone; a coupling's by the joint that it gives."""
+    text = RP_ARM + "couplings: [q2 = 0.1 q1]\n"
+    units = scene_units(build(from_text(text, "x.yaml")))
+    for name, unit in (
+        *(("q1", "rad"), ("q2", "m"), ("qd2_end", "m/s"), ("qdd2_max", "m/s²"), ("e2", "m")),
+        *(("tau1", "N m"), ("tau2", "N"), ("tc1", "N"), ("rm2", "N m"), ("mz1", "N m")),
+        *(("q12", "rad"), ("fx2", "N")),
+    ):
+        assert unit_of(name, units) == unit
+    assert unit_of("q2") == "rad"
+    assert with_unit("tau2", units) == "tau2 [N]"

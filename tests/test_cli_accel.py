@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error
 
 import oracles
 
@@ -117,6 +117,13 @@ def test_json_and_table(robodyn: Run) -> None:
     table = robodyn(*arguments, "table").succeeds().out
     assert "qdd1 [rad/s²]" in table
     assert f"{expected[0]:.6g}" in table
+
+
+def test_the_unit_of_a_displacement(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    arguments = ["accel", scene(RP_ARM), "--q", "1,0.2", "--format", "table"]
+    table = robodyn(*arguments).succeeds().out
+    assert "qdd1 [rad/s²]" in table
+    assert "qdd2 [m/s²]" in table
 
 
 # A mechanism with a massless link, and one without any inertia

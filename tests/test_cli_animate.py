@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, Outcome
+from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, Outcome
 
 import oracles
 from robodyn.cli import animate, figures
@@ -140,6 +141,37 @@ def test_a_page_holds_everything_in_itself(robodyn: Run, tmp_path: Path) -> None
         assert not {"src", "href"} & attributes.keys()
     assert {"svg", "script", "button", "input"} <= {tag for tag, _ in page.found}
     assert len(text) < 60_000
+
+
+def test_what_slides_goes_to_and_fro_on_a_page(
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """By metres that are more than a turn of an angle, from row to row."""
+    text = SCOTCH_YOKE.replace("l: 0.1", "l: 10").replace("0.3", "30")
+    path, rows = tmp_path / "x.html", "t,q1\n0,0\n1,1.5\n2,3\n"
+    arguments = ("animate", scene(text), "-", "--fps", 1, "--trace", "yoke", "-o", path)
+    robodyn(*arguments, stdin=rows).succeeds()
+    yoke = [30.0 + 10 * math.cos(angle) for angle in (0.0, 1.5, 3.0)]
+    poses = constant(path.read_text(), "poses").values()
+    found = [[(place[0], place[1]) for place in body] for body in poses]
+    assert any(np.allclose(body, [(x, 0.0) for x in yoke], atol=1e-2) for body in found)
+    (trace,) = constant(path.read_text(), "traces")
+    ends = [float(place.split(",")[0]) for place in trace[::4]]
+    assert ends == pytest.approx([x + 0.2 for x in yoke], abs=1e-2)
+
+
+@pytest.mark.parametrize("text", [RP_ARM, SCOTCH_YOKE], ids=["arm", "yoke"])
+def test_a_gif_of_what_slides(
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path, text: str
+) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    path = tmp_path / "x.gif"
+    rows = "t,q1,q2\n0,0,0\n0.2,0.3,0.1\n" if text == RP_ARM else "t,q1\n0,0\n0.2,0.7\n"
+    arguments = ("animate", scene(text), "-", "--size", "3x2", "-o", path)
+    robodyn(*arguments, stdin=rows).succeeds()
+    frames = images(path)
+    assert len(frames) == 6
+    assert (frames[0][0] != frames[-1][0]).any()
 
 
 def test_the_poses_of_a_page_are_those_of_the_motion(robodyn: Run, tmp_path: Path) -> None:

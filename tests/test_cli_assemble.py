@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, Outcome, relative_error
+from conftest import FOUR_BAR, SCOTCH_YOKE, Outcome, relative_error
 
 import oracles
 
@@ -245,6 +245,23 @@ def test_the_table(robodyn: Run) -> None:
     for branch in ("open", "crossed"):
         q = oracles.four_bar_position(FOUR_BAR, math.pi / 3, branch)
         assert f"{math.degrees(q[2]):.6g}" in given
+
+
+def test_joints_that_slide_have_a_table_of_their_own(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    arguments = ["assemble", scene(SCOTCH_YOKE), "--q", "60deg", "--qd", "2", "--format", "table"]
+    given = robodyn(*arguments).succeeds().out
+    turning, sliding = (given.index(head) for head in ("q [deg]", "q [m]"))
+    assert turning < given.index("1 crank") < sliding < given.index("2 yoke") < given.index("x [m]")
+    for word in ("qd [rad/s]", "qd [m/s]", "qdd [rad/s²]", "qdd [m/s²]", f"{0.1 * 0.5:.6g}"):
+        assert word in given
+    given = robodyn("assemble", scene(RAIL), "--q", "0.7", "--format", "table").succeeds().out
+    assert given.startswith("given\n")
+    assert "rad" not in given
+
+
+RAIL = "links: [{name: a, joint: prismatic, axis: [1, 0], m: 1, l: 1, r: 0.5, I: 0.1}]\n"
 
 
 @pytest.mark.parametrize("name", ["[red]arm", "[/red]arm", "[/]", "[bold]", ":smile:", r"a\[b"])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
+from conftest import FOUR_BAR, ROOT, RP_ARM, TWO_LINK, Outcome
 
 import oracles
 
@@ -25,7 +26,7 @@ def test_every_shipped_scene_passes(robodyn: Run, name: str) -> None:
     assert found["states"] >= 100
     assert found["identities"]
     assert max(found["identities"].values()) <= found["bound"] <= 1e-8
-    assert (found["closing"] is None) == (found["loops"] == [])
+    assert (found["closing"] is None) == (found["loops"] == [] and "couplings" not in found)
 
 
 def test_a_long_chain_passes_at_few_states(robodyn: Run, scene: Callable[[str], Path]) -> None:
@@ -351,3 +352,19 @@ def test_chains_with_more_closures_than_joints(robodyn, scene):
         given = robodyn("check", scene(f"links:\n{links}closures:\n{pins}"))
         assert told in given.err
         assert given.code == (1 if n == 30 else 0)
+
+
+def test_links_that_slide(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    text = RP_ARM.replace("damping: 3", "damping: 3, friction: {force: 0.4, speed: 0.2}")
+    path = scene(text + "springs: [{joint: boom, stiffness: 30, length: 0.1, damping: 2}]\n")
+    found = robodyn("check", path).json
+    arm, boom = found["links"]
+    assert "joint" not in arm
+    assert (boom["joint"], boom["axis"]) == ("prismatic", [1.0, 0.0])
+    assert boom["friction"] == {"force": 0.4, "speed": 0.2}
+    assert found["springs"] == [{"joint": "boom", "length": 0.1, "stiffness": 30, "damping": 2}]
+    table = robodyn("check", path, "--format", "table").succeeds().out
+    for part in ("slides along (1, 0)", "3 N s/m", "0.4 N above 0.2 m/s"):
+        assert part in table
+    assert re.search(r"spring 1 +joint boom: 30 N/m from 0.1 m, damping 2 N s/m\n", table)
+    assert "rad" not in table

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, TWO_LINK, Outcome
+from conftest import ROOT, RP_ARM, TWO_LINK, Outcome
 
 import oracles
 
@@ -199,6 +199,19 @@ def test_the_summary_and_the_report(robodyn: Run, ref: Path, tmp_path: Path) -> 
         said = f"{joint['joint']} {joint['rms']:.3g} rad rms, {joint['largest']:.3g} rad at most"
         assert said in given.err
     assert "largest torque: upper arm " in given.err
+
+
+def test_tracking_of_a_joint_that_slides_is_told_in_metres(
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path, ref = scene(RP_ARM), tmp_path / "ref.csv"
+    ref.write_text("t,q1,q2\n0,0,0\n1,0.3,0.2\n")
+    options = ("--q", "0,0", "--track", ref, "--control", "pd", "--kp", 50, "--kd", 10)
+    given = robodyn("simulate", path, *options, "--time", 0.2)
+    assert given.code == 0
+    assert re.search(r"tracking error: arm \S+ rad rms, \S+ rad at most, at t = ", given.err)
+    assert re.search(r"; boom \S+ m rms, \S+ m at most, at t = ", given.err)
+    assert re.search(r"largest torque: arm \S+ N m, boom \S+ N\n", given.err)
 
 
 def test_of_a_run_without_control_there_is_no_tracking(robodyn: Run, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, TWO_LINK, Outcome
+from conftest import ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome
 
 from robodyn.cli import draw, figures
 
@@ -57,6 +57,38 @@ def test_every_scene_in_every_kind(robodyn: Run, tmp_path: Path, scene: Path, su
     assert given.err.startswith("Note: without --q drawn at q = ")
     assert path.read_bytes().startswith(FIRST[suffix])
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", FIRST)
+@pytest.mark.parametrize("text", [RP_ARM, SCOTCH_YOKE], ids=["arm", "yoke"])
+def test_what_slides_in_every_kind(
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path, text: str, suffix: str
+) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `plot`")
+    path = tmp_path / f"x{suffix}"
+    given = robodyn("draw", scene(text), "--labels", "names", "-o", path)
+    assert (given.code, given.out) == (0, "")
+    assert path.read_bytes().startswith(FIRST[suffix])
+
+
+def test_what_slides_in_characters(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """The crank's joint and its pin; where the yoke slides there is no joint that turns."""
+    given = robodyn("draw", scene(SCOTCH_YOKE), "--q", "60deg", "--format", "text", "--ascii")
+    assert given.succeeds().out.count("o") == 2
+
+
+def test_forces_where_links_slide(
+    robodyn: Run, scene: Callable[[str], Path], tmp_path: Path, pictures: list
+) -> None:
+    state = (scene("gravity: 9.81" + SCOTCH_YOKE), "--q", "60deg", "--qd", "5")
+    robodyn("draw", *state, "--forces", "-o", tmp_path / "x.svg").succeeds()
+    row = robodyn("reactions", *state).row
+    expected = {f"r{k}": abs(complex(row[f"rx{k}"], row[f"ry{k}"])) for k in (1, 2)}
+    expected |= {"f1": abs(complex(row["fx1"], row["fy1"])), "m1 g": 0.8 * 9.81, "m2 g": 1.5 * 9.81}
+    found = dict(re.fullmatch(r"(.*) = (\S+) N", text).groups() for text in texts(pictures[0]))
+    assert found.keys() == expected.keys()
+    for name, size in expected.items():
+        assert float(found[name]) == pytest.approx(size, rel=6e-3)
 
 
 def test_joints_are_where_they_are_to_the_pixel(
@@ -294,7 +326,7 @@ def test_the_pictures_of_the_readme_are_there_and_small() -> None:
     assert named == there
     charts = {f"robots/pictures/{name}.png" for name in ("work-precision", "flip-map")}
     drawn = sorted(named - charts)
-    assert sum((ROOT / path).stat().st_size for path in drawn) < 150_000
+    assert sum((ROOT / path).stat().st_size for path in drawn) < 250_000
     for path in drawn:
         with Image.open(ROOT / path) as image:
             assert image.size == (480, 360)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome, relative_error
 
 import oracles
 
@@ -119,6 +119,26 @@ def test_the_table_shows_every_term_with_its_unit(robodyn: Run) -> None:
         assert re.search(rf"(^|  ){re.escape(title)}( |$)", given.out, re.MULTILINE), title
     assert f"{oracles.four_bar_position(FOUR_BAR, math.pi / 3)[1]:.6g}" in given.out
     assert "\x1b" not in given.out
+
+
+def test_the_table_shows_the_units_of_joints_that_slide(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    arguments = ["terms", scene(RP_ARM), "--q", "1,0.2", "--format", "table"]
+    lines = [line.strip() for line in robodyn(*arguments).succeeds().out.splitlines()]
+    for title, head in (
+        ("q", "1 [rad]   2 [m]"),
+        ("qd", "1 [rad/s]   2 [m/s]"),
+        ("G", "1 [N m]   2 [N]"),
+        ("D", "1 [N m s/rad]   2 [N s/m]"),
+        ("M [kg m²; kg m and kg where one or both joints slide]", "1     2"),
+        ("C [kg m²/s; kg m/s and kg/s where one or both joints slide]", "1   2"),
+    ):
+        below = lines[lines.index(title) + 2]
+        assert " ".join(below.split()) == " ".join(head.split())
+    arguments = ["terms", scene(SCOTCH_YOKE), "--q", "1", "--format", "table"]
+    lines = [line.strip() for line in robodyn(*arguments).succeeds().out.splitlines()]
+    assert lines[lines.index("Psi") + 2].split("   ") == ["1 [m]", "2 [1]"]
 
 
 def test_out(robodyn: Run, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, ROOT, RP_ARM, TWO_LINK, Outcome, relative_error
 
 import oracles
 
@@ -329,6 +329,16 @@ def test_json(robodyn: Run) -> None:
     first, second = given.json
     assert (first["name"], second["name"], second["q1"]) == ("x", "y", 0.3)
     assert relative_error([second["tau1"], second["tau2"]], expected) < 1e-13
+
+
+def test_a_joint_that_slides_takes_a_force(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene(RP_ARM)
+    given = robodyn("torque", path, "--q", "1,0.2", "--format", "table").succeeds()
+    assert given.out.split("\n")[1].split("  ")[1:] == ["tau1 [N m]", " tau2 [N]"]
+    rows = "q1,q2,qd1,qd2,note\n1,0.2,0,0.5,x\n"
+    head = robodyn("torque", path, "-", "--format", "table", stdin=rows).succeeds().out
+    for part in ("q1 [rad]", "q2 [m]", "qd2 [m/s]", "note", "tau1 [N m]", "tau2 [N] "):
+        assert part in head.replace("\n", " \n")
 
 
 def test_a_table_has_units_and_no_colours_in_a_pipe(robodyn: Run) -> None:

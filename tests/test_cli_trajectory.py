@@ -12,7 +12,7 @@ from time import sleep
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, ROOT, Outcome, relative_error
+from conftest import FOUR_BAR, ROOT, RP_ARM, Outcome, relative_error
 
 import oracles
 import robodyn as api
@@ -79,6 +79,15 @@ def test_json_and_table(robodyn: Run) -> None:
     assert [row["t"] for row in rows] == [0.0, 1.0, 2.0]
     table = robodyn(*arguments, "table").succeeds().out
     for part in ("t [s]", "qdd2 [rad/s²]", "1.5708"):
+        assert part in table
+
+
+def test_the_table_tells_metres_of_joints_that_slide(
+    robodyn: Run, scene: Callable[[str], Path]
+) -> None:
+    options = ("--from", "0,0", "--to", "1,0.2", "--time", "1", "--points", "2")
+    table = robodyn("trajectory", scene(RP_ARM), *options, "--format", "table").succeeds().out
+    for part in ("q1 [rad]", "q2 [m]", "qd2 [m/s]", "qdd1 [rad/s²]", "qdd2 [m/s²]"):
         assert part in table
 
 

@@ -162,17 +162,175 @@ def test_a_sliders_block_lies_along_its_line() -> None:
     assert reach.max() > max(travelled)
 
 
+# Joints that slide, slots
+
+YOKE = """
+links:
+  - {name: crank, m: 1, l: 0.1, r: 0.03, I: 0.002}
+  - {name: yoke, joint: prismatic, axis: [1, 0], m: 1, l: 0.2, r: 0.1, I: 0.01, from: [0.3, 0]}
+closures:
+  - {point: crank, on: {link: yoke, through: [-0.3, 0], along: [0, 1]}}
+actuated: [crank]
+"""
+CYLINDER = """
+links:
+  - {name: cylinder, m: 1, l: 0.6, r: 0.3, I: 0.4}
+  - {name: rod, joint: prismatic, axis: [1, 0], m: 5, l: 0.1, r: 0, I: 0.3, from: %s}
+"""
+
+
+def scene(text: str):
+    return build(from_text(text, "x.yaml"))
+
+
+def shapes_of(drawn: Drawing, kind: str, pose: int = 0) -> list[np.ndarray]:
+    return [z for _, shape, z in drawn.placed(pose) if shape.kind == kind]
+
+
+def test_a_yoke_slides_on_the_ground_and_holds_its_pin_in_a_slot() -> None:
+    mech = scene(YOKE)
+    for angles in ([0.4], [0.4, 1.2, 2.9]):
+        drawn = drawing(mech, robodyn.assemble(mech, np.array(angles)[:, None]))
+        for pose, angle in enumerate(angles):
+            pin = 0.1 * np.exp(1j * angle)
+            assert_same_points(centres(drawn, "joint", pose), [0j, pin])  # none where it slides
+            (block,) = shapes_of(drawn, "slider", pose)
+            origin = complex(0.1 * np.cos(angle) + 0.3)
+            assert block.mean() == pytest.approx(origin)
+            (slot,) = shapes_of(drawn, "slot", pose)
+            assert np.ptp(slot.real) < 2 * drawn.half_width
+            assert 0.5 * (slot.real.min() + slot.real.max()) == pytest.approx(pin.real)
+            assert slot.imag.min() < pin.imag < slot.imag.max()
+        assert len(shapes_of(drawn, "support")) == 1  # of the crank
+        walls = np.concatenate(shapes_of(drawn, "guide"))[2:]
+        if len(angles) == 1:  # as far as the crank goes in a turn, where one pose tells little
+            assert slot.imag.min() < -0.1
+            assert slot.imag.max() > 0.1
+            assert walls.real.min() < 0.2
+            assert walls.real.max() > 0.4
+
+
+def test_a_rail_reaches_from_zero_to_where_its_link_goes() -> None:
+    text = (
+        "links: [{name: a, joint: prismatic, axis: [3, 4], m: 1, l: 0, r: 0, I: 0, from: [1, 2]}]"
+    )
+    mech = scene(text)
+    drawn = drawing(mech, [[0.5], [0.8], [-0.1]])
+    along = 0.6 + 0.8j
+    walls = (np.concatenate(shapes_of(drawn, "guide")) - (1 + 2j)) * np.conj(along)
+    margin = 4 * drawn.half_width
+    assert walls.real.min() == pytest.approx(-0.1 - margin)
+    assert walls.real.max() == pytest.approx(0.8 + margin)
+    assert np.abs(walls.imag) == pytest.approx(1.7 * drawn.half_width)
+    for pose, s in enumerate((0.5, 0.8, -0.1)):
+        (block,) = shapes_of(drawn, "slider", pose)
+        assert block.mean() == pytest.approx(1 + 2j + s * along)
+        sides = (np.roll(block, -1) - block) * np.conj(along)
+        assert np.minimum(np.abs(sides.real), np.abs(sides.imag)).max() < 1e-12
+    assert not shapes_of(drawn, "support")
+    assert not shapes_of(drawn, "joint")
+
+
+def test_a_block_slides_on_a_link_and_a_rod_out_of_one() -> None:
+    poses = [[0.3, 0.2], [1.1, 0.45]]
+    for at, sliding in ((0.0, True), (0.6, False)):
+        mech = scene(CYLINDER % f"{{link: cylinder, at: [{at}, 0]}}")
+        drawn = drawing(mech, poses)
+        w = drawn.half_width
+        for pose, (angle, s) in enumerate(poses):
+            along = np.exp(1j * angle)
+            link = [z for _, shape, z in drawn.placed(pose) if shape.kind == "link"][1]
+            origin = (s if sliding else 0.6 + s) * along
+            straight = (link - origin) * np.conj(along)
+            assert straight.real.min() == pytest.approx(-w, rel=1e-3)
+            assert straight.real.max() == pytest.approx(0.1 + w, rel=1e-3)
+            (rail,) = shapes_of(drawn, "rail", pose)
+            rail = rail * np.conj(along)
+            if sliding:
+                (block,) = shapes_of(drawn, "slider", pose)
+                assert block.mean() == pytest.approx(origin)
+                assert rail.real.min() < 0 < 0.45 < rail.real.max()
+                assert not shapes_of(drawn, "rod", pose)
+                continue
+            (rod,) = shapes_of(drawn, "rod", pose)
+            rod = rod * np.conj(along)
+            assert rod.real.max() == pytest.approx(0.6 + s)
+            assert rod.real.min() == pytest.approx(0.6 + s - 0.45 - 2 * w)
+            assert rail.real.min() < 0.6 < rail.real.max()  # it leaves the cylinder there
+            assert not shapes_of(drawn, "slider", pose)
+
+
+def test_a_rod_may_come_out_backwards() -> None:
+    mech = scene(CYLINDER % "{link: cylinder, at: [0, 0]}")
+    drawn = drawing(mech, [0.0, -0.5])
+    (rod,), (rail,) = shapes_of(drawn, "rod"), shapes_of(drawn, "rail")
+    assert rod.real.min() == pytest.approx(-0.5)
+    assert rod.real.max() == pytest.approx(2 * drawn.half_width)
+    assert rail.real.min() < 0 < rail.real.max()
+
+
+def test_a_block_that_keeps_its_angle_turns_with_its_line() -> None:
+    text = """
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: block, m: 0.3, l: 0, r: 0, I: 0.0005}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+closures:
+  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0], along: [1, 0]},
+     aligned: 30deg}
+actuated: [crank]
+start: {crank: 0.3, lever: 70deg, block: 50deg}
+"""
+    mech = scene(text)
+    drawn = drawing(mech, robodyn.assemble(mech, [[0.3], [1.7]]))
+    for pose, angle in enumerate((0.3, 1.7)):
+        pin = 0.1 * np.exp(1j * angle)
+        along = (pin + 0.25j) / abs(pin + 0.25j)
+        (block,), (slot,) = shapes_of(drawn, "slider", pose), shapes_of(drawn, "slot", pose)
+        assert block.mean() == pytest.approx(pin)
+        for shape in (block, slot):
+            sides = (np.roll(shape, -1) - shape) * np.conj(along)
+            assert np.minimum(np.abs(sides.real), np.abs(sides.imag)).max() < 1e-9
+        inside = (slot - pin) * np.conj(along)
+        around = (block - pin) * np.conj(along)
+        assert inside.real.min() < around.real.min() < around.real.max() < inside.real.max()
+
+
+def test_a_spring_at_a_joint_that_slides_is_a_coil_along_it() -> None:
+    text = (
+        "links: [{name: a, joint: prismatic, axis: [0, 1], m: 1, l: 1, r: 0, I: 0, from: [2, 0]}]\n"
+        "springs: [{joint: a, stiffness: 30, length: 0.1}]\n"
+    )
+    drawn = drawing(scene(text), [0.7])
+    (coil,) = shapes_of(drawn, "spring")
+    assert (coil[0], coil[-1]) == (pytest.approx(2), pytest.approx(2 + 0.7j))
+    assert np.abs(coil.real - 2).max() == pytest.approx(drawn.half_width)
+
+
+def posed(mech, angles: np.ndarray) -> np.ndarray:
+    """The free joints at the first of these angles; those that slide near the first pose."""
+    free = list(mech.actuated) if mech.rows else list(range(mech.n))
+    q = np.array(angles[: len(free)])
+    for place, k in enumerate(free):
+        if k in mech.slides:
+            q[place] = first_pose(mech)[k] + 0.1 * mech.unit * q[place]
+    return robodyn.assemble(mech, q) if mech.rows else q
+
+
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_links_keep_their_shape_from_pose_to_pose(path) -> None:
     mech = robodyn.load(path)
     pose = first_pose(mech)
-    q = np.array([pose, robodyn.assemble(mech, pose[list(mech.actuated)] + 0.7)])
+    free = list(mech.actuated) if mech.rows else list(range(mech.n))
+    q = np.array([pose, posed(mech, pose[free] + 0.7)])
     drawn = drawing(mech, q)
     for (_, shape, a), (_, _, b) in zip(drawn.placed(0), drawn.placed(1), strict=True):
         if shape.kind == "link":
             assert np.allclose(np.abs(a - a[0]), np.abs(b - b[0]), rtol=1e-12)
             gaps = np.abs(a[:, None] - a[None, :])
-            ends = link_points(mech, drawn_link(drawn, shape))
+            k, closures = drawn_link(drawn, shape), mech.description.closures
+            slots = [x.second.at for x in closures if x.along is not None and x.second.link == k]
+            ends = np.append(link_points(mech, k), slots)
             length = np.abs(ends[:, None] - ends[None, :]).max()
             assert gaps.max() == pytest.approx(length + 2 * drawn.half_width, rel=1e-3)
 
@@ -259,6 +417,26 @@ def test_the_first_pose_goes_by_the_start_and_takes_what_closes() -> None:
         first_pose(build(from_text(loop.replace("1.9", "2.9"), "x.yaml")))
 
 
+def test_the_first_pose_tries_displacements() -> None:
+    """In both directions, by quarters of the longest length."""
+    text = """
+links:
+  - {name: boom, m: 1, l: 2, r: 0.9, I: 1}
+  - {name: cylinder, m: 1, l: 0.6, r: 0.3, I: 1, from: [0.3, -0.4]}
+  - {name: rod, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 1,
+     from: {link: cylinder, at: [%s, 0]}}
+closures: [[rod, {link: boom, at: [0.9, 0]}]]
+actuated: [rod]
+"""
+    for begin, expected in ((0.0, 0.5), (1.9, -0.5), (0.6, 0.0)):
+        mech = scene(text % begin)
+        pose = first_pose(mech)
+        assert pose[2] == pytest.approx(expected)
+        assert np.abs(robodyn.closure_gap(mech, pose)).max() < 1e-9
+    with pytest.raises(AssemblyError, match="give --q"):
+        first_pose(scene(text % 50.0))
+
+
 # Frames, scale bars and labels
 
 
@@ -289,7 +467,7 @@ def test_scale_bar(width: float, expected: tuple[float, str]) -> None:
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_labels_hide_no_link_and_no_label(path) -> None:
     mech = robodyn.load(path)
-    drawn = drawing(mech, robodyn.assemble(mech, 1.0 + 0.9 * np.arange(len(mech.actuated))))
+    drawn = drawing(mech, posed(mech, 1.0 + 0.9 * np.arange(mech.n)))
     shown = frame(drawn.box(), 6.0, None, 0.3)
     boxes = [complex(0.6 * len(name), 1) * 9 / 72 * shown.scale for name in mech.link_names]
     places = label_places(drawn, 0, boxes, shown, np.zeros(0, complex))

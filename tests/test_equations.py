@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
+from test_prismatic import BLOCK, COUPLED, SLIDING
 
 import oracles
 from random_mechanisms import (
     LOOPS,
     Scene,
+    Sizes,
     assert_close,
     forced,
     loops,
@@ -31,6 +33,21 @@ from robodyn.equations.recorded import recorded
 from robodyn.equations.text import as_json, text
 from robodyn.mechanics.mechanism import Mechanism, load
 
+TURNED = """
+gravity: 9.81
+links:
+  - {name: base, joint: prismatic, axis: [1, 2], m: 0.8, l: 0.1, r: 0.03, I: 0.002, from: [0.1, 0]}
+  - {name: slide, joint: prismatic, axis: [1, -1], m: 0.8, l: 0.1, r: [0.03, 0.01], I: 0.002}
+  - {name: arm, m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
+  - {name: out, joint: prismatic, axis: [2, 1], m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
+  - {name: fore, joint: prismatic, axis: [2, -1], m: 0.3, l: 0.1, r: [0.02, 0.3], I: 0.0005}
+  - {name: other, m: 0.3, l: 0.3, r: 0.02, I: 0.0005, from: [0.5, 0.5]}
+  - {name: far, m: 0.3, l: 0.3, r: [0.02, 0.1], I: 0.0005}
+closures:
+  - {point: other, on: {link: fore, through: [0.1, 0.01], along: [3, -1]}, aligned: 30deg}
+couplings: ["q1 = 0.3 q3 - 0.1", "q6 = 2 q4 + 0.2", "q2 = q5"]
+"""
+SLIDING_SCENES = {"mixed": COUPLED, "block": BLOCK, "sliding block": SLIDING, "turned": TURNED}
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
 FEW = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
@@ -59,6 +76,10 @@ def lines(text_of: str) -> list[str]:
 
 def assert_same(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> None:
     size = sizes(mech.description)
+    if mech.slides or mech.description.couplings:  # what reaches further than links do
+        far = 1.0 + np.abs(q).max() / mech.unit
+        loop = max([size.loop, *(row.size for row in mech.rows)])
+        size = Sizes(size.inertia * far**2, size.gravity * far, size.damping, loop * far)
     whole = size.torque(qd, qdd)
     for numeric in (False, True):
         found = module(mech, numeric)
@@ -76,8 +97,8 @@ def assert_same(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray)
         assert_close(found[name](q, qd, qdd), left, whole + scale, 1e-12)
         if not mech.rows:
             assert not {"Psi", "Psidot_qd", "gap"} & set(found)
-            tau = dynamics.inverse_dynamics(mech, q, qd, qdd)
             if not mech.passive:
+                tau = dynamics.inverse_dynamics(mech, q, qd, qdd)
                 assert_close(found[name](q, qd, qdd), tau, whole + scale, 1e-12)
             continue
         speed = float(np.abs(qd).sum()) ** 2
@@ -93,6 +114,14 @@ def test_scenes_of_robots(name: str) -> None:
     rng = np.random.default_rng(7)
     for _ in range(5):
         assert_same(mech, *rng.uniform(-3, 3, (3, mech.n)))
+
+
+@pytest.mark.parametrize("name", SLIDING_SCENES)
+def test_prismatic_joints_slots_and_blocks(name: str) -> None:
+    mech = mechanism(SLIDING_SCENES[name])
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        assert_same(mech, *rng.uniform(-2, 2, (3, mech.n)))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -247,6 +276,78 @@ def test_the_four_bar() -> None:
         "gap2 = l1 sin(q1) + l2 sin(q1 + q2) - l3 sin(q3)",
     ):
         assert formula in found
+
+
+def test_the_cart_pole() -> None:
+    found = lines(text(equations(load(ROBOTS / "cart-pole.yaml"))))
+    for formula in (
+        "M qdd + C qd + D qd + G = tau + Q",
+        "tau = (tau1, 0)",
+        "M11 = m1 + m2",
+        "M12 = M21 = -m2 r2 sin(q2)",
+        "M22 = m2 r2² + I2",
+        "C12 = -m2 r2 qd2 cos(q2)",
+        "C11 = C21 = C22 = 0",
+        "G2 = m2 g r2 cos(q2)",
+        "Q1 = -ff1 tanh(qd1/wf1)",
+    ):
+        assert formula in found
+    legend = " ".join(text(equations(load(ROBOTS / "cart-pole.yaml"))).split())
+    for told in (
+        "q1 m displacement of cart along its axis",
+        "tau1 N force on cart along its axis",
+        "ff1 0.0005 N friction at the joint of cart",
+        "wf1 0.01 m/s rate that smooths",
+        "M in kg m², kg m or kg,",
+        "G in N m or N,",
+    ):
+        assert told in legend
+
+
+RP = """
+gravity: 9.81
+links:
+  - {name: upper, m: 1.5, l: 0.3, r: 0.2, I: 0.05}
+  - {name: boom, joint: prismatic, axis: %s, m: 0.9, l: 0.5, r: 0.2, I: 0.03}
+"""
+
+
+def test_an_arm_with_a_sliding_link() -> None:
+    found = lines(text(equations(mechanism(RP % "[1, 0]"))))
+    squares = "l1² + r2² + 2 l1 r2 + 2 r2 q2 + 2 l1 q2 + q2²"
+    for formula in (
+        f"M11 = m1 r1² + I1 + m2 ({squares}) + I2",
+        "M22 = m2",
+        "M12 = M21 = 0",
+        "C11 = m2 (l1 + r2 + q2) qd2",
+        "C12 = m2 (l1 + r2 + q2) qd1",
+        "C21 = -m2 (l1 + r2 + q2) qd1",
+        "G2 = m2 g sin(q1)",
+    ):
+        assert formula in found
+    turned = lines(text(equations(mechanism(RP % "[1, 0.2]"))))
+    assert "M12 = M21 = m2 u2y l1" in turned
+    assert "C12 = m2 (u2x l1 + r2 + q2) qd1" in turned
+    assert "M12 = M21 = -m2 l1" in lines(text(equations(mechanism(RP % "[0, -1]"))))
+
+
+def test_a_slot_on_a_moving_link_has_differences_of_angles() -> None:
+    found = lines(text(equations(load(ROBOTS / "whitworth.yaml"))))
+    for formula in (
+        "gap1 = -y2 cos(q2) + l1 sin(q1 - q2)",
+        "Psi11 = l1 cos(q1 - q2)",
+        "Psi12 = y2 sin(q2) - l1 cos(q1 - q2)",
+    ):
+        assert formula in found
+
+
+def test_an_angle_that_is_kept() -> None:
+    found = text(equations(mechanism(BLOCK)))
+    gap = "gap2 = -L1 (beta1y cos(q1 + q2 - q3) - beta1x sin(q1 + q2 - q3))"
+    assert gap in lines(found)
+    assert "L1 times this is the moment of closure 1 on block" in found
+    straight = lines(text(equations(mechanism(BLOCK.replace("20deg", "90deg")))))
+    assert "gap2 = -L1 cos(q1 + q2 - q3)" in straight
 
 
 def test_numbers_put_in() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_equations import SLIDING_SCENES
 
 from random_mechanisms import (
     LOOPS,
@@ -120,6 +121,14 @@ def test_c_of_the_scenes_of_robots(name: str, numeric: bool, tmp_path: Path) -> 
     mech = load(ROBOTS / f"{name}.yaml")
     q, qd, qdd = np.random.default_rng(5).uniform(-3, 3, (3, mech.n))
     assert_c_gives_the_same(mech, (q, qd, qdd), numeric, tmp_path)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", SLIDING_SCENES)
+def test_c_of_prismatic_joints_and_slots(name: str, tmp_path: Path) -> None:
+    mech = mechanism(SLIDING_SCENES[name])
+    states = np.random.default_rng(5).uniform(-1, 1, (3, mech.n))
+    assert_c_gives_the_same(mech, tuple(states), name == "turned", tmp_path)
 
 
 @needs_compiler

@@ -9,6 +9,7 @@ import pytest
 from robodyn.equations.factoring import by_angle, by_function, by_role, written
 from robodyn.equations.notation import GLUE, PLAIN, PYTHON, broken, one_line
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of, total
+from robodyn.equations.trigonometry import simplified
 
 
 def Symbol(name: str, role: int, place: tuple[int, str]) -> Atom:
@@ -99,3 +100,25 @@ def test_broken_outside_brackets_where_it_can_be() -> None:
     assert broken(text, 25) == ["aaaa bbbb", "+ c (dd + ee + ff) - g"]
     assert broken(text, 12) == ["aaaa bbbb", "+ c (dd + ee", "  + ff) - g"]
     assert broken("unbreakable", 5) == ["unbreakable"]
+
+
+def test_sums_of_products_become_functions_of_differences() -> None:
+    S2, C2, S12 = of(Call("sin", (1,))), of(Call("cos", (1,))), of(Call("sin", (0, 1)))
+    found = {
+        plain(simplified(C1 * C12 + S1 * S12)): "cos(q2)",
+        plain(simplified(S1 * C12 - C1 * S12)): "-sin(q2)",
+        plain(simplified(C1 * C2 + S1 * S2)): "cos(q1 - q2)",
+        plain(simplified(C1 * S2 - S1 * C2)): "-sin(q1 - q2)",
+        plain(simplified((S1 * S1 + C1 * C1) * M1 * L1)): "m1 l1",
+        plain(simplified((S1 * S1).times(3) + C1 * C1)): "2 sin(q1)² + 1",
+        plain(simplified(S1 * S1 - C1 * C1)): "sin(q1)² - cos(q1)²",
+        plain(simplified(C1 * C12 - S1 * S12)): "cos(q1) cos(q1 + q2) - sin(q1) sin(q1 + q2)",
+    }
+    assert list(found) == list(found.values())
+
+
+def test_the_cosines_of_a_direction_square_to_one() -> None:
+    x, y = (of(Symbol(f"u1{axis}", Role.direction, (0, axis))) for axis in "xy")
+    assert simplified(M1 * (x * x + y * y)) == M1
+    turned = (x * x + y * y) * (C1 * C12 + S1 * of(Call("sin", (0, 1))))
+    assert plain(simplified(turned)) == "cos(q2)"

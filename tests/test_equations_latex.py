@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.mathtext import MathTextParser
+from test_equations import SLIDING_SCENES
 
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
 from robodyn.equations import equations
@@ -34,6 +35,7 @@ def scenes() -> dict[str, Mechanism]:
         plain = seeded_scene(k, shape)
         found[f"random {name}"] = (forced(k, plain) if k % 2 else plain).mechanism
     found["tree"] = forced(1, seeded_tree(1, 4)).mechanism
+    found |= {name: mechanism(text) for name, text in SLIDING_SCENES.items()}
     found["hostile names"] = mechanism(HOSTILE)
     links = (f"{{name: n{k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [{k}, 0]}}" for k in range(12))
     found["twelve links"] = mechanism(f"gravity: 9.81\nlinks: [{', '.join(links)}]")
@@ -67,7 +69,9 @@ ASKED = [name for name in NAMES if name not in ALIKE]
 
 
 @pytest.mark.parametrize("numeric", [False, True])
-@pytest.mark.parametrize("name", [*ASKED, "random slider-crank", "random six-bar with a piston"])
+@pytest.mark.parametrize(
+    "name", [*ASKED, "block", "turned", "random slider-crank", "random six-bar with a piston"]
+)
 def test_every_formula_is_read_and_fits_the_page(name: str, numeric: bool) -> None:
     """A row of a matrix with a blank of 10 pt between entries."""
     document = latex(equations(SCENES[name], numeric))
@@ -153,6 +157,7 @@ def test_a_small_matrix_is_shown_whole_and_a_wide_one_by_its_entries() -> None:
 
 def test_names() -> None:
     given = ["g", "m1", "r12x", "mp2", "phi1", "S01"]
+    assert subscripted("beta1x") == r"\beta_{1x}"
     shown = ["g", "m_{1}", "r_{12x}", "m_{p2}", r"\varphi_{1}", "S_{01}"]
     assert [subscripted(name) for name in given] == shown
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from hypothesis import given, settings
+from test_prismatic import BLOCK, COUPLED, MIXED, SLIDING
 
 import robodyn
 from model_readers import read_mjcf
 from random_mechanisms import (
     LOOPS,
+    Sizes,
     assert_close,
     forced,
     loops,
@@ -30,6 +32,21 @@ from robodyn.mechanics.mechanism import build, load
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 examples = settings(deadline=None, max_examples=40)
+
+
+def smooth(mech):
+    """The mechanism without friction, which MJCF cannot say."""
+    links = tuple(link._replace(friction=None) for link in mech.description.links)
+    return build(mech.description._replace(links=links))
+
+
+def reached(mech, q):
+    """The sizes of terms, where displacements q make them larger."""
+    size = sizes(mech.description)
+    if not mech.slides:
+        return size
+    far = 1.0 + np.abs(q).max() / mech.unit
+    return Sizes(size.inertia * far**2, size.gravity * far, size.damping, (size.loop + far) * far)
 
 
 def read(mech, **options):
@@ -51,7 +68,7 @@ def assert_same_terms(mech, q):
     M, G = model.terms(at, model.gravity)
     holding = (G - model.forces(at, rest))[there]
     G, Q = robodyn.gravity_vector(mech, q), robodyn.other_forces(mech, q, np.zeros_like(q))
-    size = sizes(mech.description)
+    size = reached(mech, q)
     assert_close(M[np.ix_(there, there)], robodyn.mass_matrix(mech, q), size.inertia, 1e-14)
     assert_close(holding, G - Q, max(size.gravity, *np.abs(G), *np.abs(Q)), 1e-14)
 
@@ -61,8 +78,8 @@ def assert_same_closures(mech, q):
     model, there = read(mech)
     at = angles(model, there, q)
     gap, Psi = robodyn.closure_gap(mech, q), robodyn.closure_jacobian(mech, q)
-    size, row = sizes(mech.description).loop, 0
-    connects, tendons = iter(model.connects), iter(model.equal_tendons)
+    size, row = reached(mech, q).loop, 0
+    connects, tendons, sums = iter(model.connects), iter(model.equal_tendons), iter(model.sums)
     for closure in mech.description.closures:
         if closure.along is None:
             (first, J1), (second, J2) = (model.site(at, name) for name in next(connects))
@@ -82,6 +99,16 @@ def assert_same_closures(mech, q):
             assert_close(error, scale * gap[row], apart, 1e-13)
             assert_close(slope[there], scale * Psi[row], apart, 1e-13)
             row += 1
+        if closure.aligned is not None:  # the sine of an angle, times a length
+            kept = mech.rows[row]
+            ratios, angle = next(sums)
+            error = sum(ratio * at[joint] for joint, ratio in ratios.items()) - angle
+            slope = np.array([ratios.get(joint, 0.0) for joint in model.joints])
+            sign = 1.0 if kept.arm * slope[there] @ Psi[row] > 0.0 else -1.0
+            assert_close(sign * kept.arm * np.sin(error), gap[row], size, 1e-13)
+            assert_close(sign * kept.arm * np.cos(error) * slope[there], Psi[row], size, 1e-13)
+            row += 1
+    angles_kept = sum(closure.aligned is not None for closure in mech.description.closures)
     for coupling in mech.rows[row:]:
         (ratios, angle) = next(
             (ratios, angle)
@@ -94,7 +121,7 @@ def assert_same_closures(mech, q):
         assert_close(coupling.arm * slope[there], Psi[row], coupling.size, 1e-14)
         row += 1
     assert row == len(mech.rows)
-    assert len(model.sums) == len(mech.description.couplings)
+    assert len(model.sums) == len(mech.description.couplings) + angles_kept
     assert next(connects, None) is next(tendons, None) is None
 
 
@@ -127,9 +154,11 @@ class TestTerms:
 
     @EACH_ROBOT
     def test_the_scenes_of_robots(self, path):
-        mech = load(path)
-        q = np.random.default_rng(1).uniform(-4, 4, (5, len(mech.actuated)))
-        for state in robodyn.assemble(mech, q):
+        mech = smooth(load(path))
+        driven = mech.actuated if mech.rows else range(mech.n)
+        q = np.random.default_rng(1).uniform(-4, 4, (5, len(driven)))
+        q[:, [k in mech.slides for k in driven]] *= 0.05
+        for state in robodyn.assemble(mech, q) if mech.rows else q:
             assert_same_terms(mech, state)
             assert_same_closures(mech, state)
 
@@ -184,6 +213,70 @@ class TestCouplings:
             "polycoef": "0.1 -0.3 0 0 0",
         }
         assert root.find("default/equality") is not None
+
+
+ALIGNED = """
+links:
+  - {name: base, joint: prismatic, axis: [1, 2], m: 0.8, l: 0, r: 0.03, I: 0.02, from: [0.1, 0]}
+  - {name: arm, m: 0.3, l: 0.5, r: 0.02, I: 0.05}
+  - {name: block, m: 0.3, l: 0.3, r: 0.02, I: 0.05}
+  - {name: lever, m: 0.3, l: 0.3, r: 0.02, I: 0.05, from: [0.5, 0.5]}
+  - {name: out, joint: prismatic, axis: [2, 1], m: 0.3, l: 0.1, r: 0.02, I: 0.05}
+closures:
+  - {point: block, on: {link: out, through: [0.1, 0.01], along: [3, -1]}, aligned: 30deg}
+actuated: [base, arm, lever]
+start: {block: 0.3, out: 0.1}
+"""
+
+
+class TestSlides:
+    @pytest.mark.parametrize("text", [MIXED, COUPLED, BLOCK, SLIDING])
+    def test_prismatic_joints_keep_M_and_G_and_forces(self, text):
+        mech = smooth(mechanism(text))
+        for q in np.random.default_rng(3).uniform(-2, 2, (5, mech.n)):
+            assert_same_terms(mech, q)
+            TestForces().assert_same_forces(mech, q, q[::-1])
+
+    def test_pins_and_couplings_hold_where_they_are_open(self):
+        for text in (COUPLED, SLIDING):
+            mech = smooth(mechanism(text))
+            for q in np.random.default_rng(3).uniform(-2, 2, (5, mech.n)):
+                assert_same_closures(mech, q)
+
+    def test_slots_and_angles_that_are_kept(self):
+        for text in (BLOCK, ALIGNED):
+            mech = mechanism(text)
+            for q in np.random.default_rng(3).uniform(-0.2, 0.2, (5, len(mech.actuated))):
+                assert_same_closures(mech, robodyn.assemble(mech, q))
+
+    def test_an_angle_is_kept_in_the_turn_of_the_keyframe(self):
+        mech = mechanism(BLOCK)
+        q = robodyn.assemble(mech, [0.3])
+        for turns in (-2, 0, 3):
+            there = q + np.array([0.0, 2.0 * np.pi * turns, 0.0])
+            model, places = read(mech, q=there.tolist())
+            ratios, angle = model.sums[0]
+            at = angles(model, places, there)
+            assert sum(x * at[joint] for joint, x in ratios.items()) == pytest.approx(angle)
+        text = mjcf(mech)
+        assert "from turn to turn" in text
+        assert "sites of that link" in text
+
+    def test_a_slide_lies_along_x_of_its_body(self):
+        model, _ = read(smooth(mechanism(MIXED)))
+        bodies = {body.joint: body for body in model.bodies}
+        assert [bodies[name].slides for name in "abcde"] == [True, False, True, True, False]
+        assert bodies["a"].axis.tolist() == [1, 0, 0]
+        assert bodies["a"].turn[:, 0] == pytest.approx([2 / 5**0.5, 1 / 5**0.5, 0], abs=1e-15)
+        assert (bodies["c"].stiffness, bodies["c"].springref, bodies["c"].damping) == (30, 0.1, 0.3)
+
+    def test_what_never_turns_needs_no_inertia(self):
+        cart = "{name: cart, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0}"
+        pole = "{name: pole, m: 1, l: 1, r: 0.5, I: 0.1}"
+        (body, _) = read(mechanism(f"links: [{cart}, {pole}]"))[0].bodies
+        assert body.inertia[2, 2] == MINIMUM
+        with pytest.raises(InputError, match=r"links\[1\] \(cart\)\.I = 0\.0"):
+            mjcf(mechanism(f"links: [{pole}, {cart}]"))
 
 
 class TestForces:

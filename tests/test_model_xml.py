@@ -94,7 +94,10 @@ def test_numbers_read_back_exactly(value):
     assert number(-0.0) == "0.0"
 
 
-LaterLink = namedtuple("LaterLink", (*Link._fields, "backlash"))
+class LaterLink(namedtuple("LaterLink", (*Link._fields, "backlash"))):
+    slides = Link.slides
+
+
 LaterDescription = namedtuple("LaterDescription", (*Description._fields, "magnets"))
 
 

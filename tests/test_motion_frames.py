@@ -8,7 +8,7 @@ from conftest import FOUR_BAR, ROOT
 
 import oracles
 import robodyn
-from robodyn.dynamics.closed_form import phases
+from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError
 from robodyn.pictures.bodies import at
 from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point
@@ -99,9 +99,9 @@ def test_what_has_no_frames(t: list[float], parts: tuple[str, ...]) -> None:
     ],
 )
 def test_traced_points(name: str, expected: complex) -> None:
-    E = phases(ARM, np.array([0.3, 0.7]))
+    X = placed(ARM, np.array([0.3, 0.7])).X
     points, k = traced_point(ARM, name)
-    assert complex(at(points[k], E)) == pytest.approx(expected)
+    assert complex(at(points[k], X)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

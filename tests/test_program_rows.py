@@ -32,6 +32,7 @@ from robodyn.mechanics.program import (
     Rate,
     RealPart,
     Scaled,
+    Slide,
     Sum,
     Turn,
     Unknown,
@@ -224,7 +225,7 @@ def completed_anew(series):
         series.residuals(p)
         series.complete(rng.normal(size=len(series.program.unknowns)).tolist())
         for slot, row in series.rows:
-            if isinstance(row, Turn | Unknown):
+            if isinstance(row, Turn | Slide | Unknown):
                 continue
             m = p + series.ahead[slot]
             anew = series.known(slot, row, m)

@@ -189,10 +189,10 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["scene", "link", "point_spring", "joint_spring", "force", "torque"]
+    "form", ["scene", "revolute_link", "point_spring", "joint_spring", "force", "torque"]
 )
 def test_the_tables_of_the_readme_are_the_grammar(form: str) -> None:
-    named = {"scene": "scene key", "link": "link key"}
+    named = {"scene": "scene key", "revolute_link": "link key"}
     header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
     lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
     for name, key in FORMS[form].keys.items():
@@ -224,5 +224,5 @@ def test_every_key_is_described() -> None:
     ("key", "unit"), [("m", "kg"), ("l", "m"), ("I", "kg m²"), ("damping", "N m s/rad"), ("r", "m")]
 )
 def test_amounts_tell_their_units(key: str, unit: str) -> None:
-    schema = dict(properties(SCHEMA))[key]
+    schema = SCHEMA["$defs"]["revolute_link"]["properties"][key]
     assert re.search(rf"\b{re.escape(unit)}(\b|\.|:)", schema["description"])

@@ -10,9 +10,9 @@ from test_simulation import reference, scene, slope
 
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree
+from robodyn.dynamics.placed import relative_matrix
 from robodyn.mechanics.actuation import Actuation, constant, expressions
 from robodyn.taylor.python_series import StraightEngine, step_text
-from robodyn.taylor.steps import relative_matrix
 
 ORDER = 12
 FREE = 1e100  # a tolerance that holds no step

@@ -62,6 +62,33 @@ def test_links_that_stand_before_the_one_they_hang_from():
     assert_same_terms(mech, np.array([0.7, -1.9]))
 
 
+SLIDES = """
+gravity: [1.5, -9]
+links:
+  - {name: a, joint: prismatic, axis: [1, 0.5], m: 0.8, l: 0.1, r: [0.03, 0.1], I: 0.002,
+     from: [0, 0.1], damping: 3}
+  - {name: b, m: 0.3, l: 0.4, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+  - {name: c, joint: prismatic, axis: [0, -1], m: 1.5, l: 0.5, r: 0.25, I: 0.03,
+     from: {link: b, at: [0.1, 0.2]}, payload: 0.3}
+  - {name: d, joint: prismatic, axis: [1, 1], m: 0.7, l: 0.2, r: 0.25, I: 0.02}
+  - {name: e, m: 0.3, l: 0.2, r: [0.1, 0.02], I: 0.0005}
+couplings: ["q3 = 0.2 q2 + 0.1"]
+"""
+
+
+def test_prismatic_joints():
+    mech = mechanism(SLIDES)
+    for q in np.random.default_rng(1).uniform(-0.5, 0.5, (5, mech.n)):
+        model = assert_same_terms(mech, q)
+    slides = {body.joint: body for body in model.bodies if body.slides}
+    assert slides.keys() == {"a", "c", "d"}
+    assert all(body.axis.tolist() == [1, 0, 0] for body in slides.values())
+    assert slides["a"].damping == 3.0
+    assert model.sums == [({"c": 1.0, "b": -0.2}, 0.1)]
+    assert "no limit" not in urdf(robodyn.load(ROOT / "robots/2r.yaml"))
+    assert_same_terms(robodyn.load(ROOT / "robots/rp-arm.yaml"), np.array([0.7, 0.3]))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_joints_are_unlimited_and_turn_about_z(seed):
     model = read_urdf(urdf(seeded_tree(seed, 5).mechanism))

@@ -38,7 +38,7 @@ def accel(
     def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
         check_way_on(mechanism, q, qd)
         solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
-        forces = loop_forces(mechanism, solution.multipliers)
+        forces = loop_forces(mechanism, solution.multipliers, q)
         return np.concatenate([solution.qdd, forces], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]

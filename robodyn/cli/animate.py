@@ -14,12 +14,12 @@ from robodyn.cli.files import input_argument, output_file
 from robodyn.cli.options import Model, Size
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
-from robodyn.dynamics.closed_form import phases
+from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.pictures.bodies import at
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames, traced_point
+from robodyn.pictures.rails import at
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
@@ -72,8 +72,8 @@ def animate(
     with remarks():
         shown_frames = _read(mechanism, states, fps, speed)
     drawn = drawing(mechanism, shown_frames.q)
-    E = phases(mechanism, shown_frames.fine)
-    traces = [at(points[k], E) for points, k in traced]
+    X = placed(mechanism, shown_frames.fine).X
+    traces = [at(points[k], X) for points, k in traced]
     from robodyn.cli.animation_files import Film, write_gif, write_mp4, write_page
 
     if suffix == ".html":
@@ -101,7 +101,9 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
         cut = len(sources[0].columns)
         given = [np.transpose(rest[:cut]), np.transpose(rest[cut:])][: len(sources)]
         q, *qd = complete(mechanism, sources, given)
-        q = q if sources[0].whole else np.unwrap(q, axis=0)  # assembled angles lie in one turn
+        if not sources[0].whole:  # assembled angles lie in one turn
+            turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
+            q[:, turning] = np.unwrap(q[:, turning], axis=0)
         return frames(mechanism, t, q, qd[0] if qd else None, fps, speed)
     except RobodynError as error:
         error.add_place(name)

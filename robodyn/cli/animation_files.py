@@ -17,10 +17,10 @@ import numpy as np
 
 from robodyn.cli.pictures import FONT, FOOT, LONGEST, STYLES, Picture, style_of
 from robodyn.errors import RobodynError
-from robodyn.pictures.bodies import Shape
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
+from robodyn.pictures.outlines import Shape
 from robodyn.pictures.picture_plan import frame, scale_bar, scale_bar_line
 from robodyn.tables.output_file import open_output
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -11,6 +12,7 @@ from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd
 from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
 from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
+from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.scene import BRANCHES
@@ -44,7 +46,13 @@ def assemble(
     mechanism = load(model)
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
-    found = [(name, single_state(mechanism, given, way)) for name, way in ways]
+    found = []
+    for name, way in ways:
+        try:
+            found.append((name, single_state(mechanism, given, way)))
+        except AssemblyError:  # of the scene's own, or where one branch reaches farther
+            if not found:
+                raise
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
@@ -57,14 +65,16 @@ def assemble(
                 writer.write_row(list(row.values()))
     else:
         content = {"branches": branches}
-        write_structure(chosen, out, content, lambda: [x for y in branches for x in _tables(y)])
+        slides = mechanism.slides
+        tables = [table for branch in branches for table in _tables(branch, slides)]
+        write_structure(chosen, out, content, lambda: tables)
 
 
 def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, ...] | None]]:
     """Each way to assemble, by name; the scene's own first."""
     if whole or not mechanism.rows:
         return [("given", None)]
-    own = mechanism.description.branches
+    own = assembly.scene_branches(mechanism)
     two_way = assembly.assembly_plan(mechanism).two_way
     if not two_way:
         return [("start", None)]
@@ -106,7 +116,7 @@ def _row(branch: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def _tables(branch: dict[str, Any]) -> list[Grid]:
+def _tables(branch: dict[str, Any], slides: Sequence[int]) -> list[Grid]:
     links = branch["links"]
     joints = [
         [f"{k + 1} {link['name']}", q, np.degrees(q), branch["qd"][k], branch["qdd"][k]]
@@ -114,5 +124,10 @@ def _tables(branch: dict[str, Any]) -> list[Grid]:
     ]
     places = [[link["name"], part, *link[part].values()] for link in links for part in PARTS]
     angles = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
+    ways = ["joint", "q [m]", "qd [m/s]", "qdd [m/s²]"]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
-    return [Grid(angles, joints, branch["branch"]), Grid(where, places)]
+    turning = [row for k, row in enumerate(joints) if k not in slides]
+    sliding = [[name, q, qd, qdd] for name, q, _, qd, qdd in (joints[k] for k in slides)]
+    tables = [Grid(angles, turning)] if turning else []
+    tables += [Grid(ways, sliding)] if sliding else []
+    return [tables[0]._replace(title=branch["branch"]), *tables[1:], Grid(where, places)]

@@ -99,4 +99,5 @@ def bench(
         note(f"left out: {line}")
     note(f"uncertainty of the reference: {result.reference.uncertainty:.2g}; no error below it")
     if plot is not None:
-        work_precision(result, f"{mechanism.name}, {duration:g} s", plot)
+        title = f"{mechanism.name}, {duration:g} s"
+        work_precision(result, title, plot, slides=bool(mechanism.slides))

@@ -17,11 +17,12 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.grammar import FORMS
-from robodyn.scene.scene import FRAMES, Coupling, JointSpring, Moment, Point
+from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Moment, Point
 
 STATES = 200
-PHRASES = {  # what a spring or a load is in words, by the first of its keys; and of its damping
+PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its damping
     "joint": ("joint {joint}: {stiffness:g} N m/rad from {angle:g} rad", "N m s/rad"),
+    "slide": ("joint {joint}: {stiffness:g} N/m from {length:g} m", "N s/m"),
     "between": ("{between[0]} to {between[1]}: {stiffness:g} N/m, length {length:g} m", "N s/m"),
     "link": ("{torque:g} N m on {link}", ""),
     "at": ("({force[0]:g}, {force[1]:g}) N at {at}", ""),
@@ -91,8 +92,13 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
     """A link, key by key."""
     link = mechanism.description.links[k]
     rubs = link.friction
+    axis: dict[str, Any] = {}
+    if link.axis is not None:
+        axis = {"joint": JOINTS[1], "axis": [link.axis.real, link.axis.imag]}
+    load = "force" if link.slides else "torque"
     return {
         "name": link.name,
+        **axis,
         "m": link.m,
         "l": link.l,
         "r": [link.r.real, link.r.imag],
@@ -100,7 +106,7 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
         "from": _place(mechanism, link.hangs_from),
         "payload": link.payload,
         "damping": link.damping,
-        "friction": None if rubs is None else {"torque": rubs.torque, "speed": rubs.speed},
+        "friction": None if rubs is None else {load: rubs.torque, "speed": rubs.speed},
     }
 
 
@@ -111,7 +117,8 @@ def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
     for spring in found.springs:
         values: dict[str, Any] = {"stiffness": spring.stiffness, "damping": spring.damping}
         if isinstance(spring, JointSpring):
-            values = {"joint": names[spring.joint], "angle": spring.angle} | values
+            free = "length" if spring.joint in mechanism.slides else "angle"
+            values = {"joint": names[spring.joint], free: spring.angle} | values
         else:
             ends = [_place(mechanism, point) for point in (spring.first, spring.second)]
             values = {"between": ends, "length": spring.length} | values
@@ -151,7 +158,7 @@ def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
         cond_M = sizes.max(axis=-1) / sizes.min(axis=-1)
     mobility, cond_Psi = mechanism.n, None
     if mechanism.rows:
-        s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)
+        s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)
         rank = int((s > assembly.CLOSED * s[..., :1]).sum(axis=-1).max())
         mobility, cond_Psi = mechanism.n - rank, _span(s[:, 0] / s[:, rank - 1])
         if rank < len(mechanism.rows):
@@ -165,26 +172,12 @@ def _span(values: np.ndarray) -> list[float | None]:
 
 
 def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identity]) -> list[Grid]:
-    links = content["links"]
-    extras = [key for key in ("payload", "damping") if any(link[key] for link in links)]
-    rubs = any(link["friction"] for link in links)
-    headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["link"].keys.items()}
-    columns = ["link", *(headed[key] for key in "mlrI"), "hangs from"]
-    columns += [*(headed[key] for key in extras), *(["friction [N m]"] if rubs else []), "actuated"]
-    rows = []
-    for k, link in enumerate(links):
-        r = "{:g}".format(*link["r"]) if link["r"][1] == 0 else "({:g}, {:g})".format(*link["r"])
-        row = [f"{k + 1} {link['name']}", link["m"], link["l"], r, link["I"], link["from"]]
-        row += [link[key] for key in extras]
-        if rubs:
-            friction = link["friction"]
-            row.append("{torque:g} above {speed:g} rad/s".format(**friction) if friction else "")
-        rows.append([*row, "yes" if k in mechanism.actuated else ""])
     facts = [["gravity", "({:g}, {:g}) m/s²".format(*content["gravity"])]]
     facts.append(["mobility", str(content["mobility"])])
     for kind in ("spring", "load"):
         for k, entry in enumerate(content.get(f"{kind}s", []), start=1):
-            phrase, unit = PHRASES[next(iter(entry))]
+            first = next(iter(entry))
+            phrase, unit = PHRASES["slide" if first == "joint" and "length" in entry else first]
             text = phrase.format(**entry)
             text += f", damping {entry['damping']:g} {unit}" if entry.get("damping") else ""
             text += ", turning with it" if entry.get("frame") == FRAMES[1] else ""
@@ -205,5 +198,37 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             verdict = [f"{item.residual:.1e}", "holds" if item.holds else "FAILS"]
         proof.append([item.name, *verdict])
     title = f"identities at {content['states']} random states (bound {BOUND:g})"
-    read = Grid(columns, rows, mechanism.name)
-    return [read, Grid(["", ""], facts), Grid(["identity", "residual", ""], proof, title)]
+    return [
+        _link_table(mechanism, content["links"]),
+        Grid(["", ""], facts),
+        Grid(["identity", "residual", ""], proof, title),
+    ]
+
+
+def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:
+    """The links, one a row; where joints have different units each value has its own."""
+    extras = [key for key in ("payload", "damping", "friction") if any(x[key] for x in links)]
+    headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["revolute_link"].keys.items()}
+    headed["friction"] = "friction [N m]"
+    mixed = bool(mechanism.slides)
+    if mixed:
+        headed |= {"damping": "damping", "friction": "friction"}
+    columns = ["link", *(headed[key] for key in "mlrI"), "hangs from", *["joint"] * mixed]
+    rows = []
+    for k, link in enumerate(links):
+        axis = link.get("axis")
+        load, rate = ("N m", "rad/s") if axis is None else ("N", "m/s")
+        told = {key: link[key] for key in extras}
+        if mixed and "damping" in told:
+            unit = f"{load} s/{rate.removesuffix('/s')}"
+            told["damping"] = f"{link['damping']:g} {unit}" if link["damping"] else ""
+        if "friction" in told:
+            most, speed = link["friction"].values() if link["friction"] else (0.0, 0.0)
+            own = f"{most:g} {load}" if mixed else f"{most:g}"
+            told["friction"] = f"{own} above {speed:g} {rate}" if link["friction"] else ""
+        r = "{:g}".format(*link["r"]) if link["r"][1] == 0 else "({:g}, {:g})".format(*link["r"])
+        row = [f"{k + 1} {link['name']}", link["m"], link["l"], r, link["I"], link["from"]]
+        slides = "turns" if axis is None else "slides along ({:g}, {:g})".format(*axis)
+        row += [slides] * mixed + list(told.values())
+        rows.append([*row, "yes" if k in mechanism.actuated else ""])
+    return Grid([*columns, *(headed[key] for key in extras), "actuated"], rows, mechanism.name)

@@ -115,12 +115,12 @@ def _colour(out: str | None) -> bool:
     return on_terminal(out) and not os.environ.get("NO_COLOR")
 
 
-def work_precision(result: Benchmark, title: str, path: str) -> None:
+def work_precision(result: Benchmark, title: str, path: str, slides: bool = False) -> None:
     """Milliseconds against error, log-log, each method's line labelled at its end."""
     figure = new_figure((8.0, 5.5), formulas=True, layout="constrained")
-    axes = figure.add_subplot(
-        xlabel="largest error of q (rad) and qd (rad/s)", ylabel="time of a run, ms"
-    )
+    units = ("rad, m", "rad/s, m/s") if slides else ("rad", "rad/s")
+    label = "largest error of q ({}) and qd ({})".format(*units)
+    axes = figure.add_subplot(xlabel=label, ylabel="time of a run, ms")
     labelled: list[tuple[float, float]] = []
     names = list(dict.fromkeys(x.method for x in result.measurements))
     for i, name in enumerate(names):

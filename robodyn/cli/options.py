@@ -27,10 +27,10 @@ def vector(flag: str, help: str) -> object:
 
 
 _WHICH = "all joints, or the actuated ones of a closed mechanism"
-_Q = f"Joint angles, rad, or 30deg, pi/2: {_WHICH} (the rest is assembled)."
-_QD = f"Joint rates, rad/s or 30deg: {_WHICH}. Default: at rest."
-_QDD = f"Joint accelerations, rad/s^2: {_WHICH}. Default: zero."
-_TAU = "Joint torques, N m: all joints, or the actuated ones. Default: zero."
+_Q = f"Joint angles, rad, or 30deg, pi/2; displacements, m: {_WHICH} (the rest is assembled)."
+_QD = f"Joint rates, rad/s or 30deg; m/s: {_WHICH}. Default: at rest."
+_QDD = f"Joint accelerations, rad/s^2 or m/s^2: {_WHICH}. Default: zero."
+_TAU = "Joint torques, N m, or forces, N: all joints, or the actuated ones. Default: zero."
 EACH = "one value, or one an actuated joint"
 
 Q = Annotated[Text, vector("--q", _Q)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from robodyn.cli.options import Format, StructuredFormat
 from robodyn.errors import printable, printable_lines
-from robodyn.pictures.column_units import with_unit
+from robodyn.pictures.column_units import TURNING, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS, Writer
@@ -24,14 +24,21 @@ PAGE = 200  # rows of one table on the terminal; a longer result goes on in anot
 
 @contextmanager
 def row_writer(
-    format: Format | None, out: str | None, columns: Sequence[str], header: Sequence[str] = ()
+    format: Format | None,
+    out: str | None,
+    columns: Sequence[str],
+    header: Sequence[str] = (),
+    units: Mapping[str, str] = TURNING,
 ) -> Iterator[Writer]:
-    """A writer of rows: computed `columns` after (or in) the columns of the input's `header`."""
+    """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
+
+    A table for people tells `units` of the scene (`column_units.scene_units`).
+    """
     format = default_format(format, out)
     with open_output(out, styled=format == "table") as stream:
         writer = {**WRITERS, "table": TableView}[format](stream, columns, header)
         if isinstance(writer, TableView):
-            writer.on_terminal = on_terminal(out)
+            writer.on_terminal, writer.units = on_terminal(out), units
         try:
             yield writer
         except Exception:
@@ -52,6 +59,7 @@ class TableView(Writer):
 
     converts = True
     on_terminal = False
+    units = TURNING
 
     def _begin(self) -> None:
         self._rows: list[tuple[str, ...]] = []
@@ -60,7 +68,7 @@ class TableView(Writer):
     def close(self) -> None:
         """Write the rows that wait, or the empty table that there is."""
         if self._rows or not self._tables:
-            table = Grid([with_unit(name) for name in self._header], self._rows)
+            table = Grid([with_unit(name, self.units) for name in self._header], self._rows)
             self._write(render([table], self.on_terminal))
             self._rows, self._tables = [], self._tables + 1
 

@@ -31,7 +31,18 @@ STYLES: dict[str, dict[str, Any]] = {
     "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
     "axis": {"edgecolor": "#777777", "linewidth": 0.7, "linestyle": (0, (8, 3, 1, 3)), "zorder": 1},
     "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
+    # a rod lies below the link that it slides in, a block above slots and rails of its link
+    "rod": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.5},
+    "slider": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.999},
     "link": {"edgecolor": INK, "linewidth": 0.9, "zorder": 3},
+    "rail": {"edgecolor": INK, "linewidth": 0.9, "zorder": 3.003},
+    "slot": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 3.004},
+    "line": {
+        "edgecolor": "#777777",
+        "linewidth": 0.7,
+        "linestyle": (0, (8, 3, 1, 3)),
+        "zorder": 3.005,
+    },
     "payload": {"facecolor": "#888888", "edgecolor": INK, "linewidth": 0.9, "zorder": 3.1},
     "centre": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 5},
     "quarter": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5.1},
@@ -41,7 +52,8 @@ STYLES: dict[str, dict[str, Any]] = {
     "scale bar": {"edgecolor": "#555555", "linewidth": 1.0, "zorder": 9},
 }
 ARROW = {"arrowstyle": "-|>", "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
-GHOSTS = ("link", "block", "joint")
+COLOURED = ("link", "block", "rail", "slider", "rod")
+GHOSTS = ("link", "block", "joint", "rail", "slot", "slider", "rod")
 LONGEST = 6.0  # inches of the longer side, where no size is given
 FOOT = 0.3  # inches kept free for the scale bar
 FONT = 9.0  # points
@@ -50,7 +62,7 @@ FONT = 9.0  # points
 def style_of(kind: str, closed: bool, link: int | None) -> dict[str, Any]:
     """How a shape is painted, in matplotlib's words."""
     style = {"facecolor": "none"} | STYLES[kind]
-    if kind in ("link", "block"):
+    if kind in COLOURED:
         style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
     return style if closed else style | {"facecolor": "none"}
 

@@ -56,6 +56,7 @@ def reactions(
         raise InputError("--qdd and --tau are both given", limit=limit)
     mechanism = load(model)
     columns = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
+    columns += [f"rm{k + 1}" for k in mechanism.slides]
     columns += [*loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
     named = False  # whether it was told which forces are not unique
 
@@ -82,9 +83,10 @@ def reactions(
         if len(given) == 2:
             _check_agreement(qd, given["qdd"], qdd)
         joints = reaction_forces.reactions(mechanism, q, qd, qdd, multipliers)
-        loops = dynamics.loop_forces(mechanism, multipliers)
+        held = reaction_forces.slide_moments(mechanism, q, qd, qdd, multipliers)
+        loops = dynamics.loop_forces(mechanism, multipliers, q)
         shake = reaction_forces.shaking_force(mechanism, q, qd, qdd)
-        return np.concatenate([joints.reshape(len(shake), -1), loops, shake], axis=-1)
+        return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]

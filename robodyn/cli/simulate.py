@@ -24,6 +24,7 @@ from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.recording import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.simulation import run
@@ -81,7 +82,9 @@ def simulate(
     start = [Quantity("q", q, True), Quantity("qd", qd)]
     if how.assemble:
         state, moved = assembled_state(mechanism, start)
-        note(f"assembled: joints moved by up to {moved[0]:.3g} rad and {moved[1]:.3g} rad/s")
+        units = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
+        far, fast = (f"{x:.3g} {unit}" for x, unit in zip(moved, units, strict=True))
+        note(f"assembled: joints moved by up to {far} and {fast}")
     else:
         state = single_state(mechanism, start)
     begin = np.concatenate(state)
@@ -147,7 +150,7 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
     q, qd = y[:, :n], y[:, n:]
     tau = applied_torques(mechanism, torques, t, y)
     solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
-    forces = loop_forces(mechanism, solution.multipliers)
+    forces = loop_forces(mechanism, solution.multipliers, q)
     energy = closed_form.kinetic_energy(mechanism, q, qd)
     energy = energy + closed_form.potential_energy(mechanism, q)
     parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]
@@ -180,12 +183,14 @@ def _tell(mechanism: Mechanism, facts: Report) -> None:
     if facts.error_estimate is not None:
         lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")
     if facts.tracking:
-        errors = [
-            f"{x.joint} {x.rms:.3g} rad rms, {x.largest:.3g} rad at most, at t = {x.at:.6g} s"
-            for x in facts.tracking
-        ]
-        torques = ", ".join(f"{x.joint} {x.largest_torque:.6g} N m" for x in facts.tracking)
-        lines += [f"tracking error: {'; '.join(errors)}", f"largest torque: {torques}"]
+        errors, torques, units = [], [], scene_units(mechanism)
+        for k, x in zip(mechanism.actuated, facts.tracking, strict=True):
+            unit, of_torque = (unit_of(f"{name}{k + 1}", units) for name in ("e", "tau"))
+            size = f"{x.rms:.3g} {unit} rms, {x.largest:.3g} {unit} at most"
+            errors.append(f"{x.joint} {size}, at t = {x.at:.6g} s")
+            torques.append(f"{x.joint} {x.largest_torque:.6g} {of_torque}")
+        lines.append(f"tracking error: {'; '.join(errors)}")
+        lines.append(f"largest torque: {', '.join(torques)}")
     if facts.hint:
         lines.append(facts.hint)
     if facts.nearest_singular is not None and facts.nearest_singular_time is not None:

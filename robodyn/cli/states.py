@@ -17,7 +17,8 @@ from robodyn.cli.options import Format
 from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.quantities import parse_vector
+from robodyn.pictures.column_units import scene_units
+from robodyn.scene.quantities import parse_number, parse_vector
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -47,10 +48,11 @@ class Source:
 
 
 def loop_columns(mechanism: Mechanism) -> list[str]:
-    """The columns of `dynamics.loop_forces`: pin forces of closures, torques of couplings."""
+    """The columns of `dynamics.loop_forces`: of closures forces, then moments; of couplings."""
     described = mechanism.description
     pins = [f"f{axis}{c + 1}" for c in range(len(described.closures)) for axis in "xy"]
-    return [*pins, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
+    kept = [f"mz{c + 1}" for c, x in enumerate(described.closures) if x.aligned is not None]
+    return [*pins, *kept, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
@@ -71,7 +73,25 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
         shown_values = f"{shown(quantity.option)} ({count})"
         raise InputError(flag, value=shown_values, limit=f"needs {wanted}")
+    check_displacements(mechanism, quantity.option, range(n) if len(values) == n else None, flag)
     return Source(quantity, values, [], len(values) == n)
+
+
+def check_displacements(
+    mechanism: Mechanism, text: str, joints: Sequence[int] | None, flag: str
+) -> None:
+    """Raise InputError where an entry of joints that slide (the actuated, for None) is an angle."""
+    entries = zip(mechanism.actuated if joints is None else joints, text.replace(",", " ").split())  # noqa: B905
+    for place, (joint, entry) in enumerate(entries, start=1):
+        if joint not in mechanism.slides:
+            continue
+        try:
+            parse_number(entry)
+        except ValueError as error:
+            limit = f"{error}: q{joint + 1} ({mechanism.link_names[joint]}) slides; write 0.25 (m)"
+            raise InputError(
+                f"entry {place}", where=flag, value=shown(entry), limit=limit
+            ) from None
 
 
 def table_source(
@@ -190,6 +210,8 @@ def evaluate(
     """
     import numpy as np
 
+    units = scene_units(mechanism)
+
     def wanted(header: Sequence[str]) -> list[Quantity]:
         there, joints = set(header), range(mechanism.n)
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
@@ -214,7 +236,7 @@ def evaluate(
         with remarks():
             used = wanted([])
             row = results(used, [x[None] for x in single_state(mechanism, used)])[0].tolist()
-        with row_writer(format, out, columns) as writer:
+        with row_writer(format, out, columns, units=units) as writer:
             writer.write_row(row)
         return
 
@@ -225,7 +247,7 @@ def evaluate(
         used = wanted(reader.header)
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         chunks = reader.chunks([column for source in sources for column in source.columns])
-        with remarks(), row_writer(format, out, columns, reader.header) as writer:
+        with remarks(), row_writer(format, out, columns, reader.header, units) as writer:
             for chunk in chunks:
                 try:
                     writer.write_rows(chunk.lines, results_of(chunk.values))

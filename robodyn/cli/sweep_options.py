@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from typer import Option
 
 from robodyn.cli.options import Text, named_options, vector
+from robodyn.cli.states import check_displacements
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -122,6 +123,8 @@ def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, .
     if text is None:
         return (0.0,) * len(actuated)
     values = parse_vector(text, where=f"--{name}", angles=name != "tau")
+    if name != "tau":
+        check_displacements(mechanism, text, None, f"--{name}")
     if len(values) != len(actuated):
         limit = f"needs {len(actuated)} values, one an actuated joint ({', '.join(actuated)})"
         raise InputError(f"--{name}", value=f"{shown(text)} ({len(values)} values)", limit=limit)
@@ -147,7 +150,10 @@ def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
             raise InputError("--vary", value=shown(name), limit=limit)
         if any(axis.name == name for axis in axes):
             raise InputError("--vary", value=shown(name), limit="is given twice")
-        axes.append(_axis(name, values.strip(), sample is not None))
+        slides = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in mechanism.slides]
+        slides += [f"start.{mechanism.link_names[k]}" for k in mechanism.slides]
+        angle = is_angle(name) and name not in slides
+        axes.append(_axis(name, values.strip(), sample is not None, angle))
     clash = scene.clash(axis.name for axis in axes if axis.name in scene)
     if clash is not None:
         raise InputError("--vary", value=" and ".join(clash), limit="are one number of the scene")
@@ -169,12 +175,12 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
     )
 
 
-def _axis(name: str, text: str, drawn: bool) -> Axis:
+def _axis(name: str, text: str, drawn: bool, angle: bool) -> Axis:
     """One --vary: a list, a grid, or an interval to draw from."""
     where = f"--vary {name}"
 
     def number(part: str) -> float:
-        if is_angle(name):
+        if angle:
             return value_from(part.strip(), parse_angle, where, "-0.5, 30deg or pi/2")
         return value_from(part.strip(), parse_number, where, "1.5 or -2e-3")
 

@@ -8,7 +8,11 @@ from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
 from robodyn.cli.output import Grid, write_structure
 from robodyn.cli.states import Quantity, overflow, single_state
 from robodyn.dynamics import closed_form
-from robodyn.mechanics.mechanism import load
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.pictures.column_units import SLIDING
+
+OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
+MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
 def terms(
@@ -57,12 +61,23 @@ def terms(
         raise overflow()
 
     def tables() -> list[Grid]:
-        found = []
-        for name, (unit, value) in content.items():
-            matrix = np.atleast_2d(value).tolist()
-            columns = [str(k + 1) for k in range(len(matrix[0]))]
-            found.append(Grid(columns, matrix, f"{name.replace('_', ' ')} [{unit}]"))
+        found = [_table(mechanism, name, *item) for name, item in content.items()]
         return [*found, Grid(["KE [J]", "PE [J]"], [list(energies.values())])]
 
     plain = {name: value.tolist() for name, (_, value) in content.items()}
     write_structure(format, out, plain | energies, tables)
+
+
+def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Grid:
+    """A term with its unit, or with those of each joint where some slide."""
+    matrix, title = np.atleast_2d(value).tolist(), name.replace("_", " ")
+    columns = [str(k + 1) for k in range(len(matrix[0]))]
+    other = {**SLIDING, "m": "1"}.get(unit) if name in OF_JOINTS else None
+    if mechanism.slides and other is not None:
+        units = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
+        columns = [f"{column} [{own}]" for column, own in zip(columns, units, strict=True)]
+        return Grid(columns, matrix, title)
+    if mechanism.slides and name in MIXED:
+        one, both = MIXED[name]
+        unit += f"; {one} and {both} where one or both joints slide"
+    return Grid(columns, matrix, f"{title} [{unit}]")

@@ -10,6 +10,7 @@ from robodyn.cli.output import row_writer
 from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.pictures.column_units import scene_units
 
 
 def torque(
@@ -44,7 +45,7 @@ def torque(
         tau = _single_state(mechanism, quantities)
         if not all(map(math.isfinite, tau)):
             raise overflow()
-        with row_writer(format, out, columns) as writer:
+        with row_writer(format, out, columns, units=scene_units(mechanism)) as writer:
             writer.write_row(tau)
         return
 
@@ -56,7 +57,7 @@ def torque(
 
     def compute(**motion: np.ndarray) -> np.ndarray:
         solution = inverse_dynamics_and_forces(mechanism, **motion)
-        forces = loop_forces(mechanism, solution.multipliers)
+        forces = loop_forces(mechanism, solution.multipliers, motion["q"])
         torques = solution.tau[..., list(mechanism.actuated)]
         return np.concatenate([torques, forces], axis=-1)
 

@@ -18,6 +18,7 @@ from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_time
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
@@ -147,7 +148,8 @@ def _write(
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
     block = max(1, min(BLOCK, WORK // n**3))
     hidden = out is None and sys.stdout.isatty()  # the rows themselves show how far they are
-    with row_writer(format, out, columns) as writer, progress("writing", hidden) as show:
+    told = row_writer(format, out, columns, units=scene_units(motion.mechanism))
+    with told as writer, progress("writing", hidden) as show:
         for k in range(0, len(times), block):
             show(k / len(times))
             t = motion.begin + times[k : k + block]

@@ -13,7 +13,13 @@ from typer import Option
 
 from robodyn.cli.files import input_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
-from robodyn.cli.states import Quantity, option_source, read_columns, table_source
+from robodyn.cli.states import (
+    Quantity,
+    check_displacements,
+    option_source,
+    read_columns,
+    table_source,
+)
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -80,6 +86,8 @@ class TrajectoryOptions:
         def acceleration(text: str) -> float:
             return quantities.parse_angle(text.removesuffix("/s^2"))
 
+        _check_units(mechanism, self.max_qd, "--max-qd")
+        _check_units(mechanism, self.max_qdd, "--max-qdd")
         return limits_of(
             mechanism,
             _entries(self.max_qd, "--max-qd", quantities.parse_rate, "6.28, 60rpm or 90deg/s"),
@@ -96,6 +104,12 @@ def _entries(
         if text is None
         else quantities.parse_entries(text, parse, where=option, example=example)
     )
+
+
+def _check_units(mechanism: Mechanism, text: str | None, option: str) -> None:
+    """Raise InputError where a joint that slides is given an angle or its rate."""
+    if text is not None and mechanism.slides:
+        check_displacements(mechanism, text, None, option)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +175,7 @@ def sweep_from(
         raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
     if duration is None or not (math.isfinite(duration) and duration > 0.0):
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
+    _check_units(mechanism, given.amplitude, "--amplitude")
     sizes = for_each_actuated(mechanism, sizes, "--amplitude")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
@@ -184,8 +199,12 @@ def turning_from(
         assert counts is not None
         if duration is None:
             raise InputError("--turns", limit="needs --speed or --time")
+        if slides := [k for k in mechanism.actuated if k in mechanism.slides]:
+            limit = f"counts turns, and q{slides[0] + 1} slides: give --from and --to"
+            raise InputError("--turns", value=given.turns, limit=limit)
         way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
         return ConstantSpeed(start, way), duration
+    _check_units(mechanism, given.speed, "--speed")
     rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:

@@ -1,14 +1,16 @@
 """M, C, G, Psi, energies and points of a mechanism, vectorised over any leading axes.
 
-With E = exp(i alpha), alpha = J q, and W = conj(E)[:, None] * A * E[None, :],
+With x = J q the angles alpha that directions E = exp(i alpha) turn by, and displacements s, X = E
+of what turns and s E_d of what slides on link d (E_d = 1 on the ground), T = dX/dx (`columns`),
 
-    M = J^T Re(W) J      C = -J^T (Im(W) * alphad[None, :]) J      G = J^T (Im(w E) - moments)
-    KE = 1/2 alphad^T Re(W) alphad      PE = -Re(w . E) - moments . alpha + const
-    gap = Re(P E) + angles alpha + offset      Psi = (angles - Im(P * E)) J
-    Psidot qd = -Re(P (E * alphad^2))
+    M = J^T Re(T^H A T) J      C = J^T Re(T^H A T') J      G = -J^T (Re(w T) + moments)
+    KE = 1/2 X'^H A X'      PE = -Re(w X) - moments . x + const
+    gap = Re(conj(E_line) P X) + angles x + offset      Psi = d gap/dq
+    Psidot qd = gap'' without accelerations
 
 where A, J, P, the weights w (conj(gamma) B, but for constant forces) and the moments are the
-constants of `mechanism.py`.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
+constants of `mechanism.py`.  Where nothing slides T = diag(i E), and these are the textbook's sums
+over conj(E_j) A_jk E_k.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
 equation of motion, which every docstring refers to, is
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
@@ -21,68 +23,27 @@ States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.errors import InputError
+from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, matvec, placed
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.planar_model import Arrays
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are finite and n wide."""
-    return finite(name, n_wide(mechanism, name, values))
-
-
-def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
-    """`values` as floats (..., n); InputError unless they are n wide."""
-    array = np.asarray(values, dtype=float)
-    n = mechanism.n
-    if array.ndim == 0 or array.shape[-1] != n:
-        limit = f"must have {n} values along the last axis, one a joint"
-        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
-    return array
-
-
-def finite(name: str, array: Array) -> Array:
-    """The array; InputError that names the first value which is not finite."""
-    if not np.isfinite(array).all():
-        where = np.argwhere(~np.isfinite(array))[0]
-        place = f"{name}[{', '.join(map(str, where))}]"
-        raise InputError(place, value=array[tuple(where)], limit="must be finite")
-    return array
-
-
-def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
-    """Matrices (..., r, n) times vectors (..., n)."""
-    return np.asarray((matrix @ vector[..., None])[..., 0])
-
-
-def phases(mechanism: Mechanism, q: ArrayLike) -> Complex:
-    """E = exp(i J q), the links' directions, (..., n)."""
-    alpha = as_states(mechanism, "q", q) @ mechanism.arrays.J.T
-    E = np.empty(alpha.shape, complex)
-    np.cos(alpha, out=E.real)
-    np.sin(alpha, out=E.imag)
-    return E
-
-
-def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
-    """alphad = J qd, the links' angular velocities, (..., n)."""
-    rates: Array = as_states(mechanism, name, qd) @ mechanism.arrays.J.T
-    return rates
-
-
-def absolute_inertia(mechanism: Mechanism, E: Complex) -> Complex:
-    """W = conj(E)[:, None] * A * E[None, :], (..., n, n); its real part is M in alpha."""
-    W: Complex = E.conj()[..., :, None] * mechanism.arrays.A * E[..., None, :]
-    return W
+def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
+    """Re(T^H A T), M in x, (..., n, n); with `rates` Re(T^H A T'), C in x."""
+    moved = rates or at
+    right = columns(mechanism, mechanism.arrays.A, moved.X[..., None, :], moved.E[..., None, :])
+    adjoint = np.swapaxes(right.conj(), -1, -2)
+    W = columns(mechanism, adjoint, at.X[..., None, :], at.E[..., None, :]).real
+    return W if rates is None else np.swapaxes(W, -1, -2)
 
 
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -91,7 +52,7 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     Raises InputError where q is not finite or not n wide.
     """
     J = mechanism.arrays.J
-    M: Array = J.T @ absolute_inertia(mechanism, phases(mechanism, q)).real @ J
+    M: Array = J.T @ absolute_inertia(mechanism, placed(mechanism, q)) @ J
     return M
 
 
@@ -100,9 +61,9 @@ def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
     Raises InputError where q or qd is not finite or not n wide.
     """
-    J = mechanism.arrays.J
-    W = absolute_inertia(mechanism, phases(mechanism, q))
-    C: Array = J.T @ (-W.imag * absolute_rates(mechanism, qd)[..., None, :]) @ J
+    J, at = mechanism.arrays.J, placed(mechanism, q)
+    moved = at.rates(mechanism, absolute_rates(mechanism, qd))
+    C: Array = J.T @ absolute_inertia(mechanism, at, moved) @ J
     return C
 
 
@@ -112,9 +73,8 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
     with a free length coincide.
     """
-    E = phases(mechanism, q)
-    arrays = mechanism.arrays
-    G: Array = ((arrays.weights * E).imag - arrays.moments) @ arrays.J
+    arrays, at = mechanism.arrays, placed(mechanism, q)
+    G: Array = (-columns(mechanism, arrays.weights, at.X, at.E).real - arrays.moments) @ arrays.J
     if mechanism.springs or mechanism.joint_springs:
         from robodyn.engines.row_values import rows_of
 
@@ -150,12 +110,12 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
-    arrays, E = mechanism.arrays, phases(mechanism, q)
-    v = E * absolute_rates(mechanism, qd)
+    arrays, at = mechanism.arrays, placed(mechanism, q)
+    v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
     KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
-    PE: Array = mechanism.energy_offset - (E @ arrays.weights).real
+    PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
     if any(mechanism.moments):
-        PE = PE - absolute_rates(mechanism, q, "q") @ arrays.moments
+        PE = PE - at.x @ arrays.moments
     if mechanism.springs or mechanism.joint_springs:
         from robodyn.engines.row_values import rows_of
 
@@ -169,59 +129,98 @@ def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:
     Two components (x, y) for a pin, one (normal to the line) for a slider, and one for a coupling:
     what its joint is ahead, rad, times a length of the mechanism.
     """
-    arrays = mechanism.arrays
-    gap: Array = (phases(mechanism, q) @ arrays.P.T).real + arrays.offset
-    if mechanism.description.couplings:
-        gap = gap + absolute_rates(mechanism, q, "q") @ arrays.angles.T
-    return gap
+    return gap_at(mechanism, mechanism.arrays, placed(mechanism, q))
 
 
 def closure_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """Psi = d gap/dq, (..., r, n), m/rad."""
-    Psi: Array = absolute_jacobian(mechanism, phases(mechanism, q)) @ mechanism.arrays.J
+    """Psi = d gap/dq, (..., r, n), m/rad, or 1 for joints that slide."""
+    Psi: Array = absolute_jacobian(mechanism, placed(mechanism, q)) @ mechanism.arrays.J
     return Psi
 
 
-def absolute_jacobian(mechanism: Mechanism, E: Complex) -> Array:
-    """Psi in alpha, (..., r, n), m/rad."""
-    Psi: Array = mechanism.arrays.angles - (mechanism.arrays.P * E[..., None, :]).imag
-    return Psi
+def scaled_jacobian(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """Psi with displacements told in units of a length, (..., r, n), m: its columns compare."""
+    Psi = closure_jacobian(mechanism, q)
+    return Psi * mechanism.arrays.units if mechanism.slides else Psi
+
+
+def absolute_jacobian(mechanism: Mechanism, at: Placed) -> Array:
+    """Psi in x, (..., r, n)."""
+    return jacobian_at(mechanism, mechanism.arrays, at)
 
 
 def closure_rate(mechanism: Mechanism, q: ArrayLike, rates: Array) -> Array:
-    """Psi qd, how fast the gap opens at links' angular velocities `rates` (..., n), (..., r), m/s.
+    """Psi qd, how fast the gap opens at rates `rates` (..., n) of x, (..., r), m/s.
 
-    Of angular accelerations the part of the gap's acceleration that `closure_bias` is not.
+    Of accelerations the part of the gap's acceleration that `closure_bias` is not.
     """
-    arrays = mechanism.arrays
-    opening: Array = -((phases(mechanism, q) * rates) @ arrays.P.T).imag
-    return opening + rates @ arrays.angles.T if mechanism.description.couplings else opening
+    return matvec(absolute_jacobian(mechanism, placed(mechanism, q)), rates)
 
 
 def closure_bias(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """Psidot qd, the part of the gap's acceleration that qdd does not make, (..., r), m/s^2."""
-    rates = absolute_rates(mechanism, qd)
-    bias: Array = -((phases(mechanism, q) * rates**2) @ mechanism.arrays.P.T).real
-    return bias
+    at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
+    bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
+    return bias_at(mechanism, at, rates, bent)
+
+
+def bias_at(mechanism: Mechanism, at: Placed, rates: Array, bent: Placed) -> Array:
+    """The same, where X'' is `bent` without accelerations."""
+    P, ground = mechanism.arrays.P, mechanism.arrays.ground
+    bias: Complex = bent.X @ P.T
+    if mechanism.lines:
+        moved = at.rates(mechanism, rates)
+        bias = lines(mechanism, at.E).conj() * bias
+        bias = bias + 2.0 * lines(mechanism, moved.E, 0.0).conj() * (moved.X @ P.T)
+        bias = bias + lines(mechanism, bent.E, 0.0).conj() * (ground + at.X @ P.T)
+    return np.asarray(bias.real)
+
+
+# -- the gap, in any precision ---------------------------------------------------------------------
+
+
+def lines(mechanism: Mechanism, E: Complex, otherwise: float = 1.0) -> Complex:
+    """E of what carries the line of each row, (..., r), or what holds for the ground."""
+    found = np.full((*E.shape[:-1], len(mechanism.rows)), otherwise, E.dtype)
+    for r, line in mechanism.lines:
+        found[..., r] = E[..., line]
+    return found
+
+
+def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
+    """The gap (..., r), m."""
+    across: Complex = at.X @ arrays.P.T
+    if mechanism.lines:
+        across = lines(mechanism, at.E).conj() * (across + arrays.ground)
+    gap: Array = across.real + arrays.offset
+    return gap + at.x @ arrays.angles.T if mechanism.has_angles else gap
+
+
+def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
+    """d gap/dx, (..., r, n)."""
+    P = arrays.P
+    if mechanism.lines:
+        P = lines(mechanism, at.E).conj()[..., None] * P
+    Psi: Array = columns(mechanism, P, at.X[..., None, :], at.E[..., None, :]).real + arrays.angles
+    for r, line in mechanism.lines:
+        across = arrays.ground[r] + at.X @ arrays.P[r]
+        Psi[..., r, line] += (at.E[..., line].conj() * across).imag
+    return Psi
 
 
 class Points(NamedTuple):
-    """Points const + c E of a mechanism, p of them; their motion by E, alphad and alphadd."""
+    """Points const + c X of a mechanism, p of them; they move as X does."""
 
     constant: Complex  # (p,) m
     c: Complex  # (p, n) m
 
-    def place(self, E: Complex) -> Complex:
+    def place(self, at: Placed) -> Complex:
         """(..., p), m."""
-        return E @ self.c.T + self.constant
+        return at.X @ self.c.T + self.constant
 
-    def velocity(self, E: Complex, rates: Array) -> Complex:
-        """(..., p), m/s."""
-        return (1j * E * rates) @ self.c.T
-
-    def acceleration(self, E: Complex, rates: Array, turning: Array) -> Complex:
-        """(..., p), m/s^2."""
-        return (E * (1j * turning - rates**2)) @ self.c.T
+    def moved(self, rates: Placed) -> Complex:
+        """Velocities m/s, or accelerations m/s^2, by those of X, (..., p)."""
+        return rates.X @ self.c.T
 
 
 def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:
@@ -245,19 +244,12 @@ def point_motion(
 
     Rates and accelerations not given are zero.
     """
-    these, E, zero = points_of(mechanism, points), phases(mechanism, q), np.zeros(mechanism.n)
+    these, at, zero = points_of(mechanism, points), placed(mechanism, q), np.zeros(mechanism.n)
     rates = absolute_rates(mechanism, zero if qd is None else qd)
-    turning = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
-    moved = these.place(E), these.velocity(E, rates), these.acceleration(E, rates, turning)
-    x, v, a = (np.stack([z.real, z.imag], axis=-1) for z in moved)
-    return x, v, a
-
-
-@lru_cache(maxsize=64)
-def relative_matrix(mechanism: Mechanism) -> Array:
-    """J^-1 (n, n): joint rates from absolute ones."""
-    inverse = np.eye(mechanism.n)
-    for k, above in enumerate(mechanism.parent):
-        if above is not None:
-            inverse[k, above] = -1.0
-    return inverse
+    accelerations = absolute_rates(mechanism, zero if qdd is None else qdd, "qdd")
+    shape = np.broadcast_shapes(at.x.shape, rates.shape, accelerations.shape)
+    rates, accelerations = np.broadcast_to(rates, shape), np.broadcast_to(accelerations, shape)
+    v = these.moved(at.rates(mechanism, rates))
+    a = these.moved(at.accelerations(mechanism, rates, accelerations))
+    x, xd, xdd = (np.stack([z.real, z.imag], axis=-1) for z in (these.place(at), v, a))
+    return x, xd, xdd

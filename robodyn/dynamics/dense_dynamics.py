@@ -20,14 +20,11 @@ from numpy.typing import NDArray
 from robodyn.dynamics.closed_form import (
     absolute_inertia,
     absolute_jacobian,
-    absolute_rates,
-    closure_bias,
-    closure_gap,
-    closure_jacobian,
-    matvec,
-    phases,
-    relative_matrix,
+    bias_at,
+    gap_at,
+    scaled_jacobian,
 )
+from robodyn.dynamics.placed import Placed, absolute_rates, columns, matvec, placed, relative_matrix
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
@@ -65,24 +62,32 @@ class Accelerations(NamedTuple):
 
 def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
     """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
-    links, joints = _loads(mechanism, q, qd, qdd)
-    load: Array = links @ mechanism.arrays.J + joints
-    return load
+    rates, accelerations = (
+        absolute_rates(mechanism, qd),
+        absolute_rates(mechanism, qdd, "qdd"),
+    )
+    at = placed(mechanism, q)
+    if rates.shape != accelerations.shape:
+        rates, accelerations = np.broadcast_arrays(rates, accelerations)
+    bent = at.accelerations(mechanism, rates, accelerations)
+    load: Array = _loads(mechanism, at, bent) @ mechanism.arrays.J
+    return load + _joint_loads(mechanism, q, qd)
 
 
-def _loads(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-    """The parts of `required_load` that act on links, in absolute angles, and at joints.
+def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
+    """What acts on x in `required_load`, Re(T^H A X'') and what weights do, where X'' is `bent`."""
+    arrays = mechanism.arrays
+    felt = (bent.X @ arrays.A.T).conj() - arrays.weights
+    loads: Array = columns(mechanism, felt, at.X, at.E).real - arrays.moments
+    return loads
 
-    Those on links are Re(conj(E) (A (E (alphadd + i alphad^2)))) + Im(weights E) - moments.
-    """
-    arrays, E = mechanism.arrays, phases(mechanism, q)
-    rates = absolute_rates(mechanism, qd)
-    inner = E * (absolute_rates(mechanism, qdd, "qdd") + 1j * rates**2)
-    links = (E.conj() * (inner @ arrays.A.T)).real + (arrays.weights * E).imag - arrays.moments
-    joints = arrays.damping * qd
+
+def _joint_loads(mechanism: Mechanism, q: Array, qd: Array) -> Array:
+    """What acts at joints there."""
+    loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
-        joints = joints + rows_of(parts.acting, mechanism)("torques", q, qd)
-    return links, joints
+        loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd)
+    return loads
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -90,8 +95,9 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
     load = required_load(mechanism, q, qd, qdd)
     if not mechanism.rows and not mechanism.passive:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
-    n, actuated = mechanism.n, list(mechanism.actuated)
-    s = _decompose(mechanism, closure_jacobian(mechanism, q))
+    n, actuated, units = mechanism.n, list(mechanism.actuated), mechanism.arrays.units
+    load = load * units  # as Psi here, what acts on displacements is told by a length
+    s = _decompose(mechanism, scaled_jacobian(mechanism, q))
     # a projector serves as N here: states of different rank go together
     kept = s.V * (np.arange(n) < s.rank[..., None])[..., None, :]
     freedoms = np.eye(n) - kept @ np.swapaxes(kept, -1, -2)
@@ -119,7 +125,7 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         at = "dead centre: the actuators cannot drive every freedom here"
         remarks.insert(0, f"{at}: torques of least norm")
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2), load - tau)
-    return Torques(tau, multipliers, "; ".join(remarks))
+    return Torques(tau / units, multipliers, "; ".join(remarks))
 
 
 def forward(
@@ -129,16 +135,19 @@ def forward(
 
     A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap = 0.
     """
-    E, rates = phases(mechanism, q), absolute_rates(mechanism, qd)
-    M = absolute_inertia(mechanism, E).real  # all of this in absolute angles
-    links, joints = _loads(mechanism, q, qd, np.zeros(mechanism.n))
-    force = (tau - joints) @ relative_matrix(mechanism)
-    force = force - links
-    Psi = absolute_jacobian(mechanism, E)
-    bend = closure_bias(mechanism, q, qd)
+    at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
+    units = mechanism.arrays.units
+    M = absolute_inertia(mechanism, at)  # all of this in x, displacements by a length
+    bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
+    force = (tau - _joint_loads(mechanism, q, qd)) @ relative_matrix(mechanism)
+    force = force - _loads(mechanism, at, bent)
+    Psi = absolute_jacobian(mechanism, at)
+    bend = bias_at(mechanism, at, rates, bent)
     if baumgarte:
-        gapd = matvec(Psi, rates)
-        bend = bend + 2 * baumgarte * gapd + baumgarte**2 * closure_gap(mechanism, q)
+        gap = gap_at(mechanism, mechanism.arrays, at)
+        bend = bend + 2 * baumgarte * matvec(Psi, rates) + baumgarte**2 * gap
+    if mechanism.slides:
+        M, force, Psi = M * units[:, None] * units, force * units, Psi * units
     s = _decompose(mechanism, Psi)
     particular = -matvec(s.inverse, bend)
     right = force - matvec(M, particular)
@@ -149,8 +158,9 @@ def forward(
     acceleration = particular + free
     unbalanced = matvec(M, acceleration) - force
     multipliers = matvec(np.swapaxes(s.inverse, -1, -2), unbalanced)
+    acceleration = acceleration * units
     qdd = acceleration.copy()
-    for k, above in enumerate(mechanism.parent):
+    for k, above in enumerate(mechanism.above):
         if above is not None:
             qdd[..., k] -= acceleration[..., above]
     return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
@@ -167,8 +177,10 @@ def elimination_is_safe(mechanism: Mechanism) -> bool:
     if not (diagonal > 0.0).all():
         return False
     scale = np.sqrt(diagonal)
+    diagonal = diagonal * mechanism.arrays.units**2
     sample = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, mechanism.n))
-    M = absolute_inertia(mechanism, phases(mechanism, sample)).real / (scale[:, None] * scale)
+    sample[:, list(mechanism.slides)] *= mechanism.unit
+    M = absolute_inertia(mechanism, placed(mechanism, sample)) / (scale[:, None] * scale)
     regular = bool(np.linalg.eigvalsh(M)[:, 0].min() > MASS_CUT)
     return regular and (not mechanism.rows or diagonal.max() <= SPREAD * diagonal.min())
 
@@ -243,6 +255,6 @@ def _dependence(mechanism: Mechanism, rank: NDArray[np.int64]) -> list[str]:
 def _free_joint(mechanism: Mechanism, q: Array) -> str:
     """The joint that moves most when every actuated joint is held."""
     held = np.eye(mechanism.n)[list(mechanism.actuated)]
-    s = _decompose(mechanism, np.vstack([closure_jacobian(mechanism, q), held]))
+    s = _decompose(mechanism, np.vstack([scaled_jacobian(mechanism, q), held]))
     joint = int(np.argmax((s.V[:, int(s.rank) :] ** 2).sum(axis=-1)))
     return f"q{joint + 1} ({mechanism.link_names[joint]})"

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import closed_form, dense_dynamics
-from robodyn.dynamics.closed_form import finite, n_wide
 from robodyn.dynamics.dense_dynamics import (
     MASS_CUT,
     RANK_CUT,
@@ -30,6 +29,7 @@ from robodyn.dynamics.dense_dynamics import (
     elimination_is_safe,
     required_load,
 )
+from robodyn.dynamics.placed import finite, matvec, n_wide, placed
 from robodyn.engines import formulas
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula
@@ -161,7 +161,7 @@ def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerat
     """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
     if not mechanism.rows or not q.size:
         return dense_dynamics.forward(mechanism, q, qd, tau)
-    near = change_points.nearness(mechanism, closed_form.closure_jacobian(mechanism, q))
+    near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
         q = q.copy()
@@ -187,7 +187,7 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         found = dense_dynamics.inverse(mechanism, q, qd, qdd)
         if not mechanism.rows or not q.size:
             return found
-        near = change_points.nearness(mechanism, closed_form.closure_jacobian(mechanism, q))
+        near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
         return _missed(mechanism, found, q[near < change_points.NEAR])
     except SingularError:
         if not mechanism.rows:
@@ -203,9 +203,10 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
 
         def beside(q: Array, qd: Array) -> Array:
             """The torques of closed states (k, n) for what is nearest to qdd and closes."""
-            Psi = closed_form.closure_jacobian(mechanism, q)
-            opening = Psi @ qdd + closed_form.closure_bias(mechanism, q, qd)
-            closing = closed_form.matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
+            Psi = closed_form.scaled_jacobian(mechanism, q)
+            units = mechanism.arrays.units
+            opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd)
+            closing = units * matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
             return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
 
         led = projection.state_led_across(mechanism, q, qd, beside)
@@ -224,26 +225,45 @@ def _missed(mechanism: Mechanism, found: Solution, states: Array) -> Solution:
 
 def _multipliers(mechanism: Mechanism, q: Array, load: Array) -> Array:
     """Those of least norm that balance a load at q (n,)."""
-    Psi = closed_form.closure_jacobian(mechanism, q)
-    found: Array = np.linalg.pinv(Psi.T, rcond=RANK_CUT) @ load
+    Psi = closed_form.scaled_jacobian(mechanism, q)
+    found: Array = np.linalg.pinv(Psi.T, rcond=RANK_CUT) @ (load * mechanism.arrays.units)
     return found
 
 
 # -- what the multipliers are ----------------------------------------------------------------------
 
 
-def pin_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
+def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None = None) -> Array:
     """The force on the side of each closure that is named first, (..., closures, 2), N.
+
+    `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  Raises
+    InputError without q (..., n) where a link that moves has a slot: its force turns with it.
+    """
+    lam = np.asarray(multipliers, float)
+    forces = np.zeros((*lam.shape[:-1], len(mechanism.description.closures)), complex)
+    E = None if q is None else placed(mechanism, q).E
+    for row, entry in enumerate(mechanism.rows):
+        if entry.closure is None or entry.arm:
+            continue
+        force = lam[..., row] * entry.direction
+        if entry.line is not None:
+            if E is None:
+                limit = "is needed: the force of a slot turns with its link"
+                raise InputError("q", where=mechanism.source, limit=limit)
+            force = force * E[..., entry.line]
+        forces[..., entry.closure] += force
+    return np.stack([forces.real, forces.imag], axis=-1)
+
+
+def kept_moments(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
+    """The moment on the first side's link of each closure that keeps an angle, (..., k), N m.
 
     `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.
     """
-    lam = np.asarray(multipliers, float)
-    forces = np.zeros((*lam.shape[:-1], len(mechanism.description.closures), 2))
-    for row, entry in enumerate(mechanism.rows):
-        if entry.closure is not None:
-            along = entry.direction.real, entry.direction.imag
-            forces[..., entry.closure, :] += lam[..., row, None] * along
-    return forces
+    kept = [r for r, row in enumerate(mechanism.rows) if row.closure is not None and row.arm]
+    arms = np.array([mechanism.rows[r].arm for r in kept])
+    moments: Array = np.asarray(multipliers, float)[..., kept] * arms
+    return moments
 
 
 def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
@@ -258,8 +278,11 @@ def coupling_torques(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
     return torques
 
 
-def loop_forces(mechanism: Mechanism, multipliers: ArrayLike) -> Array:
-    """Pin forces and torques of couplings side by side, (..., 2 closures + couplings)."""
-    pins = pin_forces(mechanism, multipliers)
-    torques = coupling_torques(mechanism, multipliers)
-    return np.concatenate([pins.reshape(*pins.shape[:-2], -1), torques], axis=-1)
+def loop_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike) -> Array:
+    """Pin forces, moments of angles that are kept, and torques of couplings, side by side.
+
+    (..., 2 closures + kept + couplings), at q (..., n).
+    """
+    pins = pin_forces(mechanism, multipliers, q)
+    moments, torques = (f(mechanism, multipliers) for f in (kept_moments, coupling_torques))
+    return np.concatenate([pins.reshape(*pins.shape[:-2], -1), moments, torques], axis=-1)

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.dynamics.closed_form import absolute_rates, matvec, phases, point_motion
+from robodyn.dynamics.closed_form import point_motion
+from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
 from robodyn.engines.row_values import RowValues
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
+from robodyn.loops.closing import random_states
 from robodyn.mechanics.mechanism import Mechanism, build
 
 Array = NDArray[np.float64]
@@ -70,7 +72,7 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
     rng, n = np.random.default_rng(seed), mechanism.n
     driven = len(mechanism.actuated)
     if not mechanism.rows:
-        q = rng.uniform(-np.pi, np.pi, (count, n))
+        q = random_states(mechanism, rng, count)
         return Sample(q, rng.normal(size=(count, n)), 1.0)
     if driven > n - len(mechanism.rows):  # their angles depend on one another
         work = n * len(mechanism.rows) * min(n, len(mechanism.rows))
@@ -79,11 +81,12 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
             limit += f"{driven} actuated joints on fewer freedoms ask for, takes too long"
             raise InputError("actuated", where=mechanism.source, limit=limit)
         tries = max(2, min(4 * count, SEARCH // work))
-        q = assembly.close_positions(mechanism, rng.uniform(-np.pi, np.pi, (tries, n)))
+        q = assembly.close_positions(mechanism, random_states(mechanism, rng, tries))
         missing = np.abs(closed_form.closure_gap(mechanism, q)).max(axis=-1)
         closes = np.flatnonzero(missing <= ROUNDING * assembly.loop_size(mechanism))
     else:
-        q, missing = assembly.attempt(mechanism, rng.uniform(-np.pi, np.pi, (4 * count, driven)))
+        drawn = random_states(mechanism, rng, 4 * count, mechanism.actuated)
+        q, missing = assembly.attempt(mechanism, drawn)
         closes = np.flatnonzero(missing <= 0.0)
     keep: list[int] = []
     for k in closes:
@@ -226,9 +229,10 @@ def _motion_identities(
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
     """Of the bodies, each at its own point."""
-    bodies, turning = bodies_of(scene), absolute_rates(scene, qd)
-    speeds = np.abs(bodies.points.velocity(phases(scene, q), turning))
-    return np.asarray(0.5 * (speeds**2 @ bodies.mass + turning**2 @ bodies.inertia))
+    bodies, rates = bodies_of(scene), absolute_rates(scene, qd)
+    speeds = np.abs(bodies.points.moved(placed(scene, q).rates(scene, rates)))
+    spinning = frame_rates(scene, rates)
+    return np.asarray(0.5 * (speeds**2 @ bodies.mass + spinning**2 @ bodies.inertia))
 
 
 def _sharpness(scene: Mechanism, q: Array) -> Array:

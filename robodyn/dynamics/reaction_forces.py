@@ -24,22 +24,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import (
-    Points,
-    absolute_rates,
-    closure_jacobian,
-    phases,
-    point_motion,
-    points_of,
-)
+from robodyn.dynamics.closed_form import Points, point_motion, points_of, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import RANK_CUT
-from robodyn.dynamics.dynamics import coupling_torques, pin_forces
+from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces
+from robodyn.dynamics.placed import absolute_rates, frame_rates, placed
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
+from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Moment, Point
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -74,10 +70,61 @@ def reactions(
     forces: Complex = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
         on_links = rows_of(parts.acting, mechanism).planar("on links", q, qd)
-        forces = forces - on_links @ mechanism.arrays.J
+        forces = forces - on_links @ mechanism.arrays.carried
     if mechanism.description.closures:
-        forces = forces - pin_forces(mechanism, lam) @ [1, 1j] @ _sides(mechanism)
+        forces = forces - pin_forces(mechanism, lam, q) @ [1, 1j] @ _sides(mechanism)
     return np.stack([forces.real, forces.imag], axis=-1)
+
+
+def slide_moments(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, multipliers: ArrayLike
+) -> Array:
+    """The moment on each link that slides, about its origin, (..., slides), N m.
+
+    It comes from what the link slides on, and keeps it from turning; arguments as of `reactions`.
+    """
+    lam = np.asarray(multipliers, float)
+    place, load = _motion(mechanism, q, qd, qdd)
+    bodies, at, carried = bodies_of(mechanism), placed(mechanism, q), mechanism.arrays.carried
+    links = mechanism.description.links
+    # forces and moments on what links carry, with their places
+    forces: list[tuple[Complex, Complex, Array]] = [
+        (place[..., b], load[..., b], bodies.below[b]) for b in range(len(bodies.mass))
+    ]
+    moments = -bodies.inertia * frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
+    for entry in mechanism.description.loads:
+        if isinstance(entry, Moment):
+            moments[..., entry.link] += entry.torque
+    if mechanism.springs or mechanism.forces:
+        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd)
+        for k, spring in enumerate(mechanism.springs):
+            ends = zip(spring.ends, (spring.first, spring.second), (1.0, -1.0), strict=True)
+            for point, link, sign in ends:
+                if link is not None:
+                    there = points_of(mechanism, [point]).place(at)[..., 0]
+                    forces.append((there, sign * acting[..., k], carried[link]))
+        for k, given in enumerate(mechanism.forces, start=len(mechanism.springs)):
+            there = points_of(mechanism, [given.point]).place(at)[..., 0]
+            forces.append((there, acting[..., k], carried[given.link]))
+    kept = iter(np.moveaxis(kept_moments(mechanism, lam), -1, 0))
+    pins: Complex = pin_forces(mechanism, lam, q) @ np.array([1, 1j])
+    tree = Tree(links)
+    for c, closure in enumerate(mechanism.description.closures):
+        there = points_of(mechanism, [tree.point(closure.first)]).place(at)[..., 0]
+        held = next(kept) if closure.aligned is not None else None
+        for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
+            if side.link is not None:
+                forces.append((there, sign * pins[..., c], carried[side.link]))
+                if held is not None:
+                    moments[..., side.link] += sign * held
+    found = []
+    for k in mechanism.slides:
+        origin = points_of(mechanism, [tree.point(Point(k, 0j))]).place(at)[..., 0]
+        total = moments @ carried[:, k]
+        for there, force, below in forces:
+            total = total + below[k] * ((there - origin).conj() * force).imag
+        found.append(-total)
+    return np.stack(found, axis=-1) if found else np.zeros((*place.shape[:-1], 0))
 
 
 def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
@@ -91,8 +138,8 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)
     moment = (place.conj() * load).imag.sum(axis=-1) + sum(mechanism.moments)
-    turning = absolute_rates(mechanism, qdd, "qdd")
-    moment = moment - turning @ bodies_of(mechanism).inertia
+    spinning = frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
+    moment = moment - spinning @ bodies_of(mechanism).inertia
     if mechanism.forces:
         F = rows_of(parts.loaded, mechanism).planar("forces", q)
         arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
@@ -105,7 +152,7 @@ def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
 
     Where it is not zero, the pin forces are not unique.
     """
-    s = np.linalg.svd(closure_jacobian(mechanism, q), compute_uv=False)
+    s = np.linalg.svd(scaled_jacobian(mechanism, q), compute_uv=False)
     rank = (s > RANK_CUT * loop_size(mechanism)).sum(axis=-1)
     return np.asarray(len(mechanism.rows) - rank)
 
@@ -116,7 +163,7 @@ def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tup
     lambda may change by any null vector of Psi^T, and equation (2) carries that change into the
     joints of the loops.  Both are empty where the closures are independent.
     """
-    changes = pin_forces(mechanism, _free_multipliers(mechanism, q)) @ [1, 1j]
+    changes = pin_forces(mechanism, _free_multipliers(mechanism, q), q) @ [1, 1j]
     return _felt(changes, FELT), _felt(changes @ _sides(mechanism), FELT)
 
 
@@ -128,7 +175,7 @@ def dependent_couplings(mechanism: Mechanism, q: ArrayLike) -> tuple[int, ...]:
 
 def _free_multipliers(mechanism: Mechanism, q: ArrayLike) -> Array:
     """The null vectors of Psi^T at q (n,), (d, r)."""
-    U, s, _ = svd(closure_jacobian(mechanism, q), full=True)
+    U, s, _ = svd(scaled_jacobian(mechanism, q), full=True)
     return U[:, int((s > RANK_CUT * loop_size(mechanism)).sum()) :].T
 
 
@@ -140,10 +187,13 @@ def _motion(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
 ) -> tuple[Complex, Complex]:
     """Where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
-    bodies, E = bodies_of(mechanism), phases(mechanism, q)
-    rates, turning = absolute_rates(mechanism, qd), absolute_rates(mechanism, qdd, "qdd")
-    a = bodies.points.acceleration(E, rates, turning)
-    return bodies.points.place(E), bodies.mass * (mechanism.gamma - a)
+    bodies, at = bodies_of(mechanism), placed(mechanism, q)
+    rates, accelerations = (
+        absolute_rates(mechanism, qd),
+        absolute_rates(mechanism, qdd, "qdd"),
+    )
+    a = bodies.points.moved(at.accelerations(mechanism, rates, accelerations))
+    return bodies.points.place(at), bodies.mass * (mechanism.gamma - a)
 
 
 @lru_cache(maxsize=64)
@@ -155,7 +205,9 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
     return Bodies(
         mass=np.array([mass for _, mass, _ in own], float),
         points=points_of(mechanism, [point for _, _, point in own]),
-        below=mechanism.arrays.J[[k for k, _, _ in own]],  # its ones are at what carries a link
+        below=mechanism.arrays.carried[
+            [k for k, _, _ in own]
+        ],  # its ones are at what carries a link
         inertia=np.array([link.I for link in links], float),
     )
 
@@ -166,5 +218,5 @@ def _sides(mechanism: Mechanism) -> Array:
     for row, closure in zip(sides, mechanism.description.closures, strict=True):
         for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
             if side.link is not None:
-                row += sign * mechanism.arrays.J[side.link]
+                row += sign * mechanism.arrays.carried[side.link]
     return sides

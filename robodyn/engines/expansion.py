@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 from robodyn.engines import expression
 from robodyn.engines.expression import Graph
-from robodyn.engines.formulas import RECORDED, Recorded, absolute
+from robodyn.engines.formulas import RECORDED, Recorded
+from robodyn.engines.frames import start
 from robodyn.engines.series import Arithmetic, Planar, Series, State, Value
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.torque_rows import torque_slots
-
-Given = dict[str, Sequence[Value] | Callable[[int], Value]]
 
 KINK = 1e-7  # a torque that misses its series by a smaller part does not bend
 TINY = 1e-290  # in place of a coefficient that vanishes
@@ -67,33 +66,10 @@ class MotionProgram:
         self.program = equations.program
         slots = torque_slots(equations, actuation, held)
         equations.write(slots, work, steady=actuation.constants is not None)
-        self.turns = equations.E
+        self.turns = equations.x
         self.power = self.program.named.get("power", [])
         self.bends = self.program.named["bends"]
         self.arms = [self.program.arms[slot] for slot in self.bends]
-
-    def given(
-        self,
-        t: Value,
-        q: Sequence[Value],
-        qd: Sequence[Value],
-        alpha: Sequence[Value],
-        torques: tuple[Sequence[Value], Sequence[Value]],
-        steady: Sequence[Value] = (),
-    ) -> Given:
-        """What the rows take from outside: `torques` are values and slopes of what is linear.
-
-        `steady` (n) are in place of constant torques, where they are formulas.
-        """
-        constants = steady or self.actuation.constants
-        given: Given = {"t": (t, 1.0)}
-        for j in range(self.mechanism.n):
-            given[f"q{j}"], given[f"alpha{j}"], given[f"qd{j}"] = (q[j],), (alpha[j],), (qd[j],)
-            if constants is not None:
-                given[f"tau{j}"] = (constants[j],)
-            elif torques[0]:
-                given[f"tau{j}"] = torques[0][j], torques[1][j]
-        return given
 
     def start(self, generic: bool = False) -> Start:
         """Where the formulas of a step begin, and what they take.
@@ -119,12 +95,20 @@ class MotionProgram:
         torques: tuple[Sequence[Value], Sequence[Value]],
         steady: Sequence[Value] = (),
     ) -> State:
-        """Where the series start at the state y = (q, qd, ...); see `given`."""
-        n = self.mechanism.n
-        q, qd = y[:n], y[n : 2 * n]
-        alpha, w = absolute(self.mechanism, q), absolute(self.mechanism, qd)
-        E = [(arithmetic.cos(angle), arithmetic.sin(angle)) for angle in alpha]
-        return State(E, w, self.given(t, q, qd, alpha, torques, steady))
+        """Where the series start at the state y = (q, qd, ...) and the time t.
+
+        `torques` are values and slopes of what is linear; `steady` (n) are in place of constant
+        torques, where they are formulas.
+        """
+        n, constants = self.mechanism.n, steady or self.actuation.constants
+        state = start(self.mechanism, arithmetic, (y[:n], y[n : 2 * n]))
+        state.given["t"] = t, 1.0
+        for j in range(n):
+            if constants is not None:
+                state.given[f"tau{j}"] = (constants[j],)
+            elif torques[0]:
+                state.given[f"tau{j}"] = torques[0][j], torques[1][j]
+        return state
 
     def expand(
         self,
@@ -159,11 +143,16 @@ class MotionProgram:
 
 
 def longest_formula(
-    graph: Graph, series: Coefficients, w: Sequence[Value], rough: bool = False
+    graph: Graph,
+    series: Coefficients,
+    w: Sequence[Value],
+    rough: bool = False,
+    slides: Sequence[int] = (),
 ) -> Value:
     """`longest_step` of tolerances that are variables, by rough roots where these serve."""
     power = _rough if rough else expression.power
-    return longest_step(series, w, graph.variable("rtol"), graph.variable("atol"), power)
+    tolerances = graph.variable("rtol"), graph.variable("atol")
+    return longest_step(series, w, *tolerances, power, slides)
 
 
 def longest_step(
@@ -172,11 +161,13 @@ def longest_step(
     rtol: Value,
     atol: Value,
     power: Callable[[Value, float], Value] = expression.power,
+    slides: Sequence[int] = (),
 ) -> Value:
     """The step at which the last coefficients are as large as the tolerance.
 
     Of two orders, as every other coefficient may vanish; a rate errs by atol + rtol |w|, an angle
-    by atol + rtol, and no link turns so far that its turns cannot be counted.
+    by atol + rtol, and no link turns so far that its turns cannot be counted.  The displacements of
+    `slides` (m) and their rates count as these.
     """
     rho, theta = series.rho, series.theta
     p = len(rho[0]) - 2
@@ -189,7 +180,9 @@ def longest_step(
     h = power(tol / ((p + 1.0) * largest(p + 1) + TINY), 1.0 / p)
     before = power(tol / (float(p) * largest(p) + TINY), 1.0 / (p - 1))
     h = expression.least(h, before)
-    h = expression.least(h, TURN / (fast + TINY))
+    turning = [abs(x) for k, x in enumerate(w) if k not in slides]
+    if turning:
+        h = expression.least(h, TURN / (_largest(turning) + TINY))
     angle = (p + 1.0) * (atol + rtol)
     shorter = h * power(angle / (h * tol), 1.0 / (p + 1))
     h = expression.choose(angle, h * tol, shorter, h)
@@ -239,28 +232,33 @@ def end_of_step(
     turns = []
     for rho, theta in zip(series.rho, series.theta, strict=True):
         (r, dr), (t, dt) = horner(rho, x), horner(theta, x)
-        turns.append(((r, t), turning((r, t), (dr, dt))))
+        turns.append(((r, t), (dr, dt)))
     power = integral(series.power, x) if work and series.power else 0.0
     return ends(mechanism, turns, power, steady, work, given)
 
 
 def ends(
     mechanism: Mechanism,
-    turns: Sequence[tuple[Planar, Value]],
+    turns: Sequence[tuple[Planar, Planar]],
     power: Value,
     steady: Sequence[Value],
     work: bool,
     given: Callable[[str], Value],
 ) -> list[Value]:
-    """The same from the turns of the links, their rates, and the work of what has a power."""
-    ways = [expression.arctangent(t, r) for (r, t), _ in turns]
+    """The same from rho + i theta of the coordinates, their slopes, and the work of a power."""
+    slides = set(mechanism.slides)
+    ways: list[Value] = []
+    rates: list[Value] = []
+    for j, (z, slope) in enumerate(turns):
+        ways.append(z[1] if j in slides else expression.arctangent(z[1], z[0]))
+        rates.append(slope[1] if j in slides else turning(z, slope))
     q, qd, own = [], [], []
-    for j, above in enumerate(mechanism.parent):
-        way, rate = ways[j], turns[j][1]
+    for j, above in enumerate(mechanism.above):
+        way, rate = ways[j], rates[j]
         if above is not None:
-            way, rate = way - ways[above], rate - turns[above][1]
-        own.append(way)
-        q.append(given(f"q{j}") + way)
+            way, rate = way - ways[above], rate - rates[above]
+        q.append(way if j in slides else given(f"q{j}") + way)
+        own.append(way - given(f"q{j}") if j in slides else way)
         qd.append(rate)
     if not work:
         return [*q, *qd]

@@ -99,7 +99,7 @@ class Recorded:
         """J^T times values in alpha."""
         sums = list(values)
         for k in reversed(self.mechanism.order):
-            above = self.mechanism.parent[k]
+            above = self.mechanism.above[k]
             if above is not None:
                 sums[above] = sums[above] + sums[k]
         return sums
@@ -120,7 +120,7 @@ class Recorded:
         accelerations = self.absolute("qdd") if accelerated else None
         joints = self.relative["q"], self.relative["qd"]
         links = self.absolute("q"), self.absolute("qd")
-        state = start(self.arithmetic, joints, links, turn, accelerations)
+        state = start(mechanism, self.arithmetic, joints, links, turn, accelerations)
         self.E, driven = state.E, []
         for j in range(mechanism.n):
             tau = self.relative["tau"][j] if torques is None else torques[j]
@@ -153,13 +153,13 @@ class Recorded:
 
     def _turn(self, j: int, k: int) -> Planar:
         """conj(E_j) E_k by the angles between them."""
-        parent, q = self.mechanism.parent, self.relative["q"]
+        above, q = self.mechanism.above, self.relative["q"]
         for first, last, sign in ((j, k, 1.0), (k, j, -1.0)):
             angle: Value = 0.0
             link: int | None = last
             while link is not None and link != first:
                 angle = angle + q[link]
-                link = parent[link]
+                link = above[link]
             if link == first:
                 return self.arithmetic.cos(angle), sign * self.arithmetic.sin(angle)
         E = self.E
@@ -340,7 +340,7 @@ def energies(
     """
     equations = EquationsOfMotion(mechanism)
     wanted = [equations.kinetic(), equations.potential()]
-    state = start(RECORDED, (q, qd), (absolute(mechanism, q), absolute(mechanism, qd)))
+    state = start(mechanism, RECORDED, (q, qd))
     numbers = [number(x) for x in equations.program.numbers]
     series = Series(equations.program, RECORDED, numbers, 1, state, slots=wanted, grounded=True)
     series.residuals(0)

@@ -32,8 +32,9 @@ from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, S
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Where a series starts: the links' directions E (n), rates w, and the values of `Given`s.
+    """Where a series starts: directions E (n), rates w of x = J q, and the values of `Given`s.
 
+    A joint that slides has no E; its displacement is given like other values.
     `given` maps a name to its first coefficients, or to a function of the order that returns one.
     `turn` (j, k) gives conj(E_j) E_k where there is a cheaper way than to multiply.  Where the
     links' `accelerations` (n) are given, the residuals of order 0 are what they leave open.
@@ -50,7 +51,7 @@ def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
     """J times values of the joints, of any kind."""
     values = list(relative)
     for k in mechanism.order:
-        above = mechanism.parent[k]
+        above = mechanism.above[k]
         if above is not None:
             values[k] = values[above] + values[k]
     return values
@@ -58,24 +59,30 @@ def absolute(mechanism: Mechanism, relative: Sequence[Any]) -> list[Any]:
 
 def relative(mechanism: Mechanism, absolute: Sequence[Any]) -> list[Any]:
     """J^-1 times values of the links."""
-    above = [None if k is None else absolute[k] for k in mechanism.parent]
+    above = [None if k is None else absolute[k] for k in mechanism.above]
     return [x if y is None else x - y for x, y in zip(absolute, above, strict=True)]
 
 
 def start(
+    mechanism: Mechanism,
     arithmetic: Arithmetic,
     joints: tuple[Sequence[Value], Sequence[Value]],
-    links: tuple[Sequence[Value], Sequence[Value]],
+    links: tuple[Sequence[Value], Sequence[Value]] | None = None,
     turn: Callable[[int, int], Planar] | None = None,
     accelerations: Sequence[Value] | None = None,
 ) -> State:
-    """Where series start, by angles and rates (n) of joints and links; `given` may be added to."""
-    named = {"q": joints[0], "qd": joints[1], "alpha": links[0]}
+    """Where series start, by q and qd (n), and x = J q and its rates if they are known already.
+
+    `given` may be added to.
+    """
+    x, rates = links or (absolute(mechanism, joints[0]), absolute(mechanism, joints[1]))
+    named = {"q": joints[0], "qd": joints[1], "alpha": x}
     given: dict[str, Any] = {
-        f"{name}{k}": (x,) for name, values in named.items() for k, x in enumerate(values)
+        f"{name}{k}": (value,) for name, values in named.items() for k, value in enumerate(values)
     }
-    E = [(arithmetic.cos(x), arithmetic.sin(x)) for x in links[0]]
-    return State(E, links[1], given, turn, accelerations)
+    slides, cos, sin = set(mechanism.slides), arithmetic.cos, arithmetic.sin
+    E = [(1.0, 0.0) if k in slides else (cos(a), sin(a)) for k, a in enumerate(x)]
+    return State(E, rates, given, turn, accelerations)
 
 
 # frame (a link, or None: the ground's), coefficient that is not yet multiplied, value
@@ -90,12 +97,13 @@ class Frames:
     numbers: Sequence[Value]
     state: State
     orders: int
+    ahead: dict[Slot, int]
     grounded: bool
     real: dict[Slot, Any]  # coefficients of real slots
     planar: dict[Slot, list[Framed]]
     unknown_values: dict[Slot, Value]
     _factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar]
-    _ground: dict[Slot, tuple[Any, Any]]  # planar slots in the ground's frame
+    _kept: dict[Slot, dict[int | None, tuple[Any, Any]]]  # series of planar slots in one frame
     _moment: dict[Slot, tuple[Any, Any]]  # rho, theta of directions; F of moments in their frame
     _extra: dict[Slot, Any]  # series that functions take besides their own
 
@@ -158,23 +166,24 @@ class Frames:
     def put(self, slot: Slot, m: int, value: Any) -> None:
         if slot in self.planar:
             self.planar[slot][m] = value
-            if slot in self._ground:
-                self._remember(slot, m)
+            for frame in self._kept.get(slot, ()):
+                self._remember(slot, frame, m)
         else:
             self.real[slot][m] = value
 
-    def _grounded(self, z: Slot, last: int) -> tuple[Any, Any]:
-        """The series of a planar slot in the ground's frame, kept as it grows."""
-        if z not in self._ground:
+    def columns(self, z: Slot, last: int, frame: int | None = None) -> tuple[Any, Any]:
+        """The series of a planar slot in one frame, kept as it grows."""
+        kept = self._kept.setdefault(z, {})
+        if frame not in kept:
             room = self.arithmetic.room
-            self._ground[z] = (room(self.orders + 3), room(self.orders + 3))
-            for m in range(last + 1):
-                self._remember(z, m)
-        return self._ground[z]
+            kept[frame] = (room(self.orders + 3), room(self.orders + 3))
+            for m in range(max(last + 1, self.ahead[z])):
+                self._remember(z, frame, m)
+        return kept[frame]
 
-    def _remember(self, z: Slot, m: int) -> None:
-        x, y = self._ground[z]
-        x[m], y[m] = self.ground(z, m)
+    def _remember(self, z: Slot, frame: int | None, m: int) -> None:
+        x, y = self._kept[z][frame]
+        x[m], y[m] = self.into(frame, self.planar[z][m])
 
     def convolve(self, x: Any, y: Any, m: int, first: int = 0, last: int | None = None) -> Value:
         """Sum of x_j y_{m-j} for j from `first` to `last` (m, unless given)."""

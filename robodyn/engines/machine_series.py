@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
-from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula, turning
+from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.order_loop import LoopExpansion, Sum
 from robodyn.engines.segment import Segment
@@ -207,7 +207,8 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     rho = [zeros + _coefficients(graph, i, last) for i in turns]
     theta = [zeros + _coefficients(graph, i + 1, last) for i in turns]
     w = [graph.variable(f"{i + 1}_1") for i in turns]
-    h = longest_formula(graph, Coefficients(rho, theta, [], []), w, True)
+    slides = scene.mechanism.slides
+    h = longest_formula(graph, Coefficients(rho, theta, [], []), w, True, slides)
     scene.put(k, block, "longest", _segment(scene, k, block).write([h])[0])
 
 
@@ -217,7 +218,7 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
     wanted: list[tuple[str, int, int, int | None]]
     wanted = [("link0_0", 0, scene.link, None)] if scene.link >= 0 else []
     if scene.rate_series:
-        parents = enumerate(scene.mechanism.parent)
+        parents = enumerate(scene.mechanism.above)
         wanted += [("rate0_0", j * orders, j, above) for j, above in parents]
     x, out = scene.row(k, block, 0, 1), scene.at(k, block, "value")
     with k.loop(k.whole(orders)) as m:
@@ -247,7 +248,7 @@ def write_evaluate(scene: Scene, module: Module) -> None:
         ]
         for name in ("value", "slope")
     )
-    turns = [(z, turning(z, dz)) for z, dz in zip(value, slope, strict=True)]
+    turns = list(zip(value, slope, strict=True))
     power: Value = 0.0
     if scene.loop.power:
         column = 2 * n + scene.loop.watched

@@ -7,7 +7,7 @@ is read there, and sums over j run there, but for the terms that this order itse
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -104,6 +104,17 @@ class Loop:
         self.series.append(Stored(self, len(self.series)))
         return self.series[-1]
 
+    def part(self, many: Sequence[Stored]) -> None:
+        """Copies of series that multiply several others, one for each: so sums stand side by side.
+
+        Displacements scale both parts of a planar series.
+        """
+        for key, (name, one) in self.sums.items():
+            if any(one.x is x for x in many):
+                copy = self._room(0)
+                copy.first, copy.now, copy.read = one.x.first, one.x.now, True
+                self.sums[key] = name, one._replace(x=copy)
+
     def _convolve(self, x: Stored, y: Stored, m: Any, first: int, last: Any) -> Value:
         if not isinstance(m, Order):
             return convolution(x, y, m, first, last)
@@ -150,14 +161,14 @@ class LoopSeries(Series):
         if isinstance(row, Turn):
             rho, theta = self._moment[slot]
             return ((row.link, None, (rho[m], theta[m])),)
-        if slot not in self._ground:
+        if slot not in self._kept:
             room = self.arithmetic.room
-            self._ground[slot] = room(0), room(0)
+            self._kept[slot] = {None: (room(0), room(0))}
             known: Any = self.planar[slot]
             for each in list(known):
-                self._remember(slot, each)
-        x, y = self._ground[slot]
-        return ((None, None, (x[m], y[m])),)
+                self._remember(slot, None, each)
+        ((frame, (x, y)), *_) = self._kept[slot].items()
+        return ((frame, None, (x[m], y[m])),)
 
 
 class LoopExpansion(NamedTuple):
@@ -221,6 +232,7 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
     for p in range(first):
         series.advance(p)
     series.advance(Order(loop.p))
+    loop.part([series.real[slot] for slot in motion.turns if slot in series.real])
     columns = [x for slot in motion.turns for x in series.turn(slot)]
     columns += [series.real[slot] for slot in [*motion.bends, *motion.power]]
     for _, one in loop.sums.values():  # series that are summed alike, side by side

@@ -40,6 +40,7 @@ from robodyn.mechanics.program import (
     RealPart,
     Row,
     Scaled,
+    Slide,
     Slot,
     Sum,
     Turn,
@@ -68,6 +69,8 @@ class Rules(Frames):
                 return 0.0
             case Turn(link=k):
                 return self._turn(slot, k, m)
+            case Slide(joint=k):
+                return self._slide(k, m)
             case Rate(turn=E):
                 return self._rate(E, m)
             case Integral(start=start) | Anchored(start=start) if m == 0:
@@ -81,11 +84,19 @@ class Rules(Frames):
                 return self._linear(row, m, earlier, m == 0)
             case Product(x=x, y=y):
                 return self.convolve(real[x], real[y], m)
+            case Scaled(x=x, z=z) if z in self._moment:  # a direction, in its own frame
+                a, b = self._moment[z]
+                own = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
+                return ((self._link(z), None, own),)
             case Scaled(x=x, z=z):
-                a, b = self._grounded(z, m)
-                return ((None, None, (self.convolve(real[x], a, m), self.convolve(real[x], b, m))),)
+                frame = next(iter(self._kept.get(z, (None,))))  # one that it is kept in
+                a, b = self.columns(z, m, frame)
+                found = self.convolve(real[x], a, m), self.convolve(real[x], b, m)
+                return ((frame, None, found),)
             case Inner(z=z, w=w):
-                (a, b), (c, d) = self._grounded(z, m), self._grounded(w, m)
+                frame = self._link(z) if z in self._moment else None
+                a, b = self._moment[z] if z in self._moment else self.columns(z, m)
+                c, d = self.columns(w, m, frame)
                 return plus(self.convolve(a, c, m), self.convolve(b, d, m))
             case Moment():
                 return self._known_moment(slot, row, m)
@@ -175,6 +186,14 @@ class Rules(Frames):
             rho[m], theta[m] = value = (self.arithmetic.keep(times(-1.0, square)), turning)
         return ((link, None, value),)
 
+    def _slide(self, joint: int, m: int) -> Value:
+        if m < 2:
+            given = self.state.given[f"{('q', 'qd')[m]}{joint}"]
+            return given(0) if callable(given) else given[0]
+        accelerations = self.state.accelerations
+        known = accelerations is not None and m == 2
+        return over(accelerations[joint], 2) if accelerations is not None and known else 0.0
+
     def _half_square(self, x: Any, m: int) -> Value:
         """1/2 sum of x_j x_{m-j} for 0 < j < m."""
         if type(m) is not int:  # of the order of a loop: even or odd
@@ -241,6 +260,8 @@ class Rules(Frames):
             case Turn(link=k):
                 added = over(self.unknown_values.get(slot, 0.0), m * (m - 1))
                 return ((k, None, (0.0, added)),)
+            case Slide():
+                return over(self.unknown_values.get(slot, 0.0), m * (m - 1))
             case Rate(turn=E):
                 _, _, (_, theta) = change[E][0]
                 return times(m + 1.0, theta)
@@ -251,20 +272,22 @@ class Rules(Frames):
             case Moment():
                 return self._moment_change(row, change)[1]  # z_0 = 1
             case Inner(z=z, w=w):
+                frame = self._link(z) if z in self._moment else None
                 total = 0.0
                 for one, two in ((z, w), (w, z)):
                     if one in change:
-                        a, b = self.into(None, change[one])
-                        c, d = self.ground(two, 0)
+                        a, b = self.into(frame, change[one])
+                        c, d = self.into(frame, self.planar[two][0])
                         total = plus(total, plus(times(a, c), times(b, d)))
                 return total
             case Scaled(x=x, z=z):
-                result = planar_scaled(of(x), self.ground(z, 0))
+                frame = self._link(z) if z in self._moment else None
+                result = planar_scaled(of(x), self.into(frame, self.planar[z][0]))
                 if z in change:
                     result = planar_plus(
-                        result, planar_scaled(real[x][0], self.into(None, change[z]))
+                        result, planar_scaled(real[x][0], self.into(frame, change[z]))
                     )
-                return ((None, None, result),)
+                return ((frame, None, result),)
         raise AssertionError(row)
 
     def _moment_change(self, row: Moment, change: dict[Slot, Any]) -> Planar:

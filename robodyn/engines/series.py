@@ -33,12 +33,14 @@ from robodyn.engines.frames import Framed
 from robodyn.engines.frames import State as State
 from robodyn.engines.rules import Rules
 from robodyn.mechanics.program import (
+    COORDINATES,
     Derivative,
     Function,
     Moment,
     PlanarCoefficient,
     Program,
     Row,
+    Slide,
     Slot,
     Sum,
     Turn,
@@ -78,7 +80,7 @@ class Series(Rules):
         self.real: dict[Slot, Any] = {}
         self.planar: dict[Slot, list[Framed]] = {}
         self._factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar] = {}
-        self._ground: dict[Slot, tuple[Any, Any]] = {}
+        self._kept: dict[Slot, dict[int | None, tuple[Any, Any]]] = {}
         self._moment: dict[Slot, tuple[Any, Any]] = {}
         self._extra: dict[Slot, Any] = {}
         self.unknown_values: dict[Slot, Value] = {}
@@ -90,6 +92,9 @@ class Series(Rules):
                     self._moment[slot] = (room(K), room(K))  # rho, theta
             else:
                 self.real[slot] = room(K)
+            if isinstance(row, Slide):
+                self._extra[slot] = room(K)
+                self._extra[slot][0] = 1.0
             if isinstance(row, Moment):
                 self._moment[slot] = (room(K), room(K))
             if isinstance(row, Function):
@@ -164,8 +169,13 @@ class Series(Rules):
         return solution
 
     def turn(self, slot: Slot) -> tuple[Any, Any]:
-        """The coefficients rho and theta of a direction."""
-        return self._moment[slot]
+        """The coefficients rho and theta of a direction; of a displacement s 1 and s.
+
+        So a rate is Im(conj(z) z') of z = rho + i theta for both.
+        """
+        if slot in self._moment:
+            return self._moment[slot]
+        return self._extra[slot], self.real[slot]
 
     def factorise(self) -> Factors | PivotedFactors:
         """K factored; after `residuals(0)`."""
@@ -177,7 +187,7 @@ class Series(Rules):
     def first_unknowns(self) -> int:
         """How many of the unknowns are accelerations."""
         rows = self.program.rows
-        return sum(isinstance(rows[x], Turn) for x in self.program.unknowns)
+        return sum(isinstance(rows[x], COORDINATES) for x in self.program.unknowns)
 
     def _balances(self) -> dict[Slot, int]:
         """The moments that the unknowns change by as much as they change a residual."""
@@ -201,7 +211,7 @@ class Series(Rules):
                 continue
             tangents[slot] = {}
             by_unknown: dict[Slot, dict[Slot, Any]] = {}
-            if isinstance(row, (Turn, Unknown)):
+            if isinstance(row, (*COORDINATES, Unknown)):
                 by_unknown[slot] = {}
             else:
                 for x in self.live[slot]:

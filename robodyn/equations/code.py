@@ -12,7 +12,7 @@ from itertools import chain
 
 from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
-from robodyn.equations.outline import Block, Equations
+from robodyn.equations.outline import Block, Equations, load_unit
 from robodyn.equations.parameters import Parameter
 
 WIDTH = 100
@@ -134,7 +134,9 @@ def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[
     closed = bool(equations.side("closures"))
     what = "tau + Psi^T lambda" if closed else "tau"
     right = "".join(f" - {block.name}" for block in others)
-    told = f"{what} = {equations.told()[0].split(' = ')[0]}{right}, N m"
+    told = (
+        f"{what} = {equations.told()[0].split(' = ')[0]}{right}, {load_unit(equations.mechanism)}"
+    )
     terms = [block for block in left if not block.zero] or [left[0]]
     return "joint_torques" if closed else "inverse_dynamics", told, terms, others
 

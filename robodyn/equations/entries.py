@@ -7,7 +7,11 @@ or recorded arithmetic, of which each block takes what makes it.  M and C are, i
 
     M_jk = Re(X_jk)     C_jk = -Im(X_jk) alphad_k     C_kj = Im(X_jk) alphad_j     (j above k)
 
-with X_jk = conj(E_j) A_jk E_k: Im(X) are the masses of a mechanism that has -i A for A.
+with X_jk = conj(E_j) A_jk E_k: Im(X) are the masses of a mechanism that has -i A for A.  Where
+links slide, X = T^H A T with the slopes T of `closed_form.py`.  The slope of what turns and of
+what slides on it grow as T' = i (alphad_k T_k + sum sd_j T_j) and T' = i alphad_k T_j, so that
+
+    C_jk = -Im(X_jk) alphad_k - sum Im(X_ji) sd_i       (i on k)
 """
 
 from __future__ import annotations
@@ -16,14 +20,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from robodyn.engines.arithmetic import plus, times
 from robodyn.engines.formulas import Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
 from robodyn.mechanics import parts
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 
 Value = Any
 Matrix = list[list[Value]]
 CouplingRow = tuple[Value, Mapping[int, Value]]  # offset, turns of joints
+
+
+def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
+    """The mechanism with the rows of angles that closures keep, each after its closure's others."""
+    rows: list[tuple[int | None, ClosureRow]] = [(row.closure, row) for row in named.rows]
+    return replace(named, rows=tuple(row for _, row in sorted([*rows, *kept.items()], key=_first)))
+
+
+def _first(pair: tuple[Any, Any]) -> Any:
+    return pair[0]
 
 
 class Entries:
@@ -51,13 +66,7 @@ class Entries:
                 M = self._in_joints(self._masses(named.A))
                 return [[M[min(a, c)][max(a, c)] for c in joints] for a in joints]
             case "C":
-                X = self._masses(tuple((j, k, A * -1j) for j, k, A in named.A if j != k))
-                w = self._at.absolute("qd")
-                W: Matrix = [[0.0 for _ in joints] for _ in joints]
-                for j, k, _ in named.A:
-                    if j != k:
-                        W[j][k], W[k][j] = -X[j][k] * w[k], X[j][k] * w[j]
-                return self._in_joints(W)
+                return self._in_joints(self._coriolis())
             case "D":
                 return [[x if j == k else 0.0 for j in joints] for k, x in enumerate(named.damping)]
             case "G":
@@ -108,6 +117,51 @@ class Entries:
         series = self._series(A=A)
         series.residuals(0)
         return [[row.get(k, 0.0) for k in range(self.named.n)] for row in series.matrix()]
+
+    def _coriolis(self) -> Matrix:
+        """C in the links' angles and the displacements."""
+        named, joints = self.named, range(self.named.n)
+        rank = {None: -1} | {k: place for place, k in enumerate(named.order)}
+        place = [rank[frame] for frame in named.frames]
+        between: list[tuple[int, int, Value]] = []  # of different frames, in their order
+        within: dict[tuple[int, int], Value] = {}
+        for j, k, A in named.A:
+            if place[j] == place[k]:
+                within[j, k], within[k, j] = A, A if j == k else A.conjugate()
+            else:
+                one = (j, k, A) if place[j] < place[k] else (k, j, A.conjugate())
+                between.append((*one[:2], one[2] * -1j))
+        X = self._masses(between)
+        w, s = self._at.absolute("qd"), self._at.relative["q"]
+        on = [[i for i in named.slides if named.frames[i] == k] for k in joints]
+
+        def turning(j: int, k: int) -> Value:
+            """-Im(X_jk)."""
+            if place[j] != place[k]:
+                return -X[j][k] if place[j] < place[k] else X[j][k]
+            if j == k:
+                return 0.0
+            if j in named.slides and k in named.slides:
+                return -within[j, k].imag if (j, k) in within else 0.0
+            d, i = (j, k) if k in named.slides else (k, j)
+            arm: Value = within[d, i].real if (d, i) in within else 0.0
+            for c in on[d]:
+                if (c, i) in within:
+                    arm = arm + within[c, i].real * s[c]
+            return arm if i == k else -arm
+
+        def entry(j: int, k: int) -> Value:
+            frame, total = named.frames[k], 0.0
+            rates = [(i, w[i]) for i in on[k]] + ([] if frame is None else [(k, w[frame])])
+            for i, rate in rates:
+                total = plus(total, times(turning(j, i), rate))
+            return total
+
+        W: Matrix = [[0.0 for _ in joints] for _ in joints]
+        for k in named.order:
+            for j in named.order[: named.order.index(k) + 1]:
+                W[j][k], W[k][j] = entry(j, k), entry(k, j)
+        return W
 
     def _in_joints(self, W: Matrix) -> Matrix:
         """J^T W J."""

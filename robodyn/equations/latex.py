@@ -65,9 +65,9 @@ def escaped(text: str) -> str:
 
 def subscripted(name: str) -> str:
     """A parameter: r1x -> r_{1x}, mp2 -> m_{p2}, phi1 -> \varphi_{1}."""
-    for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi")):
+    for letters, greek in (("phi", r"\varphi"), ("psi", r"\psi"), ("beta", r"\beta")):
         if name.startswith(letters):
-            return f"{greek}_{{{name[3:]}}}"
+            return f"{greek}_{{{name[len(letters) :]}}}"
     name = name.replace("_", ",")
     return name if len(name) == 1 else f"{name[0]}_{{{name[1:]}}}"
 

@@ -65,8 +65,8 @@ class Notation:
     def _atom(self, atom: Atom) -> str:
         if atom.role < Role.angle:
             return self.symbol(atom.name)
-        angles = [self.angle.format(k + 1) for k in atom.place]
-        rates = [self.rate.format(k + 1) for k in atom.place]
+        angles = [self._signed(self.angle, k) for k in atom.place]
+        rates = [self._signed(self.rate, k) for k in atom.place]
         if atom.role == Role.angle:
             return angles[0]
         if atom.role == Role.rate:
@@ -77,10 +77,15 @@ class Notation:
         limit = self.symbol(speed.name) if isinstance(speed, Atom) else self.number(speed)
         return self.applied(atom.name, f"{rates[0]}/{limit}")
 
+    def _signed(self, name: str, joint: int) -> str:
+        return name.format(joint + 1) if joint >= 0 else "-" + name.format(-joint)
+
 
 def added(names: Sequence[str]) -> str:
-    """A sum of names that stays in one line."""
-    return f"{GLUE}+{GLUE}".join(names)
+    """A sum of names that stays in one line; those that are taken off begin with -."""
+    first, *others = names
+    parts = (f"{GLUE}-{GLUE}{x[1:]}" if x[0] == "-" else f"{GLUE}+{GLUE}{x}" for x in others)
+    return first + "".join(parts)
 
 
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")

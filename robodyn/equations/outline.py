@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 from robodyn.equations.parameters import Parameter, Parameters
 from robodyn.equations.symbolic import Sum
 from robodyn.errors import printable
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.scene.scene import Load, Point
+from robodyn.scene.scene import Point
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
 Place = tuple[int, int]  # row and column
@@ -104,15 +105,31 @@ class Block(Generic[Entry]):
         return (between if many else "").join(str(k + 1) for k in ([i] if self.vector else [i, j]))
 
 
+def load_unit(mechanism: Mechanism) -> str:
+    """The unit of what acts at joints, N m, and N where they slide."""
+    return _units(mechanism, "N m", "N")
+
+
+def _units(mechanism: Mechanism, *units: str) -> str:
+    """The first where all joints turn, the last where all slide, else all of them."""
+    slides = len(mechanism.slides)
+    if slides in (0, mechanism.n):
+        return units[-1 if slides else 0]
+    return f"{', '.join(units[:-1])} or {units[-1]}"
+
+
 def heads(mechanism: Mechanism) -> Iterator[Head]:
     """The blocks that the scene has."""
-    yield Head("left", "M", "mass matrix", "kg m²", "symmetric", ("q",), "qdd")
+    unit, load = partial(_units, mechanism), load_unit(mechanism)
+    yield Head("left", "M", "mass matrix", unit("kg m²", "kg m", "kg"), "symmetric", ("q",), "qdd")
     meaning = "Coriolis and centrifugal matrix, by Christoffel symbols"
-    yield Head("left", "C", meaning, "kg m²/s", "matrix", ("q", "qd"), "qd")
+    rates = unit("kg m²/s", "kg m/s", "kg/s")
+    yield Head("left", "C", meaning, rates, "matrix", ("q", "qd"), "qd")
     if any(mechanism.damping):
-        yield Head("left", "D", "damping matrix", "N m s/rad", "diagonal", (), "qd")
+        damping = unit("N m s/rad", "N s/m")
+        yield Head("left", "D", "damping matrix", damping, "diagonal", (), "qd")
     loads = mechanism.description.loads
-    turning = [load for load in loads if isinstance(load, Load) and load.turns]
+    turning = [force for force in mechanism.forces if force.turns]
     acting = {
         "gravity": mechanism.gamma != 0.0,
         "springs": any(spring.stiffness for spring in mechanism.description.springs),
@@ -123,12 +140,12 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         meaning = "gravity vector"
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
-        yield Head("left", "G", meaning, "N m", "vector")
+        yield Head("left", "G", meaning, load, "vector")
     if turning or mechanism.friction or any(spring.damping for spring in mechanism.springs):
-        meaning = "torques of what has no potential"
-        yield Head("right", "Q", meaning, "N m", "vector", ("q", "qd"))
+        meaning = f"{unit('torques', 'forces')} of what has no potential"
+        yield Head("right", "Q", meaning, load, "vector", ("q", "qd"))
     if mechanism.rows:
-        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", "m", "matrix")
+        yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix")
         yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
         yield Head("closures", "gap", "closure gap, first side less second", "m", "vector")
 
@@ -214,24 +231,34 @@ class Equations(Generic[Entry]):
         for k, link in enumerate(links):
             carrier = link.hangs_from.link
             zero = "+X" if carrier is None else links[carrier].name
-            found.append(Variable("q", f"{k + 1}", "rad", f"angle of {link.name} from {zero}"))
+            unit, meaning = "rad", f"angle of {link.name} from {zero}"
+            if link.slides:
+                unit, meaning = "m", f"displacement of {link.name} along its axis"
+            found.append(Variable("q", f"{k + 1}", unit, meaning))
         for k in self.mechanism.actuated:
-            meaning = f"torque on {links[k].name} at its joint"
-            found.append(Variable("tau", f"{k + 1}", "N m", meaning))
+            unit, meaning = "N m", f"torque on {links[k].name} at its joint"
+            if links[k].slides:
+                unit, meaning = "N", f"force on {links[k].name} along its axis"
+            found.append(Variable("tau", f"{k + 1}", unit, meaning))
 
         def body(point: Point) -> str:
             return "the ground" if point.link is None else links[point.link].name
 
         rows = []
-        for closure in description.closures:
+        for c, closure in enumerate(description.closures):
             first, second = body(closure.first), body(closure.second)
             if closure.along is None:
                 rows += [f"force of {second} on {first}, along {axis}" for axis in "XY"]
             else:
                 rows.append(f"force of the line on {first}, along the line's normal")
+            if closure.aligned is not None:
+                rows.append(f"L{c + 1} times this is the moment of closure {c + 1} on {first}")
         for c, coupling in enumerate(description.couplings):
-            driven = links[coupling.joint].name
-            rows.append(f"R{c + 1} times this is the torque of coupling {c + 1} on {driven}")
+            driven = links[coupling.joint]
+            told = f"R{c + 1} times this is the torque of coupling {c + 1} on {driven.name}"
+            if driven.slides:
+                told = f"force of coupling {c + 1} on {driven.name}"
+            rows.append(told)
         found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
         for definitions, _ in self.defined():
             found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]

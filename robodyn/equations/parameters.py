@@ -6,7 +6,9 @@ Letters and meaning of plain numbers come from the grammar: m1, l1, I1, r1 (or r
     p4x, p4y           where link 4 hangs from its link, if not from the tip
     a1x, b1x, ..       points that closure 1 joins; ends e1x, h1x of spring 1; c1x of load 1
     n1x, n1y           normal of the line of closure 1
+    u2x, u2y           axis of joint 2, which slides
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
+    beta1x, beta1y     cosine and sine of the angle that closure 1 keeps; its length L1
 
 Numbers at the end of a name count links, closures, springs and loads from 1.  What is zero in the
 scene is no symbol: it drops out, and `zero` tells its name.
@@ -21,7 +23,7 @@ from typing import Any
 
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
 from robodyn.errors import printable
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import FORMS, NUMBERS
 from robodyn.scene.scene import (
     Closure,
@@ -34,6 +36,10 @@ from robodyn.scene.scene import (
     Spring,
 )
 
+ATTRIBUTES = {  # of a scene's entries, where the keys of the file are called otherwise
+    ("slide_friction", "force"): "torque",
+    ("slide_spring", "length"): "angle",
+}
 ROLES = {  # by unit
     "kg": Role.mass,
     "kg m²": Role.inertia,
@@ -42,7 +48,6 @@ ROLES = {  # by unit
     "m": Role.length,
     "rad": Role.length,
     "m/s²": Role.gravity,
-    "": Role.normal,
 }
 
 
@@ -61,7 +66,8 @@ class Parameters:
 
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
     legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; `couplings`
-    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset and turns.
+    are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset and turns.  What the rows
+    of angles that closures keep are made of is `kept`, by closures.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -74,10 +80,13 @@ class Parameters:
         arms = [row.arm for row in mechanism.rows if row.closure is None]
         coupled = zip(description.couplings, arms, strict=True)
         self.couplings = [self._coupling(c, *x) for c, x in enumerate(coupled)]
+        angles = ((row.closure, row) for row in mechanism.rows if row.arm)
+        self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
         gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
             if link.friction is not None and link.friction.torque:
-                numbers = self._numbers("friction", k, link.friction, link.name)
+                form = "slide_friction" if link.slides else "friction"
+                numbers = self._numbers(form, k, link.friction, link.name)
                 links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
         self.scene: Any = description._replace(
             gravity=gravity,
@@ -95,44 +104,84 @@ class Parameters:
     # -- parts of a scene ----------------------------------------------------------------------
 
     def _link(self, k: int, link: Link) -> Link:
-        numbers = self._numbers("link", k, link, link.name)
+        form = "prismatic_link" if link.slides else "revolute_link"
+        numbers = self._numbers(form, k, link, link.name)
         above = link.hangs_from.link
         name, place, meaning = f"{{}}{k + 1}", (k, "x"), f"ground pivot of {link.name}"
         if above is not None:
             name, place = f"p{k + 1}{{}}", (above, "p")
             meaning = f"pivot of {link.name} {self._on(link.hangs_from)}"
-        hangs_from = self._point(link.hangs_from, name, place, meaning)
-        return link._replace(**numbers, hangs_from=hangs_from, friction=None)
+        numbers["hangs_from"] = self._point(link.hangs_from, name, place, meaning)
+        if link.axis is not None:
+            meaning = f"axis that {link.name} slides on, its cosine with {{}}"
+            u = f"u{k + 1}"
+            numbers["axis"] = self._direction(u, k, link.axis, meaning, above, Role.direction)
+        return link._replace(**numbers, friction=None)
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along
         told = f"point of closure {c + 1} {self._on(closure.second)}"
         if along is not None:
             told = f"point of the line of closure {c + 1}"
+            told += "" if closure.second.link is None else f" {self._on(closure.second)}"
         meaning = f"point of closure {c + 1} {self._on(closure.first)}"
         first = self._point(closure.first, f"a{c + 1}{{}}", (c, "a"), meaning)
         second = self._point(closure.second, f"b{c + 1}{{}}", (c, "b"), told)
         if along is not None:
-            normal = 1j * along
-            x, y = self._cosine(c, "x", normal.real), self._cosine(c, "y", normal.imag)
-            along = Planar(y, -x)
+            meaning = f"normal of the line of closure {c + 1}, its cosine with {{}}"
+            carrier = closure.second.link
+            along = -1j * self._direction(f"n{c + 1}", c, 1j * along, meaning, carrier)
         return Closure(first, second, along)
 
-    def _cosine(self, c: int, axis: str, value: float) -> Sum:
-        """Of the normal along which the gap of slider c is measured; 0 and 1 stand as numbers."""
+    def _kept(self, c: int, row: ClosureRow) -> ClosureRow:
+        """The row of an angle that closure c keeps: arm sin(angle less what it keeps)."""
+        told = f"angle that closure {c + 1} keeps"
+        meaning = f"length that turns the {told} into a gap"
+        size = self._symbol(f"L{c + 1}", (c, "L"), row.arm, "m", meaning, Role.normal)
+        (off,) = (p for p in (row.ground, *(p for _, p in row.P)) if p)
+        angle = (1j * off / row.arm).conjugate()  # exp(i angle)
+        cosines = []
+        for axis, value, of_it in (("x", angle.real, "cosine"), ("y", angle.imag, "sine")):
+            near = round(value) if abs(value - round(value)) < 1e-15 else value
+            name, place, meaning = f"beta{c + 1}{axis}", (c, f"b{axis}"), f"{told}, its {of_it}"
+            cosines.append(self._cosine(name, place, near, meaning, Role.direction))
+        x, y = cosines
+        turned: Any = -1j * (size * Planar(x, -y))
+        P = tuple((k, turned) for k, _ in row.P)
+        return row._replace(ground=turned if row.ground else 0j, P=P, arm=row.arm)
+
+    def _direction(
+        self, name: str, k: int, unit: complex, told: str, link: int | None, role: int = Role.normal
+    ) -> Planar:
+        """A unit vector by its cosines, in the frame of a link; 0 and 1 stand as numbers."""
+        x, y = "x", "y"
+        if link is None:
+            x, y = "X", "Y"
+        else:
+            told += f" of {self.description.links[link].name}"
+        return Planar(
+            self._cosine(f"{name}x", (k, "x"), unit.real, told.replace("{}", x), role),
+            self._cosine(f"{name}y", (k, "y"), unit.imag, told.replace("{}", y), role),
+        )
+
+    def _cosine(
+        self, name: str, place: tuple[int, str], value: float, meaning: str, role: int
+    ) -> Sum:
         if abs(value) in (0.0, 1.0):
             return ONE.times(value)
-        meaning = f"normal of the line of closure {c + 1}, its cosine with {axis.upper()}"
-        return self._symbol(f"n{c + 1}{axis}", (c, axis), value, "", meaning)
+        return self._symbol(name, place, value, "", meaning, role)
 
     def _coupling(self, c: int, coupling: Coupling, arm: float) -> tuple[Sum, dict[int, Sum]]:
         """Its row, as long as the arm that turns the angle by which it is open into a gap."""
-        meaning = f"length that turns the angle of coupling {c + 1} into a gap"
-        size = self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, Role.normal)
+        size, unit, kind = ONE, "m", "displacement"
+        if not self._slides(coupling.joint):
+            meaning = f"length that turns the angle of coupling {c + 1} into a gap"
+            size = self._symbol(f"R{c + 1}", (c, "R"), arm, "m", meaning, Role.normal)
+            unit, kind = "rad", "angle"
         angle = ZERO
         if coupling.angle:
-            told = f"angle of coupling {c + 1}"
-            angle = self._symbol(f"psi{c + 1}", (c, "psi"), coupling.angle, "rad", told)
+            told = f"{kind} of coupling {c + 1}"
+            angle = self._symbol(f"psi{c + 1}", (c, "psi"), coupling.angle, unit, told)
         turns = {coupling.joint: size}
         for joint, ratio in coupling.terms:
             if abs(ratio) == 1.0:  # 1 and -1 stand as numbers
@@ -141,8 +190,9 @@ class Parameters:
             name = f"i{c + 1}" if len(coupling.terms) == 1 else f"i{c + 1}_{joint + 1}"
             link = self.description.links[joint].name
             meaning = f"ratio of coupling {c + 1} to the joint of {link}"
-            place = c, f"i{joint}"
-            turns[joint] = -size * self._symbol(name, place, ratio, "", meaning, Role.length)
+            place, other = (c, f"i{joint}"), "m" if self._slides(joint) else "rad"
+            per = "" if unit == other else f"{unit}/{other}"
+            turns[joint] = -size * self._symbol(name, place, ratio, per, meaning, Role.length)
         return -size * angle, turns
 
     def _gravity(self, gamma: complex) -> Planar:
@@ -158,7 +208,8 @@ class Parameters:
         told = f"spring {i + 1}"
         if isinstance(spring, JointSpring):
             told += f", at the joint of {self.description.links[spring.joint].name}"
-            return spring._replace(**self._numbers("joint_spring", i, spring, told))
+            form = "slide_spring" if self._slides(spring.joint) else "joint_spring"
+            return spring._replace(**self._numbers(form, i, spring, told))
         numbers = self._numbers("point_spring", i, spring, told)
         place = len(self.description.links) + i  # after lengths
         first, second = (
@@ -183,10 +234,14 @@ class Parameters:
 
     def _numbers(self, form: str, k: int, item: object, told: str) -> dict[str, Any]:
         """The symbols of the numbers of an entry of the file, the k-th of its kind."""
-        return {
-            name: self._number(form, name, k, getattr(item, name), told)
+        names = {
+            ATTRIBUTES.get((form, name), name): name
             for name, key in FORMS[form].keys.items()
             if key.symbol
+        }
+        return {
+            attribute: self._number(form, name, k, getattr(item, attribute), told)
+            for attribute, name in names.items()
         }
 
     def _number(
@@ -222,6 +277,9 @@ class Parameters:
         role = ROLES.get(unit, Role.force) if role is None else role
         return of(Atom(role, place, name))
 
+    def _slides(self, joint: int) -> bool:
+        return self.description.links[joint].slides
+
     def _on(self, point: Point) -> str:
         if point.link is None:
             return "on the ground"
@@ -231,7 +289,7 @@ class Parameters:
         """A point of a link or of the ground; the same point has the same symbols everywhere."""
         if point.link is not None and point.at == self.description.links[point.link].l != 0.0:
             link = self.description.links[point.link]
-            length: Any = self._number("link", "l", point.link, link.l, link.name)
+            length: Any = self._number("revolute_link", "l", point.link, link.l, link.name)
             return Point(point.link, length * Planar(ONE, ZERO))
         if point not in self._points:
             self._points[point] = self._pair(name, place, point.at, meaning, "m")

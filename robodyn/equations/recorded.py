@@ -15,7 +15,7 @@ from typing import Any
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
-from robodyn.equations.entries import Entries
+from robodyn.equations.entries import Entries, with_kept
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Sum
@@ -44,7 +44,8 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
         return Recorded(part, ("qd",), by_direction, graph=graph, arithmetic=SHORT)
 
     try:
-        named = constants(numbers(parameters.scene))
+        kept = {c: numbers(row) for c, row in parameters.kept.items()}
+        named = with_kept(constants(numbers(parameters.scene)), kept)
         ways = [Entries(named, couplings, partial(state, way)) for way in (False, True)]
         found = []
         for head in heads(mechanism):

@@ -28,16 +28,19 @@ class Role:
 
     mass, inertia, damping = 0, 1, 2
     force = 3  # stiffness too
-    gravity, normal, length = 4, 5, 6
-    stretch = 7  # components of a spring
-    angle, rate, function = 8, 9, 10
+    gravity, normal = 4, 5
+    direction = 6  # cosines of axes, and of angles that are kept
+    length = 7
+    stretch = 8  # components of a spring
+    angle, rate, function = 9, 10, 11
 
 
 class Atom(NamedTuple):
     """A factor of products, in whose order they sort.
 
     `place` of a parameter orders those of one role, (link, letters); else it is the joints (from 0)
-    whose angles or rates are summed.  `speed` is what a rate is measured by: tanh(qd2/wf2).
+    whose angles or rates are summed, ~k where that of joint k is taken off.  `speed` is what a rate
+    is measured by: tanh(qd2/wf2).
     """
 
     role: int
@@ -174,7 +177,7 @@ def merged(a: Monomial, b: Monomial) -> Monomial:
     powers = dict(a)
     for atom, power in b:
         powers[atom] = powers.get(atom, 0) + power
-    return tuple(sorted(powers.items()))
+    return tuple(sorted(x for x in powers.items() if x[1]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from typing import Any
 
 from robodyn.engines.formulas import Recorded
 from robodyn.engines.series import Arithmetic
-from robodyn.equations.entries import Entries
+from robodyn.equations.entries import Entries, with_kept
 from robodyn.equations.factoring import (
     Key,
     as_one,
@@ -46,8 +46,10 @@ from robodyn.equations.symbolic import (
     summed,
     total,
 )
+from robodyn.equations.trigonometry import simplified
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.mechanism import Mechanism, closure_rows, constants, too_large
+from robodyn.mechanics.loop_rows import closure_rows
+from robodyn.mechanics.mechanism import Mechanism, constants, too_large
 from robodyn.scene.scene import Closure, Load, Point, Spring
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.
@@ -91,7 +93,8 @@ def equations(
         return written(entry, levels)
 
     springs = _Springs(parameters.scene)
-    entries = Entries(springs.mechanism, parameters.couplings, _Symbolic, springs.drag)
+    named = with_kept(springs.mechanism, parameters.kept)
+    entries = Entries(named, parameters.couplings, _Symbolic, springs.drag)
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
@@ -152,7 +155,8 @@ SYMBOLIC = Arithmetic(
 
 def _in_order(entry: Any, block: str) -> Sum:
     """The entry of a block, its terms from the ground on, body by body."""
-    terms = _gathered(summed(entry)) if block == "C" else summed(entry).terms
+    entry = simplified(summed(entry))
+    terms = _gathered(entry) if block == "C" else entry.terms
     angles = dict.fromkeys(x.place for term in terms for x, _ in term if x.role == Role.function)
     seen = {joints: place for place, joints in enumerate(angles)}
     return Sum({x: terms[x] for x in sorted(terms, key=lambda term: _place(block, term, seen))})
@@ -187,18 +191,19 @@ def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> 
         (x.place[0], x.name[:2] == "mp", x.role) for x in atoms[Role.mass] + atoms[Role.inertia]
     ]
     lengths = [x.place for x in atoms[Role.length]]
+    moved = [(x.place[0], "~") for x in atoms[Role.angle]]  # displacements
     calls = [x for x in atoms[Role.function] if x.speed is None]
     angles, sines_first = [seen[x.place] for x in calls], [-ord(x.name[0]) for x in calls]
     if block == "M":
-        return body, len(calls)
+        return body, len(calls), len(moved)
     if block == "C":
-        return [k for k, _ in lengths], body, sines_first
+        return [k for k, _ in sorted(lengths + moved)], body, sines_first, len(moved)
     if block == "S":
         return not calls, angles, [letters[-1] for _, letters in lengths]
     if block not in ("G", "Q"):
         names = [x.name for x in calls]
         return not (calls or atoms[Role.angle]), list(zip(angles, names, strict=True))
-    link = max((x.place[-1] for x in calls), default=inf)
+    link = max((k for x in calls for k in x.place), default=inf)
     force = min(atoms[Role.force], default=Atom(Role.force, (0,), " "))
     if force.name[0] == "F" and block == "Q":  # turns with its link
         return -1, force.place, -sum(len(x.place) for x in calls), sines_first
@@ -207,7 +212,9 @@ def _place(block: str, monomial: Monomial, seen: dict[tuple[int, ...], int]) -> 
     stretch = [-ord(x.name[-1]) for x in atoms[Role.stretch]]
     kind = 0 if body else {"F": 1, "T": 2}.get(force.name[0], 3)
     free = kind == 3 and not stretch
-    return link, kind, body, force.place, not atoms[Role.angle], stretch, [] if free else lengths
+    if body:
+        return link, kind, body, force.place, True, stretch, sorted(lengths + moved)
+    return link, kind, body, force.place, not moved, stretch, [] if free else lengths
 
 
 # -- springs ---------------------------------------------------------------------------------------

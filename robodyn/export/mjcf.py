@@ -6,14 +6,17 @@ A closure or coupling is an equality constraint, which MuJoCo keeps softly: its 
 the error to nothing in a few time steps.  A pin is a `connect` of two sites (MuJoCo 3.2.3 or
 newer).  A slider needs no body of its own: its line holds the points that are as far from one
 ground site as from another, its mirror image in the line, so that two spatial tendons from these to
-the point are held to equal lengths.  M and C stay those of the scene.  But MuJoCo leaves out
-Psidot qd of tendons (and of connects before 3.7); the error that this makes in a motion falls with
-the square of the time step.
+the point are held to equal lengths.  On the line of a link the sites are that link's; an angle that
+a closure keeps is a sum of joints, which counts from turn to turn.  M and C stay those of the
+scene.  But MuJoCo leaves out Psidot qd of tendons (and of connects before 3.7); the error that this
+makes in a motion falls with the square of the time step.
 """
 
 from __future__ import annotations
 
+from cmath import phase
 from collections.abc import Sequence
+from math import pi
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
@@ -42,6 +45,10 @@ SOFT_REMARKS = (
     "are open where all joints are zero: start where they hold, such as from a keyframe.",
 )
 LOAD_REMARKS = ("A load is an actuator of constant force: its control does nothing.",)
+ANGLE_REMARKS = (
+    "An angle that a closure keeps is a sum of joint angles: it counts from turn to turn.",
+)
+SLOT_REMARKS = ("Those of a slot in a link are sites of that link.",)
 SLIDER_REMARKS = (
     "A slider's line holds the points as far from one site of the ground as from another: two",
     "tendons of equal length.  MuJoCo leaves out the centripetal acceleration along tendons, so",
@@ -53,19 +60,20 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     """The mechanism as MJCF text, with the keyframe `start` at the joint angles q (n,), rad.
 
     Joint i, named after link i as its body, has the coordinate q_i; each actuated joint has a
-    motor of that name, its control the torque, N m.  Raises InputError for what MJCF cannot
+    motor of that name, its control the torque, N m, or the force, N.  Angles that closures keep
+    are in the turn nearest to q, or to zero.  Raises InputError for what MJCF cannot
     say, and for links without mass or inertia, which MuJoCo refuses.
     """
     description = mechanism.description
     refuse_unsaid(description, "MJCF", REASONS, SAID)
     for k, link in enumerate(description.links):
         for key, value in (("m", link.m), ("I", link.I)):
-            if value < MINIMUM:
+            if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
                 limit = f"MuJoCo takes nothing that moves with less than {MINIMUM:g} of mass (kg)"
                 limit += " or inertia (kg m^2): give it a little"
                 place = f"links[{k}] ({link.name}).{key}"
                 raise InputError(place, where=description.source, value=value, limit=limit)
-    model = _Elements(mechanism)
+    model = _Elements(mechanism, q)
     root = Element("mujoco", model=printable(mechanism.name))
     SubElement(root, "compiler", angle="radian")
     option = SubElement(root, "option", timestep=number(timestep), integrator="RK4")
@@ -88,6 +96,8 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         (description.loads, LOAD_REMARKS),
         (description.closures or description.couplings, SOFT_REMARKS),
         (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
+        (any(x.along and x.second.link is not None for x in description.closures), SLOT_REMARKS),
+        (any(closure.aligned is not None for closure in description.closures), ANGLE_REMARKS),
     ):
         remarks += more if there else ()
     return document(root, comment(mechanism, model.names, remarks))
@@ -99,8 +109,9 @@ class _Elements:
     `world` holds the bodies, `names` of the links; `order` has the links as MuJoCo orders joints.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Mechanism, q: Sequence[float] | None) -> None:
         self.mechanism, description = mechanism, mechanism.description
+        self.tree, self.q = Tree(description.links), q or [0.0] * mechanism.n
         self.links, names = description.links, Names()
         self.names = link_names(mechanism, names)
         self.payloads = [
@@ -138,9 +149,16 @@ class _Elements:
             self.order.append(k)
             name = self.names[k]
             body = SubElement(parent, "body", name=name, pos=vector(link.hangs_from.at))
-            joint = SubElement(body, "joint", name=name, type="hinge", axis="0 0 1")
+            kind, axis = "hinge", "0 0 1"
+            if link.axis is not None:
+                kind, axis = "slide", "1 0 0"
+                if link.axis != 1.0:
+                    body.set("xyaxes", f"{vector(link.axis)} {vector(1j * link.axis)}")
+            joint = SubElement(body, "joint", name=name, type=kind, axis=axis)
             joint.attrib |= self._turning(k)
-            _inertial(body, link.m, link.r, link.I)
+            # of what never turns no inertia counts, but MuJoCo wants some
+            I = link.I if self.mechanism.frames[k] is not None else max(link.I, MINIMUM)
+            _inertial(body, link.m, link.r, I)
             if link.payload:
                 tip = vector(complex(link.l))
                 payload = SubElement(body, "body", name=self.payloads[k], pos=tip)
@@ -197,30 +215,60 @@ class _Elements:
     def _close(self, name: str, closure: Closure) -> None:
         """The sites of a closure and its constraint.
 
-        A slider has two tendons to the point, from ground sites on both sides of the line; gap > 0:
-        left.  MuJoCo counts lengths from those at zero angles: y - y0 = a0 + a1 (x - x0).
+        A slider has two tendons to the point, from sites on both sides of the line on what carries
+        it; gap > 0: left.  MuJoCo counts lengths from those at q = 0: y - y0 = a0 + a1 (x - x0).
         """
         if closure.along is None:
             first = self._site(f"{name}_first", closure.first)
             second = self._site(f"{name}_second", closure.second)
             SubElement(self.equality, "connect", name=name, site1=first, site2=second)
             return
-        along, line = closure.along, closure.second.at
+        along, line, carrier = closure.along, closure.second.at, closure.second.link
         point = self._site(f"{name}_point", closure.first)
-        place = Tree(self.links).point(closure.first)
-        pivot, arms = place.constant, [arm for _, arm in place.terms]
-        resting = pivot + sum(arms)  # at zero angles
+        pivot, arms, resting = self._resting(closure)
         foot = line + along * ((pivot - line) * along.conjugate()).real
         # so far that the point cannot get there
         away = 2.0 * (sum(map(abs, arms)) + abs(pivot - foot)) or 1.0
         lengths = []
         for side, way in (("right", -1j), ("left", 1j)):
             at = foot + away * way * along
-            self._spatial(f"{name}_{side}", self._site(f"{name}_{side}", Point(None, at)), point)
+            self._spatial(f"{name}_{side}", self._site(f"{name}_{side}", Point(carrier, at)), point)
             lengths.append(abs(resting - at))
         held = SubElement(self.equality, "tendon", name=name, tendon1=f"{name}_right")
         held.set("tendon2", f"{name}_left")
         held.set("polycoef", f"{number(lengths[1] - lengths[0])} 1 0 0 0")
+        if closure.aligned is not None:
+            self._align(f"{name}_angle", closure, closure.aligned)
+
+    def _resting(self, closure: Closure) -> tuple[complex, list[complex], complex]:
+        """A slider's point in the frame of its line: pivot, arms to the point, and it at q = 0."""
+        slides, carrier = self.mechanism.slides, closure.second.link
+        if carrier is None:
+            place, turned = self.tree.point(closure.first), 1.0 + 0j
+            pivot, arms = place.constant, [arm for k, arm in place.terms if k not in slides]
+        else:
+            place = self.tree.difference(closure.first, closure.second)
+            turned = self.tree.phases[carrier].conjugate()
+            pivot = closure.second.at
+            ways = [place.constant, *(arm for k, arm in place.terms if k not in slides)]
+            arms = [turned * arm for arm in ways]
+        resting = pivot + sum(arms)
+        # what slides is taken to get as far as the mechanism is long
+        return pivot, arms + [self.tree.unit * c for k, c in place.terms if k in slides], resting
+
+    def _align(self, name: str, closure: Closure, angle: float) -> None:
+        """What keeps the angle of the point's link to the line's: an equation between joints."""
+        counts: dict[int, float] = {}
+        for sign, link in ((1.0, closure.first.link), (-1.0, closure.second.link)):
+            if link is not None:
+                angle -= sign * phase(self.tree.phases[link])
+                for k in self.mechanism.turns_by(link):
+                    counts[k] = counts.get(k, 0.0) + sign
+        (joint, sign), *others = ((k, count) for k, count in counts.items() if count)
+        turned = sum(count * self.q[k] for k, count in counts.items())
+        angle += 2.0 * pi * round((turned - angle) / (2.0 * pi))
+        terms = tuple((k, -sign * count) for k, count in others)
+        self._couple(name, Coupling(joint, terms, sign * angle))
 
     def _couple(self, name: str, coupling: Coupling) -> None:
         """An equation between joints; of more than two the sum of all is a tendon's length."""

@@ -20,7 +20,7 @@ RESERVED = frozenset({"world", "universe", "root_joint"})
 SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
 # these say how a scene is named and assembled, or are said in the comment
 SCENE_SAID = frozenset({"source", "name", "gravity", "links", "branches", "actuated", "start"})
-LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping"})
+LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"})
 
 
 class Names:
@@ -68,15 +68,21 @@ def vector(point: complex) -> str:
 def comment(mechanism: Mechanism, joints: Iterable[str], remarks: Iterable[str]) -> list[str]:
     """The lines of the comment at the top of a model: what it is, its frame and its coordinates."""
     driven = set(mechanism.actuated)
+    moves, told = "every joint turns about +Z", "counter-clockwise:"
+    if mechanism.slides:
+        moves, told = "joints turn about +Z or slide", "counter-clockwise; or how far"
     lines = [
         f"{mechanism.name}: {mechanism.source}, written by robodyn {__version__}.",
-        "The plane of the scene is X-Y, and every joint turns about +Z.  SI units, radians.",
+        f"The plane of the scene is X-Y, and {moves}.  SI units, radians.",
         "Gravity is " + vector(mechanism.gamma) + " m/s^2.",
         "Each joint is the angle of its link relative to the link that it hangs from, or from +X",
-        "where that is the ground, counter-clockwise:",
+        f"where that is the ground, {told}",
     ]
+    if mechanism.slides:
+        lines.append("it slid along its link's x axis:")
     for k, (joint, name) in enumerate(zip(joints, mechanism.link_names, strict=True)):
         remark = "" if joint == name else f" (link {name})"
+        remark += ", slides" if k in mechanism.slides else ""
         lines.append(f"  q{k + 1}  {joint}{remark}{', driven' if k in driven else ''}")
     return [*lines, *remarks]
 

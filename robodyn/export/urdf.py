@@ -9,6 +9,7 @@ a link that name and `_link`, as is the custom: some readers want all names of a
 
 from __future__ import annotations
 
+from cmath import phase
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
@@ -39,6 +40,8 @@ MIMIC_REMARKS = (
     "A joint with `mimic` follows another.  Pinocchio leaves it free without mimic=True, and",
     "counts the angle that it follows from -pi to pi.",
 )
+SLIDE_REMARKS = ("A joint that slides must have limits, which are so wide that they are none.",)
+FAR = 1e9  # m, N, m/s: as good as no limit
 PAYLOAD_REMARKS = ("A payload is a point mass on a fixed joint.",)
 
 
@@ -65,8 +68,12 @@ def urdf(mechanism: Mechanism) -> str:
         above = link.hangs_from.link
         parent = ground if above is None else bodies[above]
         _link(root, bodies[k], link.m, link.r, link.I)
-        joint = _joint(root, joints[k], "continuous", (parent, bodies[k]), link.hangs_from.at)
-        SubElement(joint, "axis", xyz="0 0 1")
+        kind, ends = "prismatic" if link.slides else "continuous", (parent, bodies[k])
+        joint = _joint(root, joints[k], kind, ends, link.hangs_from.at, link.axis or 1.0)
+        SubElement(joint, "axis", xyz="1 0 0" if link.slides else "0 0 1")
+        if link.slides:
+            limits = {"lower": -FAR, "upper": FAR, "effort": FAR, "velocity": FAR}
+            SubElement(joint, "limit", {name: number(x) for name, x in limits.items()})
         if link.damping:
             SubElement(joint, "dynamics", damping=number(link.damping), friction="0.0")
         if k in couplings:
@@ -83,14 +90,20 @@ def urdf(mechanism: Mechanism) -> str:
         remarks += MIMIC_REMARKS
     if any(link.payload for link in mechanism.description.links):
         remarks += PAYLOAD_REMARKS
+    if mechanism.slides:
+        remarks += SLIDE_REMARKS
     return document(root, comment(mechanism, joints, remarks))
 
 
-def _joint(root: Element, name: str, kind: str, ends: tuple[str, str], at: complex) -> Element:
+def _joint(
+    root: Element, name: str, kind: str, ends: tuple[str, str], at: complex, axis: complex = 1.0
+) -> Element:
+    """A joint at this place of its parent, its x axis along `axis` there."""
     joint = SubElement(root, "joint", name=name, type=kind)
     SubElement(joint, "parent", link=ends[0])
     SubElement(joint, "child", link=ends[1])
-    SubElement(joint, "origin", xyz=vector(at), rpy="0 0 0")
+    turned = f"0 0 {number(phase(axis))}" if axis != 1.0 else "0 0 0"
+    SubElement(joint, "origin", xyz=vector(at), rpy=turned)
     return joint
 
 

@@ -21,19 +21,22 @@ a path from the scene's `start` configuration.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
+from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.errors import AssemblyError, InputError
-from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size
+from robodyn.loops.assembly_plan import Plan, joints_of
+from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
+from robodyn.loops.closing import NEAR_SINGULAR, half_turn, singular_size, wrapped
 from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
-from robodyn.loops.dyads import Plan, coupled_angle, joints_of, solve_dyad
-from robodyn.loops.dyads import assembly_plan as assembly_plan
+from robodyn.loops.dyads import coupled_angle, solve_dyad
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import BRANCHES
 
 Array = NDArray[np.float64]
 
@@ -71,7 +74,7 @@ def attempt(
     """
     given = _as_actuated(mechanism, q_actuated)
     if branches is None:
-        branches = mechanism.description.branches
+        branches = scene_branches(mechanism)
     plan = assembly_plan(mechanism)
     q, off = _known(mechanism, plan, given)
     missing, flat = np.zeros(given.shape[:-1]), np.zeros(given.shape[:-1], bool)
@@ -81,30 +84,58 @@ def attempt(
     alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
     for k in mechanism.order:
         if k in known:
-            above = mechanism.parent[k]
+            above = mechanism.above[k]
             alpha[..., k] = q[..., k] + (0.0 if above is None else alpha[..., above])
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
         angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
         missing, flat = np.maximum(missing, short), flat | (sine < FLAT)
         for link, angle in zip(step.unknown, angles, strict=True):
+            if link in mechanism.slides:
+                alpha[..., link] = angle
             for k, root in enumerate(plan.turns_with):
                 if root == link:
                     alpha[..., k] += angle
     free = {spring.joint: spring.angle for spring in mechanism.joint_springs}
     for k in set(mechanism.passive) - known:
-        above, middle = mechanism.parent[k], free.get(k, 0.0)
+        above, middle = mechanism.above[k], free.get(k, 0.0)
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
-        q[..., k] = half_turn(relative - middle) + middle
+        slides = k in mechanism.slides
+        q[..., k] = relative if slides else half_turn(relative - middle) + middle
     if plan.rest:
         q, short = _from_start(mechanism, q)
         missing = np.maximum(missing, short)
     flat = np.array(flat & (missing <= 0.0))
     if flat.any():  # to the last digit where Psi itself is nearly singular
-        s = np.linalg.svd(closure_jacobian(mechanism, q[flat]), compute_uv=False)
+        s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
         flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
         q[flat] = close_positions(mechanism, q[flat], mechanism.actuated)
     return q, missing
+
+
+@lru_cache(maxsize=64)
+def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
+    """ "open" or "crossed" for each closure: the scene's words, or what is nearest to its start."""
+    start, closures = mechanism.description.start, mechanism.description.closures
+    if start is None or len(mechanism.description.branches) == len(closures):
+        return mechanism.description.branches
+    words = [BRANCHES[0]] * len(closures)
+    driven = [start[k] for k in mechanism.actuated]
+    plan = assembly_plan(mechanism)
+    if any(x is None for x in driven):
+        return tuple(words)
+    for step in plan.steps:  # each follows from those before it alone
+        told = [k for k in step.unknown if start[k] is not None]
+        if step.closure not in plan.two_way or not told:
+            continue
+        away = []
+        for word in BRANCHES:
+            words[step.closure] = word
+            q = attempt(mechanism, np.array(driven, float), words)[0]
+            way = wrapped(mechanism, q - np.array([x or 0.0 for x in start]))
+            away.append(float(np.abs(way[told]).max()))
+        words[step.closure] = BRANCHES[int(np.argmin(away))]
+    return tuple(words)
 
 
 def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
@@ -131,18 +162,20 @@ def reachable(
 
     The other actuated joints stay as given.  [(-pi, pi)] where all of the circle can be reached.
     """
+    slides = mechanism.actuated[joint] in mechanism.slides
     if assembly_plan(mechanism).rest:
         return _reachable_from_start(mechanism, np.asarray(q_actuated, float), joint)
-    edges = np.linspace(-np.pi, np.pi, 1441)
+    span = farthest(mechanism) if slides else np.pi
+    edges = np.linspace(-span, span, 1441)
 
-    def closes(angles: Array) -> NDArray[np.bool_]:
-        states = np.repeat(np.asarray(q_actuated, float)[None, :], len(angles), axis=0)
-        states[:, joint] = angles
+    def closes(values: Array) -> NDArray[np.bool_]:
+        states = np.repeat(np.asarray(q_actuated, float)[None, :], len(values), axis=0)
+        states[:, joint] = values
         return np.asarray(attempt(mechanism, states, branches)[1] <= 0.0)
 
     good = closes(edges)
     if good.all():
-        return [(-np.pi, np.pi)]
+        return [(-span, span)]
     changes = np.flatnonzero(good[1:] != good[:-1])
     low, high = edges[changes], edges[changes + 1]
     for _ in range(45):  # bisection of all changes at once
@@ -150,9 +183,18 @@ def reachable(
         same = closes(middle) == good[changes]
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends = list(0.5 * (low + high))
-    if good[0]:  # the interval that runs through pi
+    if slides:
+        ends = [*([-span] if good[0] else []), *ends, *([span] if good[-1] else [])]
+    elif good[0]:  # the interval that runs through pi
         ends = [*ends[1:], ends[0] + 2 * np.pi]
     return list(zip(ends[::2], ends[1::2], strict=True))
+
+
+def farthest(mechanism: Mechanism) -> float:
+    """A displacement that no loop of the mechanism reaches, m."""
+    links = mechanism.description.links
+    sides = [x for c in mechanism.description.closures for x in (c.first.at, c.second.at)]
+    return sum(abs(x.l) + abs(x.hangs_from.at) for x in links) + sum(map(abs, sides)) or 1.0
 
 
 # -- larger loops --------------------------------------------------------------------------------
@@ -168,10 +210,11 @@ def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
     begin = np.broadcast_to([angle or 0.0 for angle in start], q.shape).copy()
     begin[..., unsaid] = q[..., unsaid]
     way = target - begin[..., actuated]
-    geared = mechanism.description.couplings
-    if not geared:  # turns count where joints are coupled
-        way = half_turn(way)
-    steps = int(np.ceil(np.abs(way).max(initial=0.0) / PATH_STEP))
+    geared, units = mechanism.description.couplings, mechanism.arrays.units
+    for place, k in enumerate(actuated):
+        if not geared and k not in mechanism.slides:  # turns count where joints are coupled
+            way[..., place] = half_turn(way[..., place])
+    steps = int(np.ceil(np.abs(way / units[actuated]).max(initial=0.0) / PATH_STEP))
     here = close_positions(mechanism, begin, actuated)
     lost = _gap(mechanism, here) > CLOSED
     first = here[..., actuated].copy()
@@ -180,13 +223,14 @@ def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
         there[..., actuated] = first + way * (s / steps)
         there = close_positions(mechanism, there, actuated)
         # beyond a limit nothing closes, or only after a leap to another branch: the path ends
-        leap = np.abs(there[..., passive] - here[..., passive]).max(axis=-1, initial=0.0) > LEAP
+        moved = np.abs(there[..., passive] - here[..., passive]) / units[passive]
+        leap = moved.max(axis=-1, initial=0.0) > LEAP
         lost |= leap | (_gap(mechanism, there) > CLOSED)
         here = np.where(lost[..., None], here, there)
     here[..., actuated] = target
     missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
     counting = set().union(*map(joints_of, geared))
-    turning = [k for k in passive if k not in counting]
+    turning = [k for k in passive if k not in counting and k not in mechanism.slides]
     here[..., turning] = half_turn(here[..., turning])
     return here, np.where(lost, missing, 0.0)
 
@@ -205,14 +249,17 @@ def _reachable_from_start(
     if missing > 0.0:
         return []
     ends = []
+    slides, units = moved in mechanism.slides, mechanism.arrays.units
+    unit = float(units[moved])
+    most = farthest(mechanism) if slides else np.pi
     for direction in (-1.0, 1.0):
-        at, step = here.copy(), PATH_STEP
-        while step > 1e-7 and abs(at[moved] - middle) < np.pi - 1e-9:
+        at, step = here.copy(), PATH_STEP * unit
+        while step > 1e-7 * unit and abs(at[moved] - middle) < most - 1e-9 * unit:
             there = at.copy()
-            left = np.pi - abs(at[moved] - middle)  # the way round is no shorter
+            left = most - abs(at[moved] - middle)  # the way round is no shorter
             there[moved] += direction * min(step, left * (1 - 1e-12))
             there = close_positions(mechanism, there, actuated)
-            leap = np.abs(there - at).max() > LEAP * step / PATH_STEP
+            leap = np.abs((there - at) / units).max() > LEAP * step / (PATH_STEP * unit)
             if leap or _gap(mechanism, there) > CLOSED:
                 step /= 4.0  # the limit is nearer than this
             else:
@@ -230,10 +277,16 @@ def _gap(mechanism: Mechanism, q: Array) -> Array:
 # -- input and faults ----------------------------------------------------------------------------
 
 
-def _within(angle: float, side: int) -> str:
-    """An end of a range in degrees, rounded into the range."""
-    degrees = float(np.degrees(angle)) * 1e4
-    return f"{(np.ceil(degrees) if side > 0 else np.floor(degrees)) / 1e4:.8g}"
+def _within(mechanism: Mechanism, joint: int, value: float, side: int) -> str:
+    """An end of a range in degrees, or in m, rounded into the range."""
+    scaled = (value if joint in mechanism.slides else float(np.degrees(value))) * 1e4
+    return f"{(np.ceil(scaled) if side > 0 else np.floor(scaled)) / 1e4:.8g}"
+
+
+def _shown(mechanism: Mechanism, joint: int, value: float) -> str:
+    if joint in mechanism.slides:
+        return f"q{joint + 1} = {value:.6g} m"
+    return f"q{joint + 1} = {np.degrees(value):.6g} deg"
 
 
 def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
@@ -251,15 +304,14 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
 def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
-    at = ", ".join(
-        f"q{k + 1} = {np.degrees(angle):.6g} deg"
-        for k, angle in zip(mechanism.actuated, given, strict=True)
-    )
+    pairs = zip(mechanism.actuated, given, strict=True)
+    at = ", ".join(_shown(mechanism, k, value) for k, value in pairs)
     off = [float(x) for x in _known(mechanism, assembly_plan(mechanism), given)[1]]
     if any(off):
         worst = int(np.argmax(off))
         joint = mechanism.description.couplings[worst].joint
-        limit = f"q{joint + 1} would have to be {off[worst]:.6g} rad elsewhere"
+        unit = "m" if joint in mechanism.slides else "rad"
+        limit = f"q{joint + 1} would have to be {off[worst]:.6g} {unit} elsewhere"
         what = f"coupling {worst + 1} cannot be kept at {at}"
         return AssemblyError(what, where=mechanism.source, limit=limit)
     what = f"cannot be closed at {at}: {missing:.6g} m are missing"
@@ -272,10 +324,13 @@ def _cannot_close(
     ranges = []
     for place, k in enumerate(mechanism.actuated):
         intervals = reachable(mechanism, given, place, branches)
+        unit = "m" if k in mechanism.slides else "deg"
         shown = " or ".join(
-            f"[{_within(low, 1)}, {_within(high, -1)}] deg" for low, high in intervals
+            f"[{_within(mechanism, k, low, 1)}, {_within(mechanism, k, high, -1)}] {unit}"
+            for low, high in intervals
         )
         label = f"q{k + 1} ({mechanism.link_names[k]})"
-        ranges.append(f"{label} can reach {shown or 'no angle'}")
+        nothing = "no displacement" if k in mechanism.slides else "no angle"
+        ranges.append(f"{label} can reach {shown or nothing}")
     others = " with the other actuated joints as given" if len(ranges) > 1 else ""
     return AssemblyError(what, where=mechanism.source, limit="; ".join(ranges) + others)

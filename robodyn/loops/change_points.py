@@ -36,10 +36,10 @@ from robodyn.loops.closing import (
     close_positions,
     closed_jacobians,
     exact_gap,
-    half_turn,
     loop_size,
     regular_rank,
     singular_size,
+    wrapped,
 )
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -110,7 +110,7 @@ def nearness(mechanism: Mechanism, Psi: Array) -> Array:
 
 def _measured(mechanism: Mechanism, q: Array) -> tuple[int, float]:
     """The rank of Psi about q (n,), on the branch that q is on, and s/L there."""
-    Psi = closed_form.closure_jacobian(mechanism, q)
+    Psi = closed_form.scaled_jacobian(mechanism, q)
     regular, size = regular_rank(mechanism), loop_size(mechanism)
     if regular == len(Psi) > FEW:  # squares, which tell no small ones, in a third of the time
         least = float(np.linalg.eigvalsh(Psi @ Psi.T)[0])
@@ -130,10 +130,10 @@ _branch_ranks: WeakKeyDictionary[Mechanism, int] = WeakKeyDictionary()
 def rank_beside(mechanism: Mechanism, q: Array, away: float, count: int) -> int:
     """The largest rank of Psi at closed states about so many rad from q (n,)."""
     noise = np.random.default_rng(0).normal(size=(count, mechanism.n))
-    beside = close_positions(mechanism, q + away * noise)
+    beside = close_positions(mechanism, q + away * noise * mechanism.arrays.units)
     gap = np.abs(closed_form.closure_gap(mechanism, beside)).max(axis=-1)
     closed = beside[gap < 1e-9 * loop_size(mechanism)]
-    return int(rank(mechanism, closed_form.closure_jacobian(mechanism, closed)).max(initial=0))
+    return int(rank(mechanism, closed_form.scaled_jacobian(mechanism, closed)).max(initial=0))
 
 
 def rank(mechanism: Mechanism, Psi: Array) -> NDArray[np.int64]:
@@ -186,7 +186,11 @@ def nearest_singular(mechanism: Mechanism, q: Array) -> Singular | None:
 
 def apart(mechanism: Mechanism, q: Array, other: Array) -> Array:
     """How far q (..., n) is from `other` (n,) in its farthest joint, turns not counted, rad."""
-    way = q - other if mechanism.description.couplings else half_turn(q - other)
+    way = q - other
+    if mechanism.description.couplings:
+        way = way / mechanism.arrays.units
+    else:
+        way = wrapped(mechanism, way)
     return np.asarray(np.abs(way).max(axis=-1))
 
 
@@ -200,7 +204,7 @@ def known_near(mechanism: Mechanism, q: Array, within: float) -> Singular | None
 def _search(mechanism: Mechanism, q: Array, usual: int) -> Singular | None:
     """Where Psi loses its usual rank near q (n,): as much of it as is small there, or else one."""
     size = loop_size(mechanism)
-    s = np.linalg.svd(closed_form.closure_jacobian(mechanism, q), compute_uv=False)[:usual]
+    s = np.linalg.svd(closed_form.scaled_jacobian(mechanism, q), compute_uv=False)[:usual]
     most = int((s <= max(ALIKE * s[-1], SUSPECT * FOUND * size)).sum())
     tried = (_singular(mechanism, q, usual - lost, usual) for lost in sorted({most, 1})[::-1])
     return next((found for found in tried if found is not None), None)
@@ -211,10 +215,10 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
 
     By Newton's method: close the regular part, move inside V0 until Psi vanishes there.
     """
-    size = loop_size(mechanism)
+    size, units = loop_size(mechanism), mechanism.arrays.units
     q = start
     for _ in range(STEPS_TO_FIND):
-        Psi = closed_form.closure_jacobian(mechanism, q)
+        Psi = closed_form.scaled_jacobian(mechanism, q)
         U, s, Vt = svd(Psi, full=True)
         left, right = U[:, regular:], Vt[regular:].T
         H = _curvature(mechanism, q, left, right)
@@ -222,12 +226,12 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
         z = np.linalg.lstsq(H.reshape(-1, H.shape[-1]), -slope.ravel(), rcond=1e-9)[0]
         gap = exact_gap(mechanism, q)
         step = right @ z - Vt[:regular].T @ ((U[:, :regular].T @ gap) / s[:regular])
-        q = q + step
-        if not np.abs(q - start).max() <= REACH:
+        q = q + step * units
+        if not np.abs((q - start) / units).max() <= REACH:
             return None
         if np.abs(step).max() <= FOUND:
             break
-    U, s, Vt = svd(closed_form.closure_jacobian(mechanism, q), full=True)
+    U, s, Vt = svd(closed_form.scaled_jacobian(mechanism, q), full=True)
     if not np.abs(step).max() <= FOUND or not (s[regular:usual] <= FOUND * size).all():
         return None
     regular = int((s > LOST * size).sum())  # there more may vanish than beside it
@@ -243,19 +247,22 @@ def _singular(mechanism: Mechanism, start: Array, regular: int, usual: int) -> S
 
 
 def _curvature(mechanism: Mechanism, q: Array, left: Array, right: Array) -> Array:
-    """H (c, f, f), one for each column of `left`, within the columns of `right`."""
-    arrays = mechanism.arrays
-    weights = -(left.T @ arrays.P * closed_form.phases(mechanism, q)).real
-    moved = arrays.J @ right
-    H: Array = moved.T @ (weights[:, :, None] * moved)
-    return H
+    """H (c, f, f), one for each column of `left`, within the columns of `right`.
+
+    The gap's acceleration is a square form of the rates: H is told by pairs of these.
+    """
+    ways = right.T * mechanism.arrays.units
+    pairs = ways[:, None] + ways[None, :]
+    own, both = (closed_form.closure_bias(mechanism, q, x) @ left for x in (ways, pairs))
+    H: Array = 0.5 * (both - own[:, None] - own[None, :])
+    return np.moveaxis(H, -1, 0)
 
 
 def miss_remark(mechanism: Mechanism, states: Array) -> str:
     """Says that one of the states (..., n) is near a change point that the loops just miss."""
     q_all = states.reshape(-1, mechanism.n)
     if len(q_all) > LOOKED_AT:
-        near_all = nearness(mechanism, closed_form.closure_jacobian(mechanism, q_all))
+        near_all = nearness(mechanism, closed_form.scaled_jacobian(mechanism, q_all))
         q_all = q_all[np.argpartition(near_all, LOOKED_AT)[:LOOKED_AT]]
     for q in q_all:
         near = nearest_singular(mechanism, q)

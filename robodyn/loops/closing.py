@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_gap, closure_jacobian
+from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.engines.singular_values import svd
 from robodyn.errors import SingularError
 from robodyn.mechanics.planar_model import Mechanism
@@ -40,6 +40,30 @@ SETTLED = 1e-6  # rad; below it steps that shrink no more are rounding
 SHRINKS = 0.7  # at a singular configuration steps are halved, elsewhere squared
 
 
+def random_states(
+    mechanism: Mechanism, rng: np.random.Generator, count: int, joints: Sequence[int] | None = None
+) -> Array:
+    """Angles on the whole circle, and displacements of lengths of the mechanism, (count, joints).
+
+    Of all joints, unless some are named.
+    """
+    chosen = range(mechanism.n) if joints is None else joints
+    drawn: Array = rng.uniform(-np.pi, np.pi, (count, len(chosen)))
+    for column, k in enumerate(chosen):
+        if k in mechanism.slides:
+            drawn[:, column] *= mechanism.unit / np.pi
+    return drawn
+
+
+def wrapped(mechanism: Mechanism, way: Array) -> Array:
+    """Differences of q (..., n) without whole turns, displacements in units of a length."""
+    if not mechanism.slides:
+        return half_turn(way)
+    found, slides = half_turn(way), list(mechanism.slides)
+    found[..., slides] = way[..., slides] / mechanism.unit
+    return found
+
+
 @lru_cache(maxsize=256)
 def loop_size(mechanism: Mechanism) -> float:
     """L, the largest sum of lengths in a closure, m: what a gap is measured against."""
@@ -52,12 +76,12 @@ def closed_jacobians(mechanism: Mechanism) -> Array:
     """Psi (k, r, n) at a few closed configurations, or at any where none is found."""
     rows = max(1, len(mechanism.rows))
     count = max(2, min(16, SEARCHED // (mechanism.n * rows * min(mechanism.n, rows))))
-    drawn = np.random.default_rng(0).uniform(-np.pi, np.pi, (count, mechanism.n))
+    drawn = random_states(mechanism, np.random.default_rng(0), count)
     q = _closed(mechanism, drawn, list(range(mechanism.n)), 0.0)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
     closed = gap <= 1e-9 * loop_size(mechanism)
     # Newton's method closes many loops in a row from nowhere, but Psi is as regular beside
-    Psi: Array = closure_jacobian(mechanism, q[closed] if closed.any() else drawn)
+    Psi: Array = scaled_jacobian(mechanism, q[closed] if closed.any() else drawn)
     return Psi
 
 
@@ -128,13 +152,13 @@ def close_positions(mechanism: Mechanism, q: ArrayLike, fixed: Sequence[int] = (
 
 def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -> Array:
     """`close_positions`; the gap is exact where the least singular value may be below `exact`."""
-    size = loop_size(mechanism)
+    size, units = loop_size(mechanism), mechanism.arrays.units
 
     def evaluate(q: Array) -> tuple[Any, Array]:
         gap = closure_gap(mechanism, q)
         closed = np.abs(gap).max(axis=-1) <= CLOSED * size
         step = np.zeros_like(q)
-        Psi = closure_jacobian(mechanism, q)[..., free]
+        Psi = scaled_jacobian(mechanism, q)[..., free]
         Psi = np.where(np.isfinite(Psi), Psi, 0.0)  # a state that is not finite stays as it is
         U, s, Vt = svd(Psi)
         held = s > CUT * s[..., :1]
@@ -147,7 +171,7 @@ def _closed(mechanism: Mechanism, given: Array, free: list[int], exact: float) -
         inverse = np.divide(1.0, s, out=np.zeros_like(s), where=held)
         along = inverse * np.einsum("...ij,...i->...j", U, gap)
         step[..., free] = np.einsum("...ji,...j->...i", Vt, along)
-        return closed & ~near, step
+        return closed & ~near, step * units if mechanism.slides else step
 
     result: Array = newton(given, evaluate)
     return result
@@ -172,19 +196,33 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
     high = np.asarray(q, float)
     low = np.asarray(q - high, float)
     parts = zip(high.tolist(), low.tolist(), strict=True)
-    alpha = [whole(x, BITS) + whole(y, BITS) for x, y in parts]
+    x = [whole(x, BITS) + whole(y, BITS) for x, y in parts]
     for k in mechanism.order:
-        above = mechanism.parent[k]
+        above = mechanism.above[k]
         if above is not None:
-            alpha[k] += alpha[above]
-    E: dict[int, tuple[int, int]] = {}
+            x[k] += x[above]
+    directions: dict[int | None, tuple[int, int]] = {None: (ONE, 0)}
+
+    def direction(k: int | None) -> tuple[int, int]:
+        if k not in directions:
+            assert k is not None
+            directions[k] = _cos_sin(x[k])
+        return directions[k]
+
+    def coordinate(k: int) -> tuple[int, int]:
+        if k not in mechanism.slides:
+            return direction(k)
+        cosine, sine = direction(mechanism.frames[k])
+        return x[k] * cosine >> BITS, x[k] * sine >> BITS
+
     gap = []
     for row in mechanism.rows:
-        total = sum(whole(a) * alpha[k] for k, a in row.angles)
+        real, imag = whole(row.ground.real) << BITS, whole(row.ground.imag) << BITS
         for k, p in row.P:
-            if k not in E:
-                E[k] = _cos_sin(alpha[k])
-            total += whole(p.real) * E[k][0] - whole(p.imag) * E[k][1]
+            (c, s), a, b = coordinate(k), whole(p.real), whole(p.imag)
+            real, imag = real + a * c - b * s, imag + a * s + b * c
+        c, s = direction(row.line)
+        total = (real * c + imag * s >> BITS) + sum(whole(a) * x[k] for k, a in row.angles)
         gap.append(math.ldexp(float((total >> BITS) + whole(row.offset)), exponent - BITS))
     return np.array(gap)
 

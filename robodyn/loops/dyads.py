@@ -1,181 +1,184 @@
-"""Chains of dyads: in which order loops are closed, and how one or two unknown links close one.
+"""Chains of dyads: in which order loops are closed, and how one or two unknowns close one.
 
-What follows from couplings comes first, then dyads by turns (two circles, or a circle and a line,
-intersected); what is left is closed by Newton's method.
+What follows from couplings comes first, then dyads by turns; what is left is closed by Newton's
+method.  The gap of a pin is K + sum_r c_r e^(i theta_r) + sum_k s_k u_k over unknown angles and
+displacements; a line takes one part of it, and a line of an unknown link turns with that.
+
+    RRR   K + c1 e^(i theta1) + c2 e^(i theta2) = 0       two circles
+    RRP   K + c e^(i theta) + s u = 0                     a circle and a line
+    RPR   K + (c + s e) e^(i theta) = 0                   a circle and a line that turns
+    PRP   K + s u + t v = 0                               two lines
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.errors import InputError
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.loops.assembly_plan import Plan, Step
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Coupling
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One closure solved for its unknown links, in the order of the loop from its first side."""
-
-    closure: int
-    unknown: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """How a mechanism is assembled: dyads in order, then what only Newton's method closes."""
-
-    coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
-    turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
-    steps: tuple[Step, ...]
-    rest: tuple[int, ...]  # links left unknown
-
-    @property
-    def two_way(self) -> tuple[int, ...]:
-        """The closures that can close in two ways."""
-        return tuple(step.closure for step in self.steps if step.unknown)
-
-
-@lru_cache(maxsize=64)
-def assembly_plan(mechanism: Mechanism) -> Plan:
-    """The order in which the closures can be solved; InputError where joints are left free."""
-    turns_with: list[int | None] = [None] * mechanism.n
-    coupled, open_couplings = _resolve_couplings(mechanism)
-    given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
-    for k in mechanism.order:
-        above = mechanism.parent[k]
-        turns_with[k] = k if k not in given else None if above is None else turns_with[above]
-    closures = mechanism.description.closures
-    loops = [_unknown_in_loop(mechanism, turns_with, c) for c in range(len(closures))]
-    known: set[int] = set()
-    steps: list[Step] = []
-    waiting = set(range(len(loops)))
-    while waiting and not open_couplings:
-        for c in sorted(waiting):
-            unknown = tuple(k for k in loops[c] if k not in known)
-            if len(unknown) <= (2 if closures[c].along is None else 1):
-                steps.append(Step(c, unknown))
-                known.update(unknown)
-                waiting.remove(c)
-                break
-        else:
-            break
-    rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
-    held = set(open_couplings).union(*(loops[c] for c in waiting))
-    free = [k for k in rest if k not in held]
-    freedoms = mechanism.n - len(mechanism.rows)
-    if len(mechanism.actuated) < freedoms and not free:
-        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
-        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
-        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
-        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
-    if free or (rest and mechanism.description.start is None):
-        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or rest)
-        limit = (
-            f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
-            if free
-            else "in loops that are no chain of two-link closures: add a `start` configuration to "
-            f"the scene, or give all {mechanism.n} joint angles"
-        )
-        raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
-    return Plan(coupled, tuple(turns_with), tuple(steps), rest)
-
-
-def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
-    """The joints that follow one after another from actuated ones, each with its coupling.
-
-    And the joints of couplings that do not follow so.
-    """
-    known = set(mechanism.actuated)
-    found: list[tuple[int, int]] = []
-    waiting = dict(enumerate(mechanism.description.couplings))
-    while True:
-        unknown = {c: joints_of(coupling) - known for c, coupling in waiting.items()}
-        follows = next((c for c, joints in unknown.items() if len(joints) <= 1), None)
-        if follows is None:
-            return tuple(found), set().union(*map(joints_of, waiting.values()))
-        del waiting[follows]
-        found += [(joint, follows) for joint in unknown[follows]]
-        known |= unknown[follows]
-
-
-def joints_of(coupling: Coupling) -> set[int]:
-    return {coupling.joint, *(k for k, _ in coupling.terms)}
-
-
-def _unknown_in_loop(
-    mechanism: Mechanism, turns_with: Sequence[int | None], closure: int
-) -> list[int]:
-    """Unknown links of a closure, along its loop: first side outward, second side inward."""
-    row = next(row for row in mechanism.rows if row.closure == closure)
-    moved = {k for k, _ in row.P}
-    sides = mechanism.description.closures[closure]
-    outward = [k for k in mechanism.path(sides.first.link) if k in moved]
-    inward = [k for k in reversed(mechanism.path(sides.second.link)) if k in moved]
-    unknown = dict.fromkeys(turns_with[k] for k in [*outward, *inward])
-    return [root for root in unknown if root is not None]
+PARALLEL = 1e-12  # sine between two lines that do not meet
 
 
 def solve_dyad(
-    mechanism: Mechanism, plan: Plan, step: Step, alpha: Array, side: float
+    mechanism: Mechanism, plan: Plan, step: Step, x: Array, side: float
 ) -> tuple[list[Array], Array, Array]:
-    """The angles of the step's unknown links, the distance missing (0 where it closes), a sine.
+    """The unknowns of a step, the distance missing (0 where it closes), a sine.
 
-    The sine is that of the angle between the unknown links, or of a link to its slider's normal.
+    `x` (..., n) has what unknown links turn ahead of the first of them.  The sine is that of the
+    angle between the unknown links, or of a link to its line's normal.
     """
-    rows = [row for row in mechanism.rows if row.closure == step.closure]
-    slider = len(rows) == 1
-    # gap = K + sum_u c_u E_u over the unknown links u; a slider's is turned onto its line
-    turn = 1j if slider else 1.0
-    offset = rows[0].offset * 1j if slider else complex(rows[0].offset, rows[1].offset)
-    K: Complex = np.full(alpha.shape[:-1], offset, complex)
-    c: dict[int, Complex] = {u: np.zeros(alpha.shape[:-1], complex) for u in step.unknown}
-    size = sum(abs(p) for _, p in rows[0].P) + abs(offset)
-    for k, p in rows[0].P:
-        term = turn * p * np.exp(1j * alpha[..., k])
-        root = plan.turns_with[k]
-        if root in c:
-            c[root] += term
-        else:
-            K = K + term
+    row, K, c = _gap_of(mechanism, plan, step, x)
+    size = row.size + abs(row.offset)
+    turning = [u for u in step.unknown if u not in mechanism.slides]
+    sliding = [u for u in step.unknown if u in mechanism.slides]
     sine: Array = np.ones(K.shape)
-    angles: list[Array] = []
+    found: dict[int, Array] = {}
+    pin = len(step.rows) == 2
     if not step.unknown:
-        missing = np.abs(K.imag if slider else K)
-    elif slider:
-        first, across = c[step.unknown[0]], -K.imag
-        along = side * np.sqrt(np.maximum(np.abs(first) ** 2 - across**2, 0.0))
-        missing = np.abs(across) - np.abs(first)
-        angles = [np.angle((along + 1j * across) / first)]
-        sine = np.abs(along) / np.abs(first)
+        missing = np.abs(K) if pin else np.abs(K.imag)
+        if row.arm:
+            missing = np.where(K.real > 0.0, missing, row.arm)
+    elif row.arm:
+        (u,) = turning
+        z: Complex = K if u == _line_root(plan, row) else c[u].conj()
+        found[u], missing = np.angle(z), np.zeros(K.shape)
+    elif not pin and sliding:
+        (u,) = sliding
+        sine = _ratio(np.abs(c[u].imag), np.abs(c[u]))
+        meets = sine > PARALLEL
+        found[u] = -K.imag / np.where(meets, c[u].imag, 1.0) * meets
+        missing = np.where(meets, 0.0, np.abs(K.imag))
+    elif not pin:
+        (u,) = turning
+        own = c.get(OWN)
+        length, across = (np.abs(c[u]), -K.imag) if own is None else (np.abs(K), -own.imag)
+        along, missing, sine = _second_side(length, across, side)
+        there = along + 1j * across
+        found[u] = np.angle(there / c[u]) if own is None else np.angle(K / there)
     elif len(step.unknown) == 1:
-        first = c[step.unknown[0]]
-        missing = np.abs(np.abs(K) - np.abs(first))
-        angles = [np.angle(-K / first)]
-    else:
-        first, second = c.values()
+        (u,) = step.unknown
+        if turning:
+            missing, found[u] = np.abs(np.abs(K) - np.abs(c[u])), np.angle(-K / c[u])
+        else:
+            ahead = -K / c[u]
+            missing, found[u] = np.abs(ahead.imag * c[u]), ahead.real
+    elif len(turning) == 2:
+        one, two = turning
+        first, second = c[one], c[two]
         ra, rb, d = np.abs(first), np.abs(second), np.abs(K)
         missing = np.maximum(d - (ra + rb), np.abs(ra - rb) - d)
         # P - A = (x + i y) along the unit vector from A to D; Heron's product keeps y exact
         with np.errstate(invalid="ignore", divide="ignore"):
             unit = np.where(d > 0.0, -K / np.where(d > 0.0, d, 1.0), 1.0)
-            x = np.where(d > 0.0, ((ra - rb) * (ra + rb) / d + d) / 2.0, 0.0)
+            along = np.where(d > 0.0, ((ra - rb) * (ra + rb) / d + d) / 2.0, 0.0)
             heron = ((ra + rb) + d) * ((ra + rb) - d) * (d - (ra - rb)) * (d + (ra - rb))
             y = np.where(d > 0.0, np.sqrt(np.maximum(heron, 0.0)) / (2.0 * d), ra)
-        arm = unit * (x + 1j * side * y)
-        angles = [np.angle(arm / first), np.angle((-K - arm) / second)]
-        sine = np.abs(d * y) / (ra * rb)
-    return angles, np.where(missing > CLOSED * size, missing, 0.0), sine
+        arm = unit * (along + 1j * side * y)
+        found[one], found[two] = np.angle(arm / first), np.angle((-K - arm) / second)
+        sine = _ratio(np.abs(d * y), ra * rb)
+    elif turning and _turned(mechanism, plan, sliding[0]) == turning[0]:  # RPR
+        (u,), (s,) = turning, sliding
+        ahead = c[u] * c[s].conj()
+        along, missing, sine = _second_side(np.abs(K), ahead.imag, side)
+        found[s] = along - ahead.real
+        found[u] = np.angle(-K / (c[s] * (along + 1j * ahead.imag)))
+    elif turning:  # RRP
+        (u,), (s,) = turning, sliding
+        across = -(c[s].conj() * K).imag
+        same = 1.0 if _first_side(mechanism, step, u) == _first_side(mechanism, step, s) else -1.0
+        along, missing, sine = _second_side(np.abs(c[u]), across, side * same)
+        found[u] = np.angle(c[s] * (along + 1j * across) / c[u])
+        found[s] = -(c[s].conj() * K).real - along
+    else:  # PRP
+        one, two = sliding
+        cross = (c[one].conj() * c[two]).imag
+        sine = np.abs(cross) + np.zeros(K.shape)
+        meets = sine > PARALLEL
+        missing = np.where(meets, 0.0, np.abs((c[one].conj() * K).imag))
+        cross = np.where(meets, cross, np.inf)
+        found[one], found[two] = (c[two].conj() * K).imag / cross, -(c[one].conj() * K).imag / cross
+    missing = np.where(missing > CLOSED * size, missing, 0.0)
+    return [found[u] for u in step.unknown], missing, sine
+
+
+OWN = -1  # in place of a joint: what is constant in the frame of a line that turns
+
+
+def _gap_of(
+    mechanism: Mechanism, plan: Plan, step: Step, x: Array
+) -> tuple[ClosureRow, Complex, dict[int, Complex]]:
+    """K and c_u of the gap K + sum_u c_u E_u; that of a line turned onto it, its imaginary part.
+
+    A line that turns with the unknown is not: what does not turn with it is K, the rest c[OWN].
+    """
+    row, slides = step.rows[0], mechanism.slides
+    shape, turn = x.shape[:-1], 1.0 if len(step.rows) == 2 else 1j
+    K: Complex = np.full(shape, turn * row.ground, complex)
+    own: Complex = np.full(shape, turn * row.offset, complex)
+    if len(step.rows) == 2:
+        own = own + 1j * step.rows[1].offset
+    c: dict[int, Complex] = {u: np.zeros(shape, complex) for u in step.unknown}
+    for k, p in row.P:
+        d = mechanism.frames[k]
+        term = turn * p * (np.ones(shape) if d is None else np.exp(1j * x[..., d]))
+        if k in slides and k in c:
+            c[k] = c[k] + term
+            continue
+        if k in slides:
+            term = term * x[..., k]
+        root = _turned(mechanism, plan, k)
+        if root in c:
+            assert root is not None
+            c[root] = c[root] + term
+        else:
+            K = K + term
+    for k, a in row.angles:
+        if k in c:
+            c[k] = c[k] + turn * a
+        else:
+            own = own + turn * a * x[..., k]
+    if row.line is None:
+        return row, K + own, c
+    back = np.exp(-1j * x[..., row.line])
+    K = K * back
+    if _line_root(plan, row) in c:
+        return row, K, c | {OWN: own}
+    on_line = {k for k, _ in row.angles}
+    c = {u: z if u in on_line else z * back for u, z in c.items()}
+    return row, K + own, c
+
+
+def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Array, Array]:
+    """The other side of a right triangle, what its first is too short by, and its sine."""
+    across = np.abs(across)
+    along = side * np.sqrt(np.maximum((length - across) * (length + across), 0.0))
+    return along, across - length, _ratio(np.abs(along), length)
+
+
+def _ratio(a: Array, b: Array) -> Array:
+    return np.asarray(a / np.where(b > 0.0, b, 1.0))
+
+
+def _turned(mechanism: Mechanism, plan: Plan, k: int) -> int | None:
+    """The unknown link that the direction of X_k turns with."""
+    d = mechanism.frames[k]
+    return None if d is None else plan.turns_with[d]
+
+
+def _line_root(plan: Plan, row: ClosureRow) -> int | None:
+    return None if row.line is None else plan.turns_with[row.line]
+
+
+def _first_side(mechanism: Mechanism, step: Step, joint: int) -> bool:
+    """Whether a joint is on the side of the closure that is named first."""
+    return joint in mechanism.path(mechanism.description.closures[step.closure].first.link)
 
 
 def coupled_angle(coupling: Coupling, joint: int, q: Array) -> Array:

@@ -12,15 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import (
-    absolute_rates,
-    as_states,
-    closure_bias,
-    closure_gap,
-    closure_jacobian,
-    closure_rate,
-    matvec,
-)
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_rate, scaled_jacobian
+from robodyn.dynamics.placed import absolute_rates, as_states, matvec
 from robodyn.errors import InputError
 from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
@@ -56,7 +49,7 @@ def loop_accelerations(
     if not mechanism.rows or not found.size:
         return found
     q, rates = (np.broadcast_to(x, found.shape) for x in (q, np.asarray(qd, float)))
-    near = nearness(mechanism, closure_jacobian(mechanism, q)) < NEAR
+    near = nearness(mechanism, scaled_jacobian(mechanism, q)) < NEAR
     for state in map(tuple, np.argwhere(near)):
         chosen = found[state][list(mechanism.actuated)]
 
@@ -72,16 +65,17 @@ def loop_accelerations(
 
 def nearest_velocities(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """The rates nearest to qd that keep the closures at a closed configuration q, (..., n)."""
-    Psi = closure_jacobian(mechanism, q)
+    Psi = scaled_jacobian(mechanism, q)
     rates = as_states(mechanism, "qd", qd)
-    return rates - matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates))
+    units = mechanism.arrays.units
+    return rates - units * matvec(np.linalg.pinv(Psi, rcond=REDUNDANT), matvec(Psi, rates / units))
 
 
 def singular_kind(mechanism: Mechanism, q: ArrayLike) -> str:
     """ "dead centre", "change point", or "" for one closed configuration q (n,)."""
     if not mechanism.rows:
         return ""
-    Psi, passive = closure_jacobian(mechanism, q), list(mechanism.passive)
+    Psi, passive = scaled_jacobian(mechanism, q), list(mechanism.passive)
     if passive and _smallest(mechanism, Psi[:, passive]) > SINGULAR:
         return ""
     if _smallest(mechanism, Psi) <= SINGULAR:
@@ -99,7 +93,7 @@ def check_way_on(mechanism: Mechanism, q: Array, qd: Array) -> None:
     resting = q[~np.any(qd, axis=-1)]
     if not mechanism.rows or not len(resting):
         return
-    ranks = rank(mechanism, closure_jacobian(mechanism, resting))
+    ranks = rank(mechanism, scaled_jacobian(mechanism, resting))
     for state, here in zip(resting, ranks, strict=True):
         if here < len(mechanism.rows) and rank_beside(mechanism, state, 1e-3, 4) > here:
             limit = "the mechanism can go on in two ways: its acceleration is not unique"
@@ -140,13 +134,14 @@ def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
     if apart > GAP_ALLOWED * loop_size(mechanism) or not mechanism.description.couplings:
         value = f"{np.linalg.norm(gap[pins]):.6g} {unit}"
         return InputError(f"the loops are open: gap in {what}", value=value, limit=limit)
-    arms = np.array([row.arm or np.inf for row in mechanism.rows])
+    arms = np.array([row.arm if row.closure is None else np.inf for row in mechanism.rows])
     turns = np.abs(gap / arms)
     worst = int(np.argmax(turns)) - len(pins)
     joint = mechanism.description.couplings[worst].joint
+    own = unit if joint in mechanism.slides else unit.replace("m", "rad", 1)
     return InputError(
         f"coupling {worst + 1} does not hold: q{joint + 1} is off in {what}",
-        value=f"{turns.max():.6g} {unit.replace('m', 'rad', 1)}",
+        value=f"{turns.max():.6g} {own}",
         limit=limit,
     )
 
@@ -169,8 +164,9 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
         limit += "name more in `actuated`, or give the values of all joints"
         raise InputError("rates", where=mechanism.source, limit=limit)
     q = np.broadcast_to(q, values.shape)
-    Psi = closure_jacobian(mechanism, q)
-    right = -matvec(Psi[..., driven], values[..., driven]) - bias
+    Psi = scaled_jacobian(mechanism, q)
+    units = mechanism.arrays.units
+    right = -matvec(Psi[..., driven], values[..., driven] / units[driven]) - bias
     if not np.any(right):
         return values
     columns = Psi[..., passive]
@@ -182,5 +178,5 @@ def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | flo
         limit = "the actuated joints do not determine the motion of the others here; "
         limit += "give the values of all joints, or another configuration"
         raise singular_at(mechanism, singular_kind(mechanism, q[state]), q[state], limit)
-    values[..., passive] = matvec(np.linalg.pinv(columns), right)
+    values[..., passive] = units[passive] * matvec(np.linalg.pinv(columns), right)
     return values

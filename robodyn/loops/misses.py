@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
+from robodyn.dynamics.placed import Placed, placed
 from robodyn.loops.change_points import (
     EPS,
     SAME,
@@ -71,13 +72,28 @@ def orientation(mechanism: Mechanism, Psi: Matrix, other: Matrix) -> list[Value]
     return [reduce(mul, (pivots[r] for r in members)) for members in loops.values()]
 
 
-def sparse_rows(mechanism: Mechanism, E: NDArray[np.complex128]) -> list[dict[int, Value]]:
-    """Psi in alpha at directions E (..., n), each entry (...)."""
+def sparse_rows(mechanism: Mechanism, at: Placed) -> list[dict[int, Value]]:
+    """Psi in x where the mechanism is `at`, each entry (...)."""
     found = []
     for row in mechanism.rows:
-        entries: dict[int, Value] = {k: -(p * E[..., k]).imag for k, p in row.P}
-        for k, a in row.angles:
-            entries[k] = entries.get(k, 0.0) + a
+        entries: dict[int, Value] = dict(row.angles)
+        line = 1.0 if row.line is None else at.E[..., row.line].conj()
+        across: Value = row.ground
+
+        def add(k: int, value: Value, entries: dict[int, Value] = entries) -> None:
+            entries[k] = entries[k] + value if k in entries else value
+
+        for k, p in row.P:
+            across = across + p * at.X[..., k]
+            turned = -(line * p * at.X[..., k]).imag
+            if k not in mechanism.slides:
+                add(k, turned)
+                continue
+            add(k, (line * p * at.E[..., k]).real)
+            if (d := mechanism.frames[k]) is not None:
+                add(d, turned)
+        if row.line is not None:
+            add(row.line, (line * across).imag)
         found.append(entries)
     return found
 
@@ -117,7 +133,7 @@ class Misses:
         """Whether a state of suspect quality is near a change point, not near a miss of one."""
         found = nearest_singular(self.mechanism, q)
         if found is None:  # what it is near to is not known
-            Psi = closed_form.closure_jacobian(self.mechanism, q)
+            Psi = closed_form.scaled_jacobian(self.mechanism, q)
             return bool(nearness(self.mechanism, Psi) < NEAR_SINGULAR)
         return found.crosses
 
@@ -129,8 +145,8 @@ class Misses:
         q = y[:, : self.mechanism.n]
         if not self._guards or not np.isfinite(q).all():
             return []
-        E = closed_form.phases(self.mechanism, q)
-        Psi = sparse_rows(self.mechanism, E[1:]), sparse_rows(self.mechanism, E[:-1])
+        ways = (placed(self.mechanism, x) for x in (q[1:], q[:-1]))
+        Psi = [sparse_rows(self.mechanism, at) for at in ways]
         with np.errstate(all="ignore"):
             turned = np.any([~(x > 0.0) for x in orientation(self.mechanism, *Psi)], axis=0)
         return [
@@ -147,6 +163,6 @@ class Misses:
         if nearest <= SAME:
             return not crosses
         way = close_positions(self.mechanism, way)
-        near = nearness(self.mechanism, closed_form.closure_jacobian(self.mechanism, way))
+        near = nearness(self.mechanism, closed_form.scaled_jacobian(self.mechanism, way))
         found = nearest_singular(self.mechanism, way[int(np.argmin(near))])
         return found is not None and not found.crosses

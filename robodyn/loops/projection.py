@@ -49,17 +49,18 @@ PASSES = 4
 
 def dense_closing(mechanism: Mechanism) -> Closing:
     """By singular values; directions that the closures hardly hold are left alone."""
-    n, size = mechanism.n, singular_size(mechanism)
+    n, size, units = mechanism.n, singular_size(mechanism), mechanism.arrays.units
     rank = regular_rank(mechanism)
 
     def nearest(y: Array) -> tuple[Array, float]:
         closed = y.copy()
         closed[:n] = close_positions(mechanism, y[:n])
-        qd = closed[n : 2 * n]
-        Psi = closed_form.closure_jacobian(mechanism, closed[:n])
+        qd = closed[n : 2 * n] / units
+        Psi = closed_form.scaled_jacobian(mechanism, closed[:n])
         U, s, Vt = svd(Psi)
         held = s > CUT * s[0]
         qd -= Vt[held].T @ ((U[:, held].T @ (Psi @ qd)) / s[held])
+        closed[n : 2 * n] = qd * units
         return closed, float((s[rank - 1] / size) ** 2)
 
     return nearest
@@ -68,6 +69,8 @@ def dense_closing(mechanism: Mechanism) -> Closing:
 def best_closing(mechanism: Mechanism) -> Closing:
     """What is fastest for its size: straight-line floats, or a sparse factorisation."""
     if loop_terms(mechanism) > STRAIGHT:
+        if not mechanism.turns_alone:
+            return dense_closing(mechanism)
         from robodyn.engines import sparse
 
         return sparse.closing(sparse.SparseMechanism(mechanism), dense_closing(mechanism))

@@ -1,12 +1,17 @@
 """The equations of motion of a scene as rows: the one place where its mechanics stands.
 
-With E_k the links' directions, a_k their angular accelerations, P_k = E_k'', the constants of
+With X_k = E_k, the directions of links that turn, and X_k = s_k E_d of those that slide on link d
+(E_d = 1 on the ground), a_k and s_k'' their accelerations, P_k = X_k'', the constants of
 `mechanism.py`, and mu_r = -lambda_r for each closure row:
 
-    F_k = sum_{j != k} A_kj P_j - conj(weight_k) + sum_r conj(R_rk) mu_r - sum conj(c_k) f
-    0 = A_kk a_k + Im(conj(E_k) F_k) + sum_r angles_rk mu_r - moment_k - (T_k - sum of children's T)
-    0 = gap_r'',      gap_r = Re(sum_k R_rk E_k) + sum_k angles_rk alpha_k + offset_r
+    F_k = sum_j A_kj P_j - conj(weight_k) + sum_r conj(R_rk) mu_r - sum conj(c_k) f
+    0 = A_dd a_d + Im(conj(E_d) (F_d + sum_{k on d} s_k F_k)) + sum_r angles_rd mu_r - moment_d
+        - (T_d - sum of those of joints that turn against link d)
+    0 = Re(conj(E_d) F_k) + sum_r angles_rk mu_r - T_k        of each k that slides
+    0 = gap_r'',      gap_r = Re(sum_k R_rk X_k) + sum_k angles_rk x_k + offset_r
 
+A_dd P_d is left out of F_d, as its part is exact so.  On a line of link l, mu conj(R) of the gap
+Re(conj(E_l) sum R X) is mu E_l conj(R), and link l feels the opposite about its own.
 where f are the forces at points with the coefficients c_k, and T the torques at joints, as
 `force_rows.py` has them: the place of a new kind of either.  Every engine then has it.
 """
@@ -26,6 +31,7 @@ from robodyn.mechanics.program import (
     Product,
     Program,
     RealPart,
+    Scaled,
     Slot,
     Unknown,
 )
@@ -34,7 +40,7 @@ from robodyn.mechanics.program import (
 class EquationsOfMotion(ForceRows):
     """Writes the program of a scene.
 
-    `program.named` tells the slots of E (n), mu (r), gap (r), load (n: what turns each link,
+    `program.named` tells the slots of x (n: E, or s), mu (r), gap (r), load (n: of coordinates,
     without the torques at joints), bends (what a series may not tell), power, KE and PE.
     """
 
@@ -52,10 +58,15 @@ class EquationsOfMotion(ForceRows):
         times the way.  With `chained` the sums over A run along the tree: fewer in deep ones.
         """
         mechanism, program, n = self.mechanism, self.program, self.mechanism.n
+        number = program.planar_number
         inertia: list[Coefficient] = [0.0] * n
+        slides = set(mechanism.slides)
+        chained = chained and not slides
         for j, k, value in mechanism.A:
             if j == k:
                 inertia[j] = program.number(value.real)
+                if j in slides:
+                    self.F[j].append(((inertia[j], 0.0), self.P[j]))
             elif not chained:
                 re, im = program.planar_number(value)
                 self.F[j].append(((re, im), self.P[k]))
@@ -66,36 +77,68 @@ class EquationsOfMotion(ForceRows):
         self._scene_forces(work)
         self._joints(torques, work, steady)
         multipliers = self._closures()
-        loads: list[Slot] = []
+        F = [
+            program.add(PlanarSum(number(c), tuple(x)))
+            for c, x in zip(self.constants, self.F, strict=True)
+        ]
+        turned: list[list[int]] = [[] for _ in F]  # joints that turn against each link's frame
+        for k, above in enumerate(mechanism.above):
+            if above is not None:
+                turned[above].append(k)
+        # those that slide first: their forces are kept in the frames that others read them in then
+        loads = [-1] * n
+        for k in (*mechanism.slides, *(k for k in range(n) if k not in slides)):
+            loads[k] = self._load(k, F, inertia[k])
         for k in range(n):
-            F = program.add(PlanarSum(program.planar_number(self.constants[k]), tuple(self.F[k])))
-            turning = program.add(Moment(self.E[k], self.P[k], inertia[k], F))
-            moment = program.number(-mechanism.moments[k])
-            load = program.sum((1.0, turning), *self.moments[k], constant=moment)
-            loads.append(load)
-            given = [(-1.0, self.torques[k]), *((1.0, self.torques[c]) for c in self.children[k])]
+            given = [(-1.0, self.torques[k]), *((1.0, self.torques[c]) for c in turned[k])]
             acting = [(sign, torque) for sign, torque in given if torque is not None]
-            program.residuals.append(program.sum((1.0, load), *acting))
+            program.residuals.append(program.sum((1.0, loads[k]), *acting))
         program.residuals += self._rows
-        program.named |= {"E": self.E, "mu": multipliers, "load": loads}
+        program.named |= {"x": self.x, "mu": multipliers, "load": loads}
         if work:
             program.named["power"] = [program.sum(*self.power)] if self.power else []
             program.named |= {"KE": [self.kinetic()], "PE": [self.potential()]}
         return program
 
+    def _load(self, k: int, F: Sequence[Slot], inertia: Coefficient) -> Slot:
+        """What turns link k, or draws it along its axis, without the torques at joints."""
+        program, mechanism = self.program, self.mechanism
+        if k in mechanism.slides:
+            d = mechanism.frames[k]
+            along = RealPart(F[k]) if d is None else Inner(self.x[d], F[k])
+            return program.sum((1.0, program.add(along)), *self.moments[k])
+        carried = [
+            program.add(Scaled(self.x[j], F[j]))
+            for j in mechanism.slides
+            if mechanism.frames[j] == k
+        ]
+        force = F[k]
+        if carried:
+            force = program.planar_sum(*(((1.0, 0.0), z) for z in (F[k], *carried)))
+        turning = program.add(Moment(self.x[k], self.P[k], inertia, force))
+        moment = program.number(-mechanism.moments[k])
+        return program.sum((1.0, turning), *self.moments[k], constant=moment)
+
     def kinetic(self) -> Slot:
-        """1/2 sum of A_jj w_j^2, and of Re(conj(E_j') A_jk E_k')."""
+        """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, and of Re(conj(X_j') A_jk X_k')."""
         program = self.program
         terms: list[Term] = []
         for j, k, value in self.mechanism.A:
-            if j == k:
+            if j == k and j not in self.mechanism.slides:
                 half = program.number(0.5 * value.real)
                 terms.append((half, program.add(Product(self.w(j), self.w(j)))))
-            else:
-                one, other = (program.add(Derivative(self.E[i])) for i in (j, k))
-                moved = program.planar_sum((program.planar_number(value), other))
-                terms.append((1.0, program.add(Inner(one, moved))))
+                continue
+            one, other = (self._moving(i) for i in (j, k))
+            moved = program.planar_sum((program.planar_number(value), other))
+            terms.append((1.0 if j != k else 0.5, program.add(Inner(one, moved))))
         return program.sum(*terms)
+
+    def _moving(self, k: int) -> Slot:
+        """X_k', planar."""
+        rate = self.program.add(Derivative(self.X[k]))
+        if self.program.planar[rate]:
+            return rate
+        return self.program.planar_sum(((1.0, 0.0), rate))
 
     def potential(self) -> Slot:
         """That of weights, of constant moments, and of springs."""
@@ -104,10 +147,10 @@ class EquationsOfMotion(ForceRows):
         for k in range(mechanism.n):
             weight = program.planar_number(-mechanism.weights[k])
             if weight != (0.0, 0.0):
-                down = program.planar_sum((weight, self.E[k]))
+                down = program.planar_sum((weight, self.X[k]))
                 terms.append((1.0, program.add(RealPart(down))))
             if mechanism.moments[k]:
-                terms.append((number(-mechanism.moments[k]), self.alpha(k)))
+                terms.append((number(-mechanism.moments[k]), self.coordinate(k)))
         terms += self._spring_energies()
         return program.sum(*terms)
 
@@ -138,7 +181,7 @@ class EquationsOfMotion(ForceRows):
 
     def _closures(self) -> list[Slot]:
         """The rows of the closures, and what their multipliers do."""
-        program = self.program
+        program, number = self.program, self.program.planar_number
         multipliers: list[Slot] = []
         gaps = program.named["gap"] = []
         pins: dict[tuple[int | None, int], PlanarCoefficient] = {}
@@ -148,19 +191,28 @@ class EquationsOfMotion(ForceRows):
             multipliers.append(mu)
             total: list[Term] = []
             terms: list[PlanarTerm] = []
+            line = None if row.line is None else self.x[row.line]
+            pull = mu if line is None else program.add(Scaled(mu, line))
             for k, p in row.P:
                 # the two rows of a pin share their numbers, turned by a right angle
-                pin = pins.get((row.closure, k))
-                re, im = program.planar_number(p) if pin is None else (pin[1], -pin[0])
+                pin = pins.get((row.closure, k)) if row.direction == 1j else None
+                re, im = number(p) if pin is None else (pin[1], -pin[0])
                 if row.closure is not None and row.direction == 1.0:
                     pins[row.closure, k] = re, im
-                terms.append(((re, im), self.E[k]))
-                self.F[k].append(((re, -im), mu))
-            if terms:
+                terms.append(((re, im), self.X[k]))
+                self.F[k].append(((re, -im), pull))
+            if line is not None:
+                across = program.add(PlanarSum(number(row.ground), tuple(terms)))
+                total.append((1.0, program.add(Inner(line, across))))
+                turned = program.planar_sum(((0.0, -1.0), across))  # d gap/d alpha of the line
+                moment = program.add(Product(mu, program.add(Inner(line, turned))))
+                assert row.line is not None
+                self.moments[row.line].append((1.0, moment))
+            elif terms:
                 total.append((1.0, program.add(RealPart(program.planar_sum(*terms)))))
             for k, turn in row.angles:
                 angle = program.number(turn)
-                total.append((angle, self.alpha(k)))
+                total.append((angle, self.coordinate(k)))
                 self.moments[k].append((angle, mu))
             gap = program.sum(*total, constant=program.number(row.offset))
             gaps.append(gap)

@@ -1,13 +1,15 @@
 """The rows of what acts on the links of a scene besides weights and closures.
 
-A spring between points d = const + sum_k c_k E_k from end to end pulls its first end by
+A spring between points d = const + sum_k c_k X_k from end to end pulls its first end by
 
     f = (k L s^-1/2 - k - D (d.d')/s) d,        s = d.d,
 
 and its second by -f.  A constant force F turns with its link as F E.  A force f at a point that has
 the coefficients c_k gives F_k -= conj(c_k) f.  A joint's torque is
 
-    T = tau - D qd - friction tanh(qd/speed) - k (q - angle).
+    T = tau - D qd - friction tanh(qd/speed) - k (q - angle),
+
+the force along its axis where the joint slides.
 
 A new kind of force or of joint torque is a few more rows here: what it does, the energy that it
 holds, or its power.
@@ -37,6 +39,7 @@ from robodyn.mechanics.program import (
     Rate,
     RealPart,
     Scaled,
+    Slide,
     Slot,
     Turn,
 )
@@ -61,38 +64,52 @@ class PointForce(NamedTuple):
 
 @dataclass
 class LinkRows:
-    """E, and P = E'', of the links of a mechanism, and what follows from them."""
+    """X, and P = X'', of the coordinates of a mechanism, and what follows from them.
+
+    `x` are the coordinates' own slots: E of a link that turns, s of one that slides.
+    """
 
     mechanism: Mechanism
     program: Program = field(default_factory=Program)
 
     def __post_init__(self) -> None:
-        program = self.program
-        self.E = [program.add(Turn(k)) for k in range(self.mechanism.n)]
-        self.P = [program.add(Derivative(program.add(Derivative(E)))) for E in self.E]
-        self.children: list[list[int]] = [[] for _ in self.E]
-        for k, above in enumerate(self.mechanism.parent):
+        program, mechanism = self.program, self.mechanism
+        slides = set(mechanism.slides)
+        self.x = [program.add(Slide(k) if k in slides else Turn(k)) for k in range(mechanism.n)]
+        self.X = list(self.x)
+        for k in mechanism.slides:
+            if (d := mechanism.frames[k]) is not None:
+                self.X[k] = program.add(Scaled(self.x[k], self.x[d]))
+        self.P = [program.add(Derivative(program.add(Derivative(X)))) for X in self.X]
+        self.children: list[list[int]] = [[] for _ in self.x]
+        for k, above in enumerate(mechanism.parent):
             if above is not None:
                 self.children[above].append(k)
 
     def w(self, k: int) -> Slot:
-        """The angular velocity of link k."""
-        return self.program.add(Rate(self.E[k]))
+        """The angular velocity of link k, which turns."""
+        return self.program.add(Rate(self.x[k]))
 
-    def alpha(self, k: int) -> Slot:
-        """The angle of link k."""
+    def coordinate(self, k: int) -> Slot:
+        """Its angle, or displacement."""
+        if k in self.mechanism.slides:
+            return self.x[k]
         return self.program.add(Integral(self.w(k), f"alpha{k}"))
 
     def v(self, j: int) -> Slot:
         """The rate qd of joint j."""
-        above = self.mechanism.parent[j]
+        if j in self.mechanism.slides:
+            return self.program.add(Derivative(self.x[j]))
+        above = self.mechanism.above[j]
         if above is None:
             return self.w(j)
         relative = self.program.sum((1.0, self.w(j)), (-1.0, self.w(above)))
         return self.program.add(Anchored(relative, f"qd{j}"))
 
     def q(self, j: int) -> Slot:
-        """The angle of joint j."""
+        """The angle, or displacement, of joint j."""
+        if j in self.mechanism.slides:
+            return self.x[j]
         return self.program.add(Integral(self.v(j), f"q{j}"))
 
     def t(self) -> Slot:
@@ -102,7 +119,7 @@ class LinkRows:
     def point(self, point: PlanarPoint) -> Slot:
         """A point of the mechanism."""
         number = self.program.planar_number
-        terms = tuple((number(c), self.E[k]) for k, c in point.terms)
+        terms = tuple((number(c), self.X[k]) for k, c in point.terms)
         return self.program.add(PlanarSum(number(point.constant), terms))
 
 
@@ -118,9 +135,9 @@ class ForceRows(LinkRows):
         super().__post_init__()
         self.torques: list[Slot | None] = [None] * self.mechanism.n
         self.forces: list[PointForce] = []
-        self.F: list[list[PlanarTerm]] = [[] for _ in self.E]
+        self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in self.mechanism.weights]
-        self.moments: list[list[Term]] = [[] for _ in self.E]
+        self.moments: list[list[Term]] = [[] for _ in self.x]
         self.power: list[Term] = []
 
     def _spring_energies(self) -> Iterator[Term]:
@@ -146,7 +163,8 @@ class ForceRows(LinkRows):
                 raise NoDirection(place)
             self._spring(spring, work)
         for load in self.mechanism.forces:
-            E = self.E[load.link] if load.turns else None  # else it is among the weights
+            frame = self.mechanism.frames[load.link] if load.turns else None
+            E = None if frame is None else self.x[frame]  # without it it is among the weights
             self._act(load.point, PointForce(load.force, E, load.link))
             if work and E is not None:
                 turned = program.planar_sum((program.planar_number(load.force), E))

@@ -10,12 +10,22 @@ from robodyn.scene.scene import Closure, Link, Point
 
 
 class Tree:
-    """The links as a tree: points in terms of E."""
+    """The links as a tree: points in terms of X.
+
+    The frame of link k is phase_k E_frame, with constants phase_k: axes of prismatic joints.
+    """
 
     def __init__(self, links: Sequence[Link]) -> None:
         self.links = links
         self.parent = tuple(link.hangs_from.link for link in links)
         self.order = _order(self.parent)
+        self.frames: list[int | None] = [None] * len(links)
+        self.phases: list[complex] = [1.0 + 0j] * len(links)
+        for k in self.order:
+            j, axis = self.parent[k], links[k].axis
+            above = 1.0 if j is None else self.phases[j]
+            self.phases[k] = above if axis is None else axis if above == 1.0 else above * axis
+            self.frames[k] = k if axis is None else None if j is None else self.frames[j]
         self._depth: dict[int | None, int] = {None: 0}
         self._root: dict[int, int] = {}
         for k in self.order:
@@ -23,14 +33,22 @@ class Tree:
             self._depth[k] = self._depth[j] + 1
             self._root[k] = k if j is None else self._root[j]
 
+    def turned(self, k: int, at: complex) -> complex:
+        """A vector of link k's frame in that of its E."""
+        return at if self.phases[k] == 1.0 else self.phases[k] * at
+
+    def terms(self, point: Point) -> Iterator[tuple[int | None, complex]]:
+        """What a point's link adds to where its joint hangs: the terms of its path on that link."""
+        k = point.link
+        assert k is not None
+        if point.at:
+            yield self.frames[k], self.turned(k, point.at)
+        if self.links[k].slides:
+            yield k, self.phases[k]
+
     def point(self, point: Point) -> PlanarPoint:
         """The point, summed from the ground."""
-        terms: list[tuple[int, complex]] = []
-        while point.link is not None:
-            if point.at:
-                terms.append((point.link, point.at))
-            point = self.links[point.link].hangs_from
-        return PlanarPoint(point.at, tuple(reversed(terms)))
+        return self.difference(point, Point(None, 0j))
 
     def ground(self, point: Point) -> complex:
         """Where on the ground the path to a point begins."""
@@ -59,10 +77,42 @@ class Tree:
         """First less second, without the terms that cancel."""
         common = self.common(first, second)
         (*one, a), (*two, b) = self.leaves(first, common), self.leaves(second, common)
-        found = [(common, a.at - b.at), *((x.link, x.at) for x in reversed(one))]
-        found += [(x.link, -x.at) for x in reversed(two)]
-        constant = self.ground(first) - self.ground(second)
-        return PlanarPoint(constant, tuple((k, c) for k, c in found if k is not None and c))
+        found: dict[int | None, complex] = {None: self.ground(first) - self.ground(second)}
+        if common is not None and a.at != b.at:
+            found[self.frames[common]] = self.turned(common, a.at - b.at)
+        for sign, way in ((1.0, one), (-1.0, two)):
+            for k, c in (term for point in reversed(way) for term in self.terms(point)):
+                c = c if sign > 0.0 else -c
+                found[k] = found[k] + c if k in found else c
+        constant = found.pop(None)
+        return PlanarPoint(constant, tuple((k, c) for k, c in found.items() if k is not None and c))
+
+    def constant(self, first: Point, second: Point) -> complex:
+        """What is constant of first less second."""
+        if not self._grounded:  # paths need not be walked
+            return self.ground(first) - self.ground(second)
+        return self.difference(first, second).constant
+
+    @cached_property
+    def _grounded(self) -> bool:
+        """Whether some link cannot turn."""
+        return None in self.frames
+
+    @cached_property
+    def lengths(self) -> dict[int, float]:
+        """Of each joint that slides the length that its displacements are compared by, m."""
+        return {k: self.unit for k, link in enumerate(self.links) if link.slides}
+
+    @cached_property
+    def unit(self) -> float:
+        """A length of the mechanism, m, by which displacements are compared with angles.
+
+        1 where the scene has symbols for numbers.
+        """
+        lengths = [z for x in self.links for z in (x.l, x.r, x.hangs_from.at)]
+        if not all(isinstance(z, (int, float, complex)) for z in lengths):
+            return 1.0
+        return max(map(abs, lengths), default=0.0) or 1.0
 
     @cached_property
     def _length(self) -> dict[int | None, float]:
@@ -101,7 +151,8 @@ class Tree:
             for point in (closure.first, closure.second):
                 k = point.link
                 if k is not None and k != common:
-                    loop |= {k} if point.at else set()
+                    carries = point is closure.second and closure.along is not None
+                    loop |= {k} if point.at or carries or self.links[k].slides else set()
                     k = self._climb(k, self._depth[common] + 1, shared, loop)
                     point = self.links[k].hangs_from
                 last.append(point)
@@ -121,10 +172,11 @@ class Tree:
                 k = top
                 loop |= joint
             else:
-                at, above = self.links[k].hangs_from.at, self.parent[k]
+                own, above = self.links[k], self.parent[k]
                 assert above is not None
                 k = above
-                loop |= {above} if at else set()
+                moves = own.hangs_from.at or own.slides or self.links[above].slides
+                loop |= {above} if moves else set()
         for link in passed:
             shared[link] = k, set(list(loop)[:1])
         return k

@@ -14,6 +14,11 @@ def loop_class(mechanism: Mechanism, closure: int) -> str:
     that hang from the ground are its cranks or rockers.
     """
     row = next(row for row in mechanism.rows if row.closure == closure)
+    sliding = [k for k, _ in (*row.P, *row.angles) if k in mechanism.slides]
+    if sliding or row.line is not None:
+        turning = {k for k, _ in row.P if k not in mechanism.slides} | ({row.line} - {None})
+        joints = f"{len(turning)} turning" + f" and {len(sliding)} sliding" * bool(sliding)
+        return f"{'loop with a slot' if row.line is not None else 'loop'} of {joints} links"
     offset = _ground_length(mechanism, closure)
     links = [k for k, _ in row.P]
     lengths = [abs(p) for _, p in row.P]

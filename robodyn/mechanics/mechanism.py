@@ -1,27 +1,29 @@
 """Description -> mechanism: the constants of the one formula that covers every planar linkage.
 
-Points of the plane are complex numbers and E_k = exp(i alpha_k), alpha_k the absolute angle of
-link k.  Every point of the mechanism is then `constant + sum_k rho_k E_k`, and the whole dynamics
-follows from
+Points of the plane are complex numbers and E_k = exp(i alpha_k), alpha_k the angle by which the
+links of a frame have turned.  A link on a prismatic joint has the frame of what it slides on, and
+its displacement s_k takes it along: X_k = s_k E there, X_k = E_k for the others.  Every point of
+the mechanism is then `constant + sum_k rho_k X_k`, and the whole dynamics follows from
 
     A_jk = sum_b m_b conj(rho_bj) rho_bk + I_j delta_jk      B_k = sum_b m_b rho_bk      (b: bodies)
 
-and from the closures, which are linear in E.  For j above k in the tree every body below k leaves
+and from the closures, which are linear in X.  For j above k in the tree every body below k leaves
 link j at the same point p_jk, so A_jk = conj(p_jk) B_k, with B_k the first moment of all that
 link k carries: the constants cost O(links * depth), and only nonzero ones are kept.  What costs as
-much (A, and points in terms of E) is made when it is first read, so that a command whose options
+much (A, and points in terms of X) is made when it is first read, so that a command whose options
 are wrong says so at once.
 
-Constant forces and torques act like weights: with p_b = const + sum_k c_k E_k the point of such a
+Constant forces and torques act like weights: with p_b = const + sum_k c_k X_k the point of such a
 force F, the potential energy is
 
-    PE = const - Re(weights . E) - moments . alpha,      weights_k = conj(gamma) B_k + conj(F) c_k
+    PE = const - Re(weights . X) - moments . alpha,      weights_k = conj(gamma) B_k + conj(F) c_k
 
 What holds them all is `planar_model.py`.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,17 +31,16 @@ from pathlib import Path
 
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
 from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
-from robodyn.mechanics.planar_model import Terms
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import (
-    Closure,
     Description,
     JointSpring,
     Load,
@@ -65,8 +66,12 @@ def build(description: Description) -> Mechanism:
     """
     try:
         mechanism = constants(description)
+        if mechanism.slides and any(mechanism.moments):
+            phases = Tree(description.links).phases  # PE is zero where a link points along +X
+            turned = sum(x * cmath.phase(p) for x, p in zip(mechanism.moments, phases, strict=True))
+            mechanism = replace(mechanism, energy_offset=mechanism.energy_offset - turned)
         if description.couplings:
-            rows = mechanism.rows + tuple(_coupling_rows(description))
+            rows = mechanism.rows + tuple(coupling_rows(description))
             mechanism = replace(mechanism, rows=rows)
         numbers = [*mechanism.B, *mechanism.weights, *_largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
@@ -83,8 +88,8 @@ def constants(description: Description) -> Mechanism:
     Raises InputError for a closure of points that cannot move apart.
     """
     links, tree = description.links, Tree(description.links)
-    carried, B, inertia = _carried(tree)
-    forces = [x for x in description.loads if isinstance(x, Load)]
+    carried, first, inertia = _carried(tree)
+    forces = [_fixed(tree, x) for x in description.loads if isinstance(x, Load)]
     steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
     moment = [0j] * len(links)
     for force in forces:
@@ -100,11 +105,19 @@ def constants(description: Description) -> Mechanism:
     gamma = description.gravity.conjugate()
     roots = [(k, link.hangs_from.at) for k, link in enumerate(links) if tree.parent[k] is None]
     offset = -sum((gamma * at).real * carried[k] + (at * steady[k]).real for k, at in roots)
-    weights = [gamma * b + m for b, m in zip(B, moment, strict=True)]
-    moments = [0.0] * len(links)
+    B, weights, moments = [0j] * len(links), [0j] * len(links), [0.0] * len(links)
+    for k, d in enumerate(tree.frames):
+        own = tree.turned(k, first[k]), tree.turned(k, gamma * first[k] + moment[k])
+        if d is None:
+            offset -= own[1].real
+        else:
+            B[d], weights[d] = (B[d] + own[0], weights[d] + own[1]) if d != k else own
+        if links[k].slides:
+            phase = tree.phases[k]
+            B[k], weights[k] = phase * carried[k], phase * (gamma * carried[k] + steady[k])
     for entry in description.loads:
-        if isinstance(entry, Moment):
-            moments[entry.link] += entry.torque
+        if isinstance(entry, Moment) and (d := tree.frames[entry.link]) is not None:
+            moments[d] += entry.torque
     springs = [x for x in description.springs if isinstance(x, Spring)]
     return Mechanism(
         name=description.name,
@@ -113,7 +126,7 @@ def constants(description: Description) -> Mechanism:
         link_names=tuple(link.name for link in links),
         parent=tree.parent,
         order=tree.order,
-        A=OnDemand(_couplings_of_links, tree, B, inertia),
+        A=OnDemand(_couplings_of_links, tree, carried, first, inertia),
         B=tuple(B),
         gamma=description.gravity,
         energy_offset=offset,
@@ -135,6 +148,9 @@ def constants(description: Description) -> Mechanism:
             for k, link in enumerate(links)
             if link.friction is not None and link.friction.torque
         ),
+        slides=tuple(k for k, link in enumerate(links) if link.slides),
+        frames=tuple(tree.frames),
+        unit=tree.unit,
     )
 
 
@@ -143,14 +159,38 @@ def _square(z: complex) -> float:
 
 
 def _couplings_of_links(
-    tree: Tree, B: Sequence[complex], inertia: Sequence[float]
+    tree: Tree, mass: Sequence[float], B: Sequence[complex], inertia: Sequence[float]
 ) -> Iterator[tuple[int, int, complex]]:
     """The entries of A that are not zero: those of the diagonal first."""
-    yield from ((k, k, value) for k, value in enumerate(inertia))
+    found: dict[tuple[int, int], complex] = {}
+
+    def add(j: int | None, k: int | None, value: complex) -> None:
+        if j is None or k is None or not value:
+            return
+        if j == k:  # as A_jk and as A_kj
+            value = 2.0 * value.real
+        elif (k, j) in found:
+            j, k, value = k, j, value.conjugate()
+        found[j, k] = found[j, k] + value if (j, k) in found else value
+
+    for k, value in enumerate(inertia):
+        if tree.frames[k] == k:
+            found[k, k] = value
+        elif tree.links[k].slides:
+            found[k, k] = mass[k]
+    for k, value in enumerate(inertia):
+        if tree.links[k].slides and (d := tree.frames[k]) is not None:
+            found[d, d] += value
     for k in tree.order:
-        for j, p in tree.point(tree.links[k].hangs_from).terms:
-            if p * B[k]:
-                yield j, k, p.conjugate() * B[k]
+        own = tree.turned(k, B[k])
+        above = tree.point(tree.links[k].hangs_from).terms
+        if tree.links[k].slides:
+            add(tree.frames[k], k, (own.conjugate() * tree.phases[k]))
+            for j, p in above:
+                add(j, k, p.conjugate() * (tree.phases[k] * mass[k]))
+        for j, p in above:
+            add(j, tree.frames[k], p.conjugate() * own)
+    yield from ((j, k, value) for (j, k), value in found.items())
 
 
 def _carried(tree: Tree) -> tuple[list[float], list[complex], list[float]]:
@@ -195,14 +235,24 @@ def too_large(description: Description) -> InputError:
     return InputError("links", where=description.source, limit=limit)
 
 
+def _fixed(tree: Tree, load: Load) -> Load:
+    """A load, as one of the ground's frame where its link cannot turn."""
+    k = load.point.link
+    if not load.turns or k is None or tree.frames[k] is not None:
+        return load
+    return load._replace(force=tree.turned(k, load.force), turns=False)
+
+
 def _points(tree: Tree, points: Sequence[Point]) -> Iterator[PlanarPoint]:
     return map(tree.point, points)
 
 
 def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
     for load in loads:
-        assert load.point.link is not None
-        yield Force(load.point.link, tree.point(load.point), load.force, load.turns)
+        k = load.point.link
+        assert k is not None
+        force = tree.turned(k, load.force) if load.turns else load.force
+        yield Force(k, tree.point(load.point), force, load.turns)
 
 
 def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
@@ -216,48 +266,6 @@ def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
             length=spring.length,
             damping=spring.damping,
         )
-
-
-def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
-    """The equations of the closures; InputError for points that cannot move apart."""
-    rows: list[ClosureRow] = []
-    for c, closure in enumerate(description.closures):
-        if not tree.moves(closure.first, closure.second):  # nothing to measure its row against
-            limit = "joins points that cannot move apart: it says nothing, or never holds"
-            raise InputError(f"closures[{c}]", where=description.source, limit=limit)
-        gap = OnDemand(_gap, tree, closure)
-        constant = tree.ground(closure.first) - tree.ground(closure.second)
-        directions = (1 + 0j, 1j) if closure.along is None else (1j * closure.along,)
-        for direction in directions:
-            w = direction.conjugate()
-            rows.append(ClosureRow(c, direction, OnDemand(_turned, gap, w), (w * constant).real))
-    return rows
-
-
-def _gap(tree: Tree, closure: Closure) -> Terms:
-    return tree.difference(closure.first, closure.second).terms
-
-
-def _turned(terms: Terms, w: complex) -> Iterator[tuple[int, complex]]:
-    return ((k, w * coefficient) for k, coefficient in terms)
-
-
-def _coupling_rows(description: Description) -> list[ClosureRow]:
-    """Each coupling in absolute angles, as long as the closures' rows are."""
-    links, tree = description.links, Tree(description.links)
-    size = max((tree.reach(x.first, x.second) for x in description.closures), default=0.0)
-    arm = size or max((link.l for link in links), default=0.0) or 1.0
-    found: list[ClosureRow] = []
-    for coupling in description.couplings:
-        angles: dict[int, float] = {}
-        for joint, ratio in ((coupling.joint, -1.0), *coupling.terms):
-            # q_k = alpha_k - alpha_above
-            for link, sign in ((joint, -1.0), (links[joint].hangs_from.link, 1.0)):
-                if link is not None:
-                    angles[link] = angles.get(link, 0.0) + sign * ratio * arm
-        kept = tuple((k, value) for k, value in angles.items() if value != 0.0)
-        found.append(ClosureRow(None, 0j, (), -arm * coupling.angle, kept, arm))
-    return found
 
 
 def _actuated(description: Description, tree: Tree) -> tuple[int, ...]:

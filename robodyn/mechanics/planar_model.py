@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 T = TypeVar("T")
-Terms = Sequence[tuple[int, complex]]  # (k, coefficient of E_k), nonzero ones only
+Terms = Sequence[tuple[int, complex]]  # (k, coefficient of X_k), nonzero ones only
 
 
 class OnDemand(Sequence[T]):
@@ -51,19 +51,23 @@ class OnDemand(Sequence[T]):
 
 
 class PlanarPoint(NamedTuple):
-    """A point `constant + sum_k coefficient_k E_k` of the mechanism, m."""
+    """A point `constant + sum_k coefficient_k X_k` of the mechanism, m."""
 
     constant: complex
     terms: Terms
 
 
 class ClosureRow(NamedTuple):
-    """One real equation `Re(sum_k P_k E_k) + sum_k angles_k alpha_k + offset = 0`, m.
+    """One real equation of the gap, m: with E_line = 1 where no link carries the line,
 
-    Of a closure it has no `angles`.  `direction` is the unit vector along which the gap (first side
-    minus second) is measured; a multiplier lambda of this row is the force lambda * direction on
-    the side named first, N.  Of a coupling it has no P: the equation of angles is multiplied by
-    `arm` (m), so that gaps compare, and arm * lambda is the torque on the coupling's joint, N m.
+        Re(conj(E_line) (ground + sum_k P_k X_k)) + sum_k angles_k x_k + offset = 0
+
+    `direction` is the unit vector along which the gap (first side minus second) is measured, in
+    the frame E_line of the link that carries the line, if one does (else E_line = 1); a multiplier
+    lambda of this row is the force lambda * direction * E_line on the side named first, N.  Of a
+    coupling, and of an angle that a closure keeps, it has no P: an equation of coordinates is
+    multiplied by `arm` (m), so that gaps compare, and arm * lambda is the torque on the coupling's
+    joint, or on the first side's link, N m.
     """
 
     closure: int | None  # None: of a coupling
@@ -72,11 +76,15 @@ class ClosureRow(NamedTuple):
     offset: float
     angles: tuple[tuple[int, float], ...] = ()  # m
     arm: float = 0.0
+    line: int | None = None
+    ground: complex = 0j
+    lengths: Mapping[int, float] = {}  # that displacements are compared by, m
 
     @property
     def size(self) -> float:
         """The sum of its terms' sizes, m."""
-        return sum(abs(p) for _, p in self.P) + sum(abs(a) for _, a in self.angles)
+        terms = sum(abs(c) * self.lengths.get(k, 1.0) for k, c in (*self.P, *self.angles))
+        return terms + abs(self.ground)
 
 
 class PointSpring(NamedTuple):
@@ -109,7 +117,11 @@ class Force(NamedTuple):
 class Mechanism:
     """A planar mechanism as numbers; immutable, compared by identity.
 
-    q_i is the angle (rad) of link i relative to the link it hangs from, or from +X.
+    q_i is the angle (rad) of link i relative to the link it hangs from, or from +X; where its joint
+    slides, the displacement (m) of its origin along the axis.  Coordinates x = J q are the angles
+    alpha_k that directions E_k = exp(i alpha_k) turn by, and displacements s_k as they are.  A link
+    that slides has the direction of what it slides on, `frames`: X_k = s_k E_frame there, else
+    X_k = E_k, and every point is linear in X.
     """
 
     name: str
@@ -134,6 +146,17 @@ class Mechanism:
     joint_springs: tuple[JointSpring, ...] = ()
     forces: Sequence[Force] = ()
     friction: tuple[tuple[int, Friction], ...] = ()  # of joints
+    slides: tuple[int, ...] = ()  # the joints that are prismatic
+    frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
+    unit: float = 1.0  # length that displacements are compared with angles by, m
+
+    @cached_property
+    def above(self) -> tuple[int | None, ...]:
+        """Of each joint the coordinate that its own is added to: x_k = q_k + x_above."""
+        slides = set(self.slides)
+        return tuple(
+            None if j is None or k in slides else self.frames[j] for k, j in enumerate(self.parent)
+        )
 
     @property
     def n(self) -> int:
@@ -155,6 +178,29 @@ class Mechanism:
         return path[::-1]
 
     @property
+    def turns_alone(self) -> bool:
+        """Whether links only turn, and all lines are the ground's: X = E, and gaps linear in E."""
+        return not self.slides and not self.lines
+
+    @cached_property
+    def lines(self) -> tuple[tuple[int, int], ...]:
+        """The rows whose lines links carry, each with the link whose E the line has."""
+        return tuple((r, row.line) for r, row in enumerate(self.rows) if row.line is not None)
+
+    @cached_property
+    def has_angles(self) -> bool:
+        """Whether rows have terms that are linear in x."""
+        return any(row.angles for row in self.rows)
+
+    def turns_by(self, link: int) -> list[int]:
+        """The joints whose angles add up to that of a link's frame."""
+        found, k = [], self.frames[link]
+        while k is not None:
+            found.append(k)
+            k = self.above[k]
+        return found[::-1]
+
+    @property
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
         turning = any(force.turns for force in self.forces)
@@ -173,7 +219,8 @@ class Mechanism:
         return _arrays(self)
 
     def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "arrays"}
+        made = ("arrays", "above", "lines", "has_angles")
+        return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
 class Arrays(NamedTuple):
@@ -181,10 +228,13 @@ class Arrays(NamedTuple):
 
     A: NDArray[np.complex128]  # (n, n) Hermitian, kg m^2
     B: NDArray[np.complex128]  # (n,) kg m
-    J: NDArray[np.float64]  # (n, n), alpha = J q
-    P: NDArray[np.complex128]  # (r, n), gap = Re(P E) + angles alpha + offset
+    J: NDArray[np.float64]  # (n, n), x = J q
+    carried: NDArray[np.float64]  # (n, n), 1 where link k is on the path to link j, itself included
+    P: NDArray[np.complex128]  # (r, n), gap = Re(conj(E_line) P X) + angles x + offset
     angles: NDArray[np.float64]  # (r, n) m
+    units: NDArray[np.float64]  # (n,) 1, or the length that displacements are compared by, m
     offset: NDArray[np.float64]  # (r,) m
+    ground: NDArray[np.complex128]  # (r,) m, what is added to P X in the frame of a line
     damping: NDArray[np.float64]  # (n,) N m s/rad
     weights: NDArray[np.complex128]  # (n,) N m
     moments: NDArray[np.float64]  # (n,) N m
@@ -198,12 +248,14 @@ def _arrays(mechanism: Mechanism) -> Arrays:
     for j, k, value in mechanism.A:
         A[j, k] = value
         A[k, j] = value.conjugate()
-    J = np.zeros((n, n))
+    J, carried = np.zeros((n, n)), np.zeros((n, n))
     for k in mechanism.order:
-        above = mechanism.parent[k]
-        if above is not None:
-            J[k] = J[above]
-        J[k, k] = 1.0
+        for sums, above in ((J, mechanism.above[k]), (carried, mechanism.parent[k])):
+            if above is not None:
+                sums[k] = sums[above]
+            sums[k, k] = 1.0
+    units = np.ones(n)
+    units[list(mechanism.slides)] = mechanism.unit
     P = np.zeros((r, n), complex)
     angles = np.zeros((r, n))
     for row, entry in enumerate(mechanism.rows):
@@ -215,9 +267,12 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         A=A,
         B=np.array(mechanism.B, complex),
         J=J,
+        carried=carried,
         P=P,
         angles=angles,
+        units=units,
         offset=np.array([row.offset for row in mechanism.rows], float),
+        ground=np.array([row.ground for row in mechanism.rows], complex),
         damping=np.array(mechanism.damping, float),
         weights=np.array(mechanism.weights, complex),
         moments=np.array(mechanism.moments, float),

@@ -55,6 +55,12 @@ class Turn(NamedTuple):
     link: int
 
 
+class Slide(NamedTuple):
+    """Real: the displacement s of a joint; its acceleration is unknown."""
+
+    joint: int
+
+
 class Rate(NamedTuple):
     """Real: w = Im(conj(E) E') of the direction `turn`."""
 
@@ -164,8 +170,8 @@ class Primitive(NamedTuple):
 
 
 Row = (
-    Given | Unknown | Turn | Rate | Integral | Anchored | Derivative | Sum | PlanarSum | RealPart
-    | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
+    Given | Unknown | Turn | Slide | Rate | Integral | Anchored | Derivative | Sum | PlanarSum
+    | RealPart | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
 )  # fmt: skip
 
 SLOTS: dict[type, list[str]] = {
@@ -173,6 +179,7 @@ SLOTS: dict[type, list[str]] = {
     for row in get_args(Row)
 }
 PLANAR = (Turn, PlanarSum, Scaled)
+COORDINATES = (Turn, Slide)  # unknown in their second derivatives
 SHIFT: dict[type, int] = {Derivative: 1, Rate: 1, Integral: -1}  # orders that a row looks ahead
 
 
@@ -195,7 +202,7 @@ class Program:
     rows: list[Row] = field(default_factory=list)
     numbers: list[float] = field(default_factory=list)
     residuals: list[Slot] = field(default_factory=list)
-    unknowns: list[Slot] = field(default_factory=list)  # Turns and Unknowns
+    unknowns: list[Slot] = field(default_factory=list)  # Turns, Slides and Unknowns
     named: dict[str, list[Slot]] = field(default_factory=dict)
     planar: list[bool] = field(default_factory=list)
     arms: dict[Slot, float] = field(default_factory=dict)  # of slots that bend: torque per unit
@@ -227,7 +234,7 @@ class Program:
         self.rows.append(row)
         z = row.x if isinstance(row, Derivative) else None
         self.planar.append(isinstance(row, PLANAR) or (z is not None and self.planar[z]))
-        if isinstance(row, (Turn, Unknown)):
+        if isinstance(row, (*COORDINATES, Unknown)):
             self.unknowns.append(slot)
         return slot
 
@@ -260,7 +267,7 @@ class Program:
     def _scheduled(self, wanted: Sequence[Slot]) -> Schedule:
         ahead = dict.fromkeys([*self.residuals, *wanted], 0)
         for slot in self.unknowns:
-            ahead[slot] = 2 if isinstance(self.rows[slot], Turn) else 0
+            ahead[slot] = 2 if isinstance(self.rows[slot], COORDINATES) else 0
         for slot in reversed(range(len(self.rows))):
             if slot not in ahead:
                 continue
@@ -273,7 +280,7 @@ class Program:
             row = self.rows[slot]
             level = ahead[slot] + SHIFT.get(type(row), 0)
             changing = tuple(x for x in arguments(row) if x in live and ahead[x] == level)
-            if changing or isinstance(row, (Turn, Unknown)):
+            if changing or isinstance(row, (*COORDINATES, Unknown)):
                 live[slot] = changing
         return Schedule(tuple(sorted(ahead)), ahead, live)
 

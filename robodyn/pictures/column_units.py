@@ -1,21 +1,32 @@
-"""The units of the columns that commands write and read, by their names."""
+"""The units of the columns that commands write and read, by their names.
+
+A joint that slides has m and N where others have rad and N m; only who has the scene knows.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.mechanism import Mechanism
 
 _COLUMNS = {
     "s": "t flip flip_time",
     "rad": "q e",
     "rad/s": "qd",
     "rad/s²": "qdd",
-    "N m": "tau tc shake_m",
+    "N m": "tau tc rm mz shake_m",
     "N": "fx fy rx ry shake_fx shake_fy",
     "J": "KE PE energy",
     "m": "gap joint_x joint_y tip_x tip_y centre_x centre_y",
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
+ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
+SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
+TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
 
 
 def quantity_of(name: str) -> str:
@@ -23,12 +34,24 @@ def quantity_of(name: str) -> str:
     return name.rstrip("0123456789") or name
 
 
-def unit_of(name: str) -> str:
-    """The unit of a column, also of its end, least or largest value; "" where none is known."""
-    return UNITS.get(quantity_of(re.sub("_(end|min|max)$", "", name)), "")
+def scene_units(mechanism: Mechanism) -> Mapping[str, str]:
+    """The units of the columns that belong to joints which slide."""
+    slides = mechanism.slides
+    units = {f"{x}{k + 1}": SLIDING[UNITS[x]] for x in ANGULAR for k in slides}
+    couplings = mechanism.description.couplings
+    return units | {f"tc{c + 1}": "N" for c, x in enumerate(couplings) if x.joint in slides}
 
 
-def with_unit(name: str) -> str:
+def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
+    """The unit of a column, also of its end, least or largest value; "" where none is known.
+
+    `units` are those of the scene, where it is known.
+    """
+    column = re.sub("_(end|min|max)$", "", name)
+    return units.get(column) or UNITS.get(quantity_of(column), "")
+
+
+def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:
     """A column's name with its unit, `tau1 [N m]`."""
-    unit = unit_of(name)
+    unit = unit_of(name, units)
     return f"{name} [{unit}]" if unit else name

@@ -15,19 +15,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import phases
+from robodyn.dynamics.placed import Placed, placed
 from robodyn.errors import AssemblyError, RobodynError
-from robodyn.loops.assembly import attempt
+from robodyn.loops.assembly import assembly_plan, attempt
+from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.bodies import Body, Shape, at, bodies
+from robodyn.pictures.bodies import Body, bodies
 from robodyn.pictures.characters import TALL, Canvas
+from robodyn.pictures.outlines import Shape
+from robodyn.pictures.rails import at, direction
+from robodyn.scene.scene import Point
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
 LARGEST = 1e100  # m, of a half width
-LINES = ("link", "support", "guide", "block", "spring")  # outlines that characters show
+# outlines that characters show
+LINES = ("link", "support", "guide", "block", "spring", "rail", "slider", "rod")
+TURNS = 48  # poses of a turn that tell how long a slot is
 SHORTEST = 1e-12  # m, of a spring whose ends coincide
 
 
@@ -76,9 +82,11 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
     with np.errstate(all="ignore"), suppress(ValueError, OverflowError):  # whole numbers of nan
         half_width = HALF_WIDTH * span(mechanism, poses)
         if 1.0 / LARGEST <= half_width <= LARGEST:
-            E = phases(mechanism, poses)
-            found = tuple(bodies(mechanism, E, half_width))
-            place, turn = (np.stack(each, axis=-1) for each in zip(*_moves(found, E), strict=True))
+            here = placed(mechanism, poses)
+            travelled = placed(mechanism, _travelled(mechanism, poses))
+            found = tuple(bodies(mechanism, here, travelled, half_width))
+            moves = _moves(mechanism, found, here)
+            place, turn = (np.stack(each, axis=-1) for each in zip(*moves, strict=True))
             drawn = Drawing(mechanism, poses, half_width, found, place, turn)
             if all(abs(side) <= LARGEST for side in drawn.box()):
                 return drawn
@@ -86,16 +94,32 @@ def drawing(mechanism: Mechanism, q: ArrayLike) -> Drawing:
     raise RobodynError("cannot be drawn", where=mechanism.source, limit=limit)
 
 
-def _moves(found: Sequence[Body], E: Complex) -> Iterator[tuple[Complex, Complex]]:
+def _moves(
+    mechanism: Mechanism, found: Sequence[Body], here: Placed
+) -> Iterator[tuple[Complex, Complex]]:
     """The place and the turn of each body, (T,) each."""
+    tree = Tree(mechanism.description.links)
     for body in found:
-        place, turn = at(body.origin, E), np.ones(len(E), complex)
+        place, turn = at(body.origin, here.X), np.ones(len(here.X), complex)
         if body.end is not None:
-            along = at(body.end, E) - place
+            along = at(body.end, here.X) - place
             turn = np.where(along == 0, SHORTEST, along)
         elif body.turns and body.link is not None:
-            turn = E[:, body.link]
+            turn = direction(tree, body.link, here.E)
         yield place, turn
+
+
+def _travelled(mechanism: Mechanism, poses: Array) -> Array:
+    """The poses (T, n); those of a turn too where one pose alone would tell no slot's length."""
+    closures, actuated = mechanism.description.closures, list(mechanism.actuated)
+    slotted = any(c.along is not None and c.second.link is not None for c in closures)
+    turning = [k for k in actuated if k not in mechanism.slides]
+    if len(poses) > 1 or not slotted or not turning or assembly_plan(mechanism).rest:
+        return poses
+    given = np.repeat(poses, TURNS, axis=0)
+    given[:, turning] += np.arange(TURNS)[:, None] * (2 * np.pi / TURNS)
+    q, missing = attempt(mechanism, given[:, actuated])
+    return np.concatenate([poses, q[missing <= 0.0]])
 
 
 def span(mechanism: Mechanism, q: Array) -> float:
@@ -103,23 +127,30 @@ def span(mechanism: Mechanism, q: Array) -> float:
 
     1 where they all are one point.
     """
-    E = phases(mechanism, q)
+    X, tree = placed(mechanism, q).X, Tree(mechanism.description.links)
     points = [*mechanism.pivots, *mechanism.tips, *mechanism.centres]
-    z = np.concatenate([at(point, E) for point in points])
+    points += [tree.point(Point(k, 0j)) for k in mechanism.slides]
+    z = np.concatenate([at(point, X) for point in points])
     return float(max(np.ptp(z.real), np.ptp(z.imag))) or 1.0
 
 
 def first_pose(mechanism: Mechanism) -> Array:
     """A closed configuration (n,) to show a mechanism in: its start, zeros, or what closes first.
 
-    Raises AssemblyError where no turn of all actuated joints by a twelfth closes.
+    Raises AssemblyError where no turn of all actuated joints by a twelfth closes, nor, where
+    actuated joints slide, a displacement by quarters of a length of the mechanism.
     """
     start = mechanism.description.start or (None,) * mechanism.n
     if not mechanism.rows:
-        return np.array([angle or 0.0 for angle in start])
+        return np.array([value or 0.0 for value in start])
+    slides = np.isin(mechanism.actuated, mechanism.slides)
+    turns = np.arange(12) * np.pi / 6 if not slides.all() else np.zeros(1)
+    ways = np.array([0.0, *(sign * k for k in range(1, 13) for sign in (1, -1))])
+    ways = 0.25 * mechanism.unit * ways if slides.any() else np.zeros(1)
     given = np.array([start[k] or 0.0 for k in mechanism.actuated])
-    turns = np.arange(12) * np.pi / 6
-    q, missing = attempt(mechanism, given + turns[:, None])
+    steps = np.where(slides, ways[:, None, None], turns[:, None])
+    with np.errstate(all="ignore"):  # a link without length has no direction
+        q, missing = attempt(mechanism, given + steps.reshape(-1, len(given)))
     closes = np.flatnonzero(missing <= 0.0)
     if not closes.size:
         limit = "no pose found that closes: give --q"

@@ -7,15 +7,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import phases
 from robodyn.dynamics.dynamics import pin_forces
+from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.engines.row_values import rows_of
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.pictures.bodies import at
-from robodyn.scene.scene import Load, Spring
+from robodyn.pictures.rails import at
+from robodyn.scene.scene import Load, Point, Spring
 
 Array = NDArray[np.float64]
 
@@ -37,26 +37,28 @@ def forces(
 ) -> list[Force]:
     """The weights, the force in every pin, loads and springs, of one motion, each (n,).
 
-    r1 is the force on link 1 at its own joint, f1 that on the side of closure 1 named first, s1
-    that of spring 1 on its end named first; springs at joints and loads without a point have none.
+    r1 is the force on link 1 at its own joint (its origin where it slides), f1 that on the side of
+    closure 1 named first, s1 that of spring 1 on its end named first; springs at joints and loads
+    without a point have none.
     Forces that are zero but for rounding are left out.
     """
-    E = phases(mechanism, q)
+    X, tree = placed(mechanism, q).X, Tree(mechanism.description.links)
     description, found = mechanism.description, []
 
     def add(kind: str, name: str, point: PlanarPoint, force: complex) -> None:
-        found.append(Force(kind, name, complex(at(point, E)), force))
+        found.append(Force(kind, name, complex(at(point, X)), force))
 
     for k, link in enumerate(description.links):
         add("gravity", f"m{k + 1} g", mechanism.centres[k], link.m * mechanism.gamma)
         add("gravity", f"payload {k + 1} g", mechanism.tips[k], link.payload * mechanism.gamma)
     joints = reactions(mechanism, q, qd, qdd, multipliers) @ np.array([1, 1j])
     for k, force in enumerate(joints.tolist()):
-        add("pin", f"r{k + 1}", mechanism.pivots[k], force)
-    pins = pin_forces(mechanism, multipliers) @ np.array([1, 1j])
+        slides = description.links[k].slides
+        joint = tree.point(Point(k, 0j)) if slides else mechanism.pivots[k]
+        add("pin", f"r{k + 1}", joint, force)
+    pins = pin_forces(mechanism, multipliers, q) @ np.array([1, 1j])
     for c, force in enumerate(pins.tolist()):
-        first = Tree(description.links).point(description.closures[c].first)
-        add("pin", f"f{c + 1}", first, force)
+        add("pin", f"f{c + 1}", tree.point(description.closures[c].first), force)
     springs = [f"s{k + 1}" for k, x in enumerate(description.springs) if isinstance(x, Spring)]
     loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
     points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ Complex = NDArray[np.complex128]
 
 MARGIN = 0.05  # of the larger extent, on each side
 FLATTEST = 0.42  # the least ratio of a picture's sides that follows from what it shows
-OBSTACLES = ("link", "joint", "block", "support", "guide", "hatch", "payload", "spring")
+OBSTACLES = ("link", "joint", "block", "support", "guide", "hatch", "payload", "spring", "rail")
 ALONG = (0.5, 0.38, 0.62, 0.26, 0.74)  # where on its link a label may stand
 
 
@@ -173,13 +174,18 @@ def _beside(drawn: Drawing, pose: int, k: int, box: complex) -> Iterator[complex
     """Centres of a label on both sides of link k, from its middle outward."""
     b = drawn.body_of(k)
     place, direction = complex(drawn.place[pose, b]), complex(drawn.turn[pose, b])
-    outline = next(s.points for s in drawn.bodies[b].shapes if s.kind == "link")
-    outline = _dense(np.append(outline, outline[0]), 0.2 * box.imag)
+    own = drawn.bodies[b].shapes
+    shapes = [s for s in own if s.kind in ("link", "rail", "slider")]
+    outline = np.concatenate(
+        [_dense(np.append(s.points, s.points[0]), 0.2 * box.imag) for s in shapes]
+    )
+    slides = [s for x in drawn.bodies if x.link == k for s in x.shapes if s.kind == "slider"]
+    further = (0.0, 1.0, 2.0) if slides or len(shapes) > 1 else (0.0,)  # out of where it slides
     along = 0.5 * (abs(direction.real) * box.real + abs(direction.imag) * box.imag)
     half = 0.5 * (abs(direction.imag) * box.real + abs(direction.real) * box.imag)
     for part in ALONG:
         foot = part * drawn.mechanism.description.links[k].l
         near = outline[np.abs(outline.real - foot) <= along].imag
-        for side in (1, -1):
-            reach = float((side * near).max(initial=0.0)) + half + 0.2 * box.imag
+        for more, side in product(further, (1, -1)):
+            reach = float((side * near).max(initial=0.0)) + half + (0.2 + more) * box.imag
             yield place + direction * (foot + 1j * side * reach)

@@ -17,6 +17,7 @@ from robodyn.scene.quantities import parse_coupling, parse_number
 from robodyn.scene.scene import (
     BRANCHES,
     FRAMES,
+    JOINTS,
     Closure,
     Coupling,
     Description,
@@ -71,6 +72,7 @@ class _Reader(ValueReader):
         super().__init__()
         self.index: dict[str, int] = {}  # link name -> index
         self.lengths: dict[int, float] = {}
+        self.slides: set[int] = set()  # the links on prismatic joints
         self.count = 0  # of links
         self.closures = 0  # how many were read
 
@@ -86,14 +88,16 @@ class _Reader(ValueReader):
         values = self.form("scene", root, "")
         links = tuple(self.linked(k, value) for k, value in enumerate(values["links"] or ()))
         self.cycles(links, entries)
-        gravity, words = values["gravity"], values["assembly"] or BRANCHES[0]
+        gravity, words = values["gravity"], values["assembly"]
+        if words is None or isinstance(words, str):
+            words = (words or BRANCHES[0],) * self.closures if words or not values["start"] else ()
         return Description(
             source=source,
             name=Path(source).stem if values["name"] is None else values["name"],
             gravity=gravity if isinstance(gravity, complex) else -1j * gravity,
             links=links,
             closures=values["closures"] or (),
-            branches=(words,) * self.closures if isinstance(words, str) else words,
+            branches=words,
             actuated=values["actuated"],
             start=values["start"],
             springs=values["springs"] or (),
@@ -119,7 +123,8 @@ class _Reader(ValueReader):
         angles: list[float | None] = [None] * self.count
         for name, value in self.keys(node, place, [], list(self.index), "link").items():
             if name in self.index:
-                angles[self.index[name]] = self.number(value, f"{place}.{name}", Key("angle", ""))
+                kind = "number" if self.index[name] in self.slides else "angle"
+                angles[self.index[name]] = self.number(value, f"{place}.{name}", Key(kind, ""))
         return tuple(angles)
 
     # -- links -------------------------------------------------------------------------------
@@ -128,6 +133,8 @@ class _Reader(ValueReader):
         """Names and lengths first: `from` may name the tip of a link further down the file."""
         for i, entry in enumerate(entries):
             given = dict(_scalars(entry))
+            if "joint" in given and given["joint"].text == JOINTS[1]:
+                self.slides.add(i)
             with suppress(ValueError):
                 self.lengths[i] = parse_number(given["l"].text if "l" in given else "")
             if "name" not in given:
@@ -139,16 +146,30 @@ class _Reader(ValueReader):
                 self.fault(f"links[{i}].name", name, limit, name.text)
 
     def link(self, node: Node, place: str) -> dict[str, Any]:
-        name = dict(_scalars(node)).get("name")
-        return self.form("link", node, place if name is None else f"{place} ({name.text})")
+        given = dict(_scalars(node))
+        name = given.get("name")
+        place = place if name is None else f"{place} ({name.text})"
+        values = self.form("link", node, place)
+        slides = "joint" in given and given["joint"].text == JOINTS[1]
+        if slides and "axis" not in values:
+            limit = "is missing: the direction [dx, dy] that a prismatic joint slides along"
+            self.fault(f"{place}.axis", node, limit)
+        elif "axis" in values and "joint" in given and not slides:
+            limit = "is of prismatic joints alone: write `joint: prismatic` with it"
+            self.fault(f"{place}.axis", node, limit)
+        return values
 
     def linked(self, i: int, values: dict[str, Any]) -> Link:
         """Link i of what its keys hold."""
         above = values.pop("from") or (self.tip(i - 1) if i else Point(None, 0j))
+        values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
 
     def friction(self, node: Node, place: str) -> Friction:
         return Friction(**self.form("friction", node, place))
+
+    def slide_friction(self, node: Node, place: str) -> Friction:
+        return Friction(*self.form("slide_friction", node, place).values())
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""
@@ -222,23 +243,33 @@ class _Reader(ValueReader):
         if not isinstance(node, Mapping):
             return Closure(*self.pair(node, place, "sides"))
         values = self.form("closure", node, place)
-        through, along = (values["on"] or {"through": 0j, "along": 1 + 0j}).values()
-        along /= max(abs(along.real), abs(along.imag)) or 1.0  # no square overflows
-        return Closure(values["point"], Point(None, through), along / (abs(along) or 1.0))
+        line = values["on"] or {"link": None, "through": 0j, "along": 1 + 0j}
+        first, carrier = values["point"], line["link"]
+        if carrier is not None and first.link == carrier:
+            limit = "is a line of the point's own link; they must move apart"
+            self.fault(f"{place}.on", node, limit)
+        return Closure(first, Point(carrier, line["through"]), line["along"], values["aligned"])
 
-    def line(self, node: Node, place: str) -> dict[str, complex]:
+    def line(self, node: Node, place: str) -> dict[str, Any]:
         return self.form("line", node, place)
 
     def direction(self, node: Node, place: str) -> complex:
+        """The unit vector."""
         faults, vector = len(self.faults), self.vector(node, place)
         if vector == 0 and len(self.faults) == faults:
             self.fault(place, node, "must point somewhere", "[0, 0]")
-        return vector
+        vector /= max(abs(vector.real), abs(vector.imag)) or 1.0  # no square overflows
+        return vector / (abs(vector) or 1.0)
 
     def spring(self, node: Node, place: str) -> Spring | JointSpring:
         values = self.form("spring", node, place)
         if "joint" in values:
-            return JointSpring(**values)
+            slides, lengths = values["joint"] in self.slides, "length" in values
+            if slides != lengths:
+                limit = f"is missing: the joint is {JOINTS[slides]}"
+                self.fault(f"{place}.{('angle', 'length')[slides]}", node, limit)
+            free = values["length" if lengths else "angle"]
+            return JointSpring(values["joint"], values["stiffness"], free, values["damping"])
         return Spring(*values.pop("between"), **values)
 
     def load(self, node: Node, place: str) -> Load | Moment:
@@ -281,6 +312,9 @@ class _Reader(ValueReader):
         if joint in terms:
             self.fault(place, node, f"has q{joint} on both sides", self.shown(node))
             return None
+        if any(k - 1 in self.slides for k in (joint, *terms)) and ("deg" in text or "pi" in text):
+            limit = "joins a displacement: its constant is a plain number"
+            self.fault(place, node, limit, self.shown(node))
         ratios = tuple((k - 1, ratio) for k, ratio in terms.items() if ratio != 0.0)
         return Coupling(joint - 1, ratios, angle)
 

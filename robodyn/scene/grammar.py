@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import NamedTuple
 
-from robodyn.scene.scene import BRANCHES, FRAMES
+from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
 
 
 class Key(NamedTuple):
@@ -32,6 +32,11 @@ class Key(NamedTuple):
         """Whether a file must have it."""
         return self.default == "needed"
 
+    @property
+    def absent(self) -> bool:
+        """Whether there is nothing where a file leaves it out."""
+        return self.default in ("none", "the ground")
+
 
 class Form(NamedTuple):
     """A mapping with known keys."""
@@ -45,18 +50,92 @@ class Form(NamedTuple):
 
 
 NUMBERS = {"number": "", "angle": "", "amount": ">= 0", "positive": "> 0"}  # and their limits
-WORDS = {"branch": BRANCHES, "frame": FRAMES}
+WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
-# The form of a mapping of this kind, and another where it has a key.
-MAPPINGS = {
-    "spring": ("point_spring", "joint_spring", "joint"),
-    "load": ("force", "torque", "torque"),
-    "closure": ("slider", "", ""),
-    "point": ("link_point", "", ""),
-    "moving_point": ("link_point", "", ""),
+# The forms of a mapping of this kind, each with the keys that tell it; the last has none.
+MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
+    "link": {"prismatic_link": ("axis",), "revolute_link": ()},
+    "spring": {"slide_spring": ("joint", "length"), "joint_spring": ("joint",), "point_spring": ()},
+    "load": {"torque": ("torque",), "force": ()},
+    "closure": {"slider": ()},
+    "point": {"link_point": ()},
+    "moving_point": {"link_point": ()},
 }
 DAMPER = "of a damper beside it"
 STIFFNESS, DAMPING = "k: stiffness of {}", "ds: damping of {}"
+
+_LINK = {
+    "name": Key("name", "any text; no two links share one"),
+    "m": Key("amount", "mass", "kg", symbol="m: mass of {}"),
+    "l": Key(
+        "amount",
+        "length from the link's own joint to its tip",
+        "m",
+        symbol="l: length of {}",
+    ),
+    "r": Key(
+        "centre",
+        "centre of gravity: a point [x, y] of the link, or its distance along it",
+        "m",
+        hint="; write [x, y] for a centre of gravity behind or beside the link",
+        symbol="r: centre of gravity of {}",
+    ),
+    "I": Key(
+        "amount",
+        "moment of inertia about the centre of gravity",
+        "kg m²",
+        symbol="I: moment of inertia of {} about its centre of gravity",
+    ),
+    "from": Key("point", "the point that it hangs from", default="the tip of the link before"),
+    "payload": Key(
+        "amount", "point mass at the tip", "kg", "0", symbol="mp: payload at the tip of {}"
+    ),
+}
+
+
+def _damping(unit: str) -> Key:
+    told = "d: damping at the joint of {}"
+    return Key("amount", "viscous damping at its own joint", unit, "0", symbol=told)
+
+
+def _friction(name: str, unit: str, speed: str) -> Form:
+    told = f"-{name} tanh(qd/speed)"
+    letters = name[0]
+    return Form(
+        told,
+        {
+            name: Key(
+                "amount",
+                "far above that speed",
+                unit,
+                symbol=f"{letters}f: friction at the joint of {{}}",
+            ),
+            "speed": Key(
+                "positive",
+                "what smooths it through rest",
+                speed,
+                hint=f": the friction is {told}",
+                symbol="wf: rate that smooths the friction at the joint of {}",
+            ),
+        },
+    )
+
+
+def _joint_spring(free: str, kind: str, unit: str, load: str) -> Form:
+    turns = f"; its {free} counts from turn to turn" if kind == "angle" else ""
+    place = "angle" if kind == "angle" else "displacement"
+    return Form(
+        f"A spring and damper at a {JOINTS[kind != 'angle']} joint.",
+        {
+            "joint": Key("link_name", f"the link whose own joint it is{turns}"),
+            "stiffness": Key("amount", "0 for a damper alone", f"{load}/{unit}", symbol=STIFFNESS),
+            "damping": Key("amount", DAMPER, f"{load} s/{unit}", "0", symbol=DAMPING),
+            free: Key(
+                kind, f"free {place} of the joint", unit, symbol=f"phi: free {place} of {{}}"
+            ),
+        },
+    )
+
 
 FORMS = {
     "scene": Form(
@@ -79,7 +158,10 @@ FORMS = {
                 "assembly", "open or crossed; or a list of these, one for each closure", "", "open"
             ),
             "start": Key(
-                "start", "angles to assemble larger loops from, {crank: 30deg}", "rad", "none"
+                "start",
+                "where joints begin when larger loops are assembled, {crank: 30deg}",
+                "rad or m",
+                "none",
             ),
             "couplings": Key(
                 "couplings", "gears and belts: equations such as q3 = -2 q1 + 0.1", "", "none"
@@ -93,64 +175,29 @@ FORMS = {
             "loads": Key("load", "list of constant forces and torques on links", "", "none", True),
         },
     ),
-    "link": Form(
+    "revolute_link": Form(
         "A rigid link; its frame has x from its own joint to its tip.",
-        {
-            "name": Key("name", "any text; no two links share one"),
-            "m": Key("amount", "mass", "kg", symbol="m: mass of {}"),
-            "l": Key(
-                "amount",
-                "length from the link's own joint to its tip",
-                "m",
-                symbol="l: length of {}",
-            ),
-            "r": Key(
-                "centre",
-                "centre of gravity: a point [x, y] of the link, or its distance along it",
-                "m",
-                hint="; write [x, y] for a centre of gravity behind or beside the link",
-                symbol="r: centre of gravity of {}",
-            ),
-            "I": Key(
-                "amount",
-                "moment of inertia about the centre of gravity",
-                "kg m²",
-                symbol="I: moment of inertia of {} about its centre of gravity",
-            ),
-            "from": Key(
-                "point", "the point that it hangs from", default="the tip of the link before"
-            ),
-            "payload": Key(
-                "amount", "point mass at the tip", "kg", "0", symbol="mp: payload at the tip of {}"
-            ),
-            "damping": Key(
-                "amount",
-                "viscous damping at its own joint",
-                "N m s/rad",
-                "0",
-                symbol="d: damping at the joint of {}",
-            ),
+        _LINK
+        | {
+            "joint": Key("joint_kind", "of its own joint", default=JOINTS[0]),
+            "damping": _damping("N m s/rad"),
             "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
         },
     ),
-    "friction": Form(
-        "-torque tanh(qd/speed)",
-        {
-            "torque": Key(
-                "amount",
-                "far above that speed",
-                "N m",
-                symbol="tf: friction at the joint of {}",
+    "prismatic_link": Form(
+        "A link on a prismatic joint: its frame has x along the axis that it slides on.",
+        _LINK
+        | {
+            "joint": Key("joint_kind", "prismatic"),
+            "axis": Key(
+                "direction", "which way it slides, [dx, dy] in the frame of what it hangs from"
             ),
-            "speed": Key(
-                "positive",
-                "what smooths it through rest",
-                "rad/s",
-                hint=": the friction is -torque tanh(qd/speed)",
-                symbol="wf: rate that smooths the friction at the joint of {}",
-            ),
+            "damping": _damping("N s/m"),
+            "friction": Key("slide_friction", "Coulomb friction at its own joint", default="none"),
         },
     ),
+    "friction": _friction("torque", "N m", "rad/s"),
+    "slide_friction": _friction("force", "N", "m/s"),
     "link_point": Form(
         "A point of a link.",
         {
@@ -159,15 +206,24 @@ FORMS = {
         },
     ),
     "slider": Form(
-        "A point of a link that stays on a line of the ground.",
+        "A point of a link that stays on a line: a slider, or a pin in a slot.",
         {
             "point": Key("moving_point", "NAME for a link's tip, or {link, at}"),
             "on": Key("line", "the line"),
+            "aligned": Key(
+                "angle",
+                "angle that the point's link keeps to the line's link (or to +X): a block that "
+                "does not turn",
+                "rad",
+                "none",
+                symbol="beta: angle kept by closure {}",
+            ),
         },
     ),
     "line": Form(
-        "A line of the ground.",
+        "A line of the ground or of a link.",
         {
+            "link": Key("link_name", "the link that has the slot", default="the ground"),
             "through": Key("vector", "a point of the line", "m"),
             "along": Key("direction", "the line's direction, not [0, 0]"),
         },
@@ -181,17 +237,8 @@ FORMS = {
             "length": Key("amount", "free length", "m", symbol="S0: free length of {}"),
         },
     ),
-    "joint_spring": Form(
-        "A spring and damper at a joint.",
-        {
-            "joint": Key(
-                "link_name", "the link whose own joint it is; its angle counts from turn to turn"
-            ),
-            "stiffness": Key("amount", "0 for a damper alone", "N m/rad", symbol=STIFFNESS),
-            "damping": Key("amount", DAMPER, "N m s/rad", "0", symbol=DAMPING),
-            "angle": Key("angle", "free angle of the joint", "rad", symbol="phi: free angle of {}"),
-        },
-    ),
+    "joint_spring": _joint_spring("angle", "angle", "rad", "N m"),
+    "slide_spring": _joint_spring("length", "number", "m", "N"),
     "force": Form(
         "A constant force at a point of a link.",
         {
@@ -222,5 +269,5 @@ FORMS = {
 
 def form_of(kind: str, keys: Container[str]) -> Form:
     """The form of a mapping of this kind that has these keys."""
-    plain, marked, mark = MAPPINGS.get(kind, (kind, "", ""))
-    return FORMS[marked if mark and mark in keys else plain]
+    forms = MAPPINGS.get(kind, {kind: ()})
+    return FORMS[next(form for form, marks in forms.items() if all(x in keys for x in marks))]

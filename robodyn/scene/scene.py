@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
+JOINTS = ("revolute", "prismatic")
 
 
 class Point(NamedTuple):
@@ -20,14 +21,21 @@ class Point(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it."""
+    """Coulomb friction of a joint, -torque tanh(qd/speed): N m, and rad/s that smooth it.
+
+    Of a prismatic joint N and m/s.
+    """
 
     torque: float
     speed: float
 
 
 class Link(NamedTuple):
-    """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs."""
+    """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
+
+    A link on a prismatic joint has an `axis`: the unit vector along which it slides, and along
+    which its own x axis lies, in the frame of what it hangs from.
+    """
 
     name: str
     m: float
@@ -38,6 +46,12 @@ class Link(NamedTuple):
     payload: float = 0.0
     damping: float = 0.0
     friction: Friction | None = None
+    axis: complex | None = None
+
+    @property
+    def slides(self) -> bool:
+        """Whether its joint is prismatic."""
+        return self.axis is not None
 
 
 class Spring(NamedTuple):
@@ -51,7 +65,10 @@ class Spring(NamedTuple):
 
 
 class JointSpring(NamedTuple):
-    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint."""
+    """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
+
+    At a prismatic one N/m, its free displacement m, and N s/m.
+    """
 
     joint: int
     stiffness: float
@@ -75,15 +92,23 @@ class Moment(NamedTuple):
 
 
 class Closure(NamedTuple):
-    """Two points that coincide, or, with `along`, a point held on the line through `second`."""
+    """Two points that coincide, or, with `along`, a point held on the line through `second`.
+
+    `along` is a unit vector in the frame of the link of `second`, which carries the line.  With
+    `aligned` the first point's link keeps this angle to that link, rad.
+    """
 
     first: Point
     second: Point
     along: complex | None = None
+    aligned: float | None = None
 
 
 class Coupling(NamedTuple):
-    """A gear or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`, rad."""
+    """A gear, rack or belt between joints: q_joint = sum of ratio q_k over `terms`, plus `angle`.
+
+    All in rad, or in m where a joint slides.
+    """
 
     joint: int
     terms: tuple[tuple[int, float], ...]
@@ -91,7 +116,10 @@ class Coupling(NamedTuple):
 
 
 class Description(NamedTuple):
-    """What a scene file says; `source` is the file's name for messages."""
+    """What a scene file says; `source` is the file's name for messages.
+
+    `branches` has a word for each closure, or none where the `start` picks them.
+    """
 
     source: str
     name: str

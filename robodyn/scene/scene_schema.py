@@ -21,7 +21,7 @@ def scene_schema() -> Schema:
     kinds: dict[str, Schema] = {x: {"type": "number", **keyword[y]} for x, y in NUMBERS.items()}
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
-    kinds |= {kind: _any(*forms) for kind, (*forms, mark) in MAPPINGS.items() if mark}
+    kinds |= {kind: _any(*forms) for kind, forms in MAPPINGS.items() if len(forms) > 1}
     kinds |= {kind: _mapping(form) for kind, form in FORMS.items()}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

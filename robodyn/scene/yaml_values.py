@@ -67,6 +67,8 @@ class ValueReader:
         return {
             name: self.value(key, found[name], prefix + name)
             if name in found
+            else None
+            if key.absent
             else self.missing.get("list" if key.listed else key.kind)
             for name, key in form.keys.items()
         }

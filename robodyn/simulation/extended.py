@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import relative_matrix
+from robodyn.dynamics.closed_form import gap_at, jacobian_at
+from robodyn.dynamics.placed import joint_ways, placed_at, relative_matrix
 from robodyn.engines.expansion import Coefficients, MotionProgram, longest_step
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import InputError, RobodynError
@@ -151,7 +152,9 @@ class _Series:
         if held not in self.made:
             self.made[held] = MotionProgram(self.mechanism, self.actuation, False, held)
         series, w, arms = self.expanded(self.made[held], t, y, self.order)
-        longest = longest_step(series, w, self.tolerance, self.tolerance)
+        longest = longest_step(
+            series, w, self.tolerance, self.tolerance, slides=self.mechanism.slides
+        )
         if not longest > SMALLEST_STEP:
             return None
         h = min(stop - t, LONG(longest))
@@ -202,10 +205,8 @@ def _along(mechanism: Mechanism, series: Coefficients, y: Long, h: Any) -> Long:
     powers = h**orders
     turn = (z * powers).sum(axis=1)
     slope = (z[:, 1:] * (orders[1:] * powers[:-1])).sum(axis=1)
-    rate = (turn.conj() * slope).imag / np.abs(turn) ** 2
-    relative = relative_matrix(mechanism)
-    way = np.arctan2(turn.imag, turn.real)
-    return np.concatenate([y[:n] + relative @ way, relative @ rate])
+    way, rates = joint_ways(mechanism, y, turn, slope)
+    return np.concatenate([y[:n] + way, rates])
 
 
 class _Extrapolation:
@@ -302,27 +303,28 @@ class _Closing:
         try:
             q = newton(y[:n], self._step)
             Psi, normal, _ = self._at(q)
-            projected = y[n:] - Psi.T @ solve_columns(normal, (Psi @ y[n:])[:, None])[:, 0]
+            rates = y[n:] / self.x.units
+            rates = rates - Psi.T @ solve_columns(normal, (Psi @ rates)[:, None])[:, 0]
+            projected = rates * self.x.units
         except _TooNear:
             return y  # next to a change point: the two computations will tell
         return np.concatenate([q, projected])
 
     def _at(self, q: Long) -> tuple[Long, Long, Long]:
         """Psi, Psi Psi^T and the gap, which is exact where Psi is nearly singular."""
-        alpha = self.x.J @ q
-        PE = self.x.P * np.exp(1j * alpha)
-        Psi = (self.x.angles - PE.imag) @ self.x.J
+        at = placed_at(self.mechanism, self.x.J @ q)
+        Psi = jacobian_at(self.mechanism, self.x, at) @ self.x.J * self.x.units
         normal = Psi @ Psi.T
         least = float(np.linalg.svd(Psi.astype(float), compute_uv=False)[-1]) / self.size
         if least < TOO_NEAR:
             raise _TooNear
         if least < NEAR_SINGULAR:
             return Psi, normal, exact_gap(self.mechanism, q).astype(LONG)
-        return Psi, normal, PE.real.sum(axis=1) + self.x.angles @ alpha + self.x.offset
+        return Psi, normal, gap_at(self.mechanism, self.x, at)
 
     def _step(self, q: Long) -> tuple[bool, Long]:
         Psi, normal, gap = self._at(q)
-        step = Psi.T @ solve_columns(normal, gap[:, None])[:, 0]
+        step = self.x.units * (Psi.T @ solve_columns(normal, gap[:, None])[:, 0])
         return bool(np.abs(step).max() < 10.0 * np.finfo(LONG).eps), step
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
+from robodyn.dynamics.placed import matvec
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
@@ -302,8 +303,8 @@ class Recorder:
         gap = closed_form.closure_gap(mechanism, q)
         report.largest_gap = max(report.largest_gap, float(np.abs(gap).max()))
         stride = 1 + mechanism.n * len(mechanism.rows) // 2000
-        Psi = closed_form.closure_jacobian(mechanism, q[::stride])
-        rate = np.einsum("...ij,...j->...i", Psi, qd[::stride])
+        Psi = closed_form.scaled_jacobian(mechanism, q[::stride])
+        rate = matvec(Psi, qd[::stride] / mechanism.arrays.units)
         report.largest_gap_rate = max(report.largest_gap_rate, float(np.abs(rate).max()))
         least = self._least_singular(Psi)
         worst = int(np.argmin(least))

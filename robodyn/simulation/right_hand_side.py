@@ -72,6 +72,8 @@ def right_hand_side(
     """The evaluator of the given kind, or of the kind that is fastest for this mechanism."""
     if kind is None:
         kind = _best_kind(mechanism)
+    if kind == "sparse" and not mechanism.turns_alone:
+        kind = "dense"
 
     def straight(least_pivot: float, otherwise: Rates, torques: Actuation = actuation) -> Rates:
         return straightline.compile_rates(

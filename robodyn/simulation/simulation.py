@@ -17,7 +17,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import closed_form, dense_dynamics, dynamics
+from robodyn.dynamics import dense_dynamics, dynamics
+from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
@@ -141,8 +142,8 @@ def simulate(
     compiled where a run takes, or this process took, many steps of the mechanism.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
-    q = closed_form.as_states(mechanism, "q", q)
-    qd = closed_form.as_states(mechanism, "qd", qd)
+    q = as_states(mechanism, "q", q)
+    qd = as_states(mechanism, "qd", qd)
     if q.ndim != 1 or qd.ndim != 1:
         shapes = f"{q.shape} and {qd.shape}"
         raise InputError("shapes of q and qd", value=shapes, limit="must be those of one state")

@@ -163,7 +163,7 @@ class LaneObserver(Observer):
     def _alpha(self, k: Kernel, block: Word) -> Word:
         """The angle of the link whose flip is wanted."""
         total = k.number(0.0)
-        for j in self.scene.mechanism.path(self.scene.link):
+        for j in self.scene.mechanism.turns_by(self.scene.link):
             total = k.add(total, self.scene.get(k, block, f"q{j}"))
         return total
 

@@ -282,7 +282,7 @@ class _ArrayLanes(ArrayMachine):
         (b,) = np.nonzero((x != 0.0) & np.isnan(flip))
         if len(b):
             angle = M[place["angle"], b]
-            for j in scene.mechanism.path(scene.link):
+            for j in scene.mechanism.turns_by(scene.link):
                 angle = angle + M[j, b]
             rates = M[first : first + scene.order + 1, b]
             flip[b] = M[place["t"], b] + crossings(angle, rates, x[b], math.pi)

@@ -7,6 +7,7 @@ point without a result is a row with its outcome, not an error.
 
 from __future__ import annotations
 
+import cmath
 import math
 import warnings
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ from robodyn.dynamics.dynamics import RobodynWarning, inverse_dynamics_and_force
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.change_points import suspect_quality
+from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps.lane_single import single
@@ -153,7 +155,7 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
         q, qd = group.q[chosen], group.qd[chosen]
         qdd = loop_rates.loop_accelerations(mechanism, q, qd, given[chosen])
         found = inverse_dynamics_and_forces(mechanism, q, qd, qdd)
-        forces = loop_forces(mechanism, found.multipliers)
+        forces = loop_forces(mechanism, found.multipliers, q)
         return np.concatenate([found.tau[:, list(mechanism.actuated)], forces], axis=1)
 
     first = points.shape[1]
@@ -187,7 +189,7 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         most=plan.most,
         suspect=suspect_quality(base) if base.rows else 0.0,
         extremes="extremes" in plan.results,
-        link=plan.link % n if "flip" in plan.results else -1,
+        link=_turning(base, plan.link % n) if "flip" in plan.results else -1,
         work=any(driven) or base.changes_energy or bool(plan.scene_axes),
     )
     ends, offset = Ends.room(P, n), np.zeros(P)
@@ -237,6 +239,12 @@ def _fill(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
         values[:, len(plan.variation.axes) :] = np.concatenate(parts, axis=1)
 
 
+def _turning(mechanism: Mechanism, link: int) -> int:
+    """The link whose direction a link has; -1 where it is the ground's."""
+    frame = mechanism.frames[link]
+    return -1 if frame is None else frame
+
+
 def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
     """The angle of a link at q (k, n) from where it hangs along gravity, in [-pi, pi).
 
@@ -246,4 +254,5 @@ def _from_hanging(mechanism: Mechanism, q: Array, link: int) -> Array:
         return np.zeros(len(q))
     hanging = math.atan2(mechanism.gamma.imag, mechanism.gamma.real)
     alpha: Array = q @ mechanism.arrays.J[link]
+    alpha = alpha + cmath.phase(Tree(mechanism.description.links).phases[link])
     return np.asarray(np.remainder(alpha - hanging + math.pi, 2.0 * math.pi) - math.pi)

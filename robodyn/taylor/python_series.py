@@ -44,7 +44,7 @@ def step_text(
     motion, n = MotionProgram(mechanism, actuation, work, held), mechanism.n
     start = motion.start()
     found = motion.expand(RECORDED, start.numbers, order, start.state)
-    longest = longest_formula(start.graph, found, start.state.w)
+    longest = longest_formula(start.graph, found, start.state.w, slides=mechanism.slides)
     state = end_of_step(mechanism, found, start.steady, work, start.graph.variable)
     series = _parts(found)
     lines, shown = source_text.float_source(
@@ -115,7 +115,7 @@ def step_rows(
         atol: float,
     ) -> Expanded:
         found, start = expanded(order, t, y, tau, dtau)
-        longest = longest_step(found, start.w, rtol, atol)
+        longest = longest_step(found, start.w, rtol, atol, slides=mechanism.slides)
         if math.isnan(longest):
             return 0.0, y, ()
         h = min(most, longest)

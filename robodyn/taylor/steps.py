@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import relative_matrix
+from robodyn.dynamics.placed import joint_ways
 from robodyn.engines.expansion import KINK
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import Misses
@@ -238,11 +238,9 @@ class SteppingEngine:
         powers = x[:, None] ** orders
         turn = powers @ z
         slope = (powers[:, :-1] * orders[1:]) @ z[1:]
-        relative = relative_matrix(self.mechanism)
-        way = np.angle(turn) @ relative.T
         rows = np.empty((len(x), len(y)))
+        way, rows[:, n : 2 * n] = joint_ways(self.mechanism, y, turn, slope)
         rows[:, :n] = y[:n] + way
-        rows[:, n : 2 * n] = ((turn.conj() * slope).imag / np.abs(turn) ** 2) @ relative.T
         if self.work:
             rows[:, 2 * n] = y[2 * n]
             if self._now.works:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_jacobian
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
 from robodyn.engines.singular_values import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly import CLOSED
@@ -56,10 +56,13 @@ class PathEndError(AssemblyError):
 
     def __init__(self, mechanism: Mechanism, u: float, q: Array, reason: str) -> None:
         self.u = u
-        at = ", ".join(
-            f"q{k + 1} ({mechanism.link_names[k]}) = {q[k]:.6g} rad ({np.degrees(q[k]):.6g} deg)"
-            for k in mechanism.actuated
-        )
+
+        def shown(k: int) -> str:
+            slides = k in mechanism.slides
+            return f"{q[k]:.6g} m" if slides else f"{q[k]:.6g} rad ({np.degrees(q[k]):.6g} deg)"
+
+        named = ((f"q{k + 1} ({mechanism.link_names[k]})", k) for k in mechanism.actuated)
+        at = ", ".join(f"{name} = {shown(k)}" for name, k in named)
         what = f"the loops cannot be followed beyond {at}"
         super().__init__(what, where=mechanism.source, limit=reason)
 
@@ -172,6 +175,7 @@ class _Follower:
                 self.watch(node.u)
             u, q = node.u, node.q
             whole = 2 * np.pi * np.round((q - first) / (2 * np.pi))
+            whole[list(self.mechanism.slides)] = 0.0
             if u in self._returns and np.abs(q - first - whole).max() < RETURNED:
                 rise = whole
                 break
@@ -253,12 +257,14 @@ class _Follower:
         q1[self._actuated], q2[self._actuated] = held[1], held[2]
         if not self._passive:
             return _Node(u, q, q1, q2, 0.0)
-        Psi = closure_jacobian(self.mechanism, q)
+        Psi = scaled_jacobian(self.mechanism, q)
         columns, driving = Psi[:, self._passive], Psi[:, self._actuated]
+        units = self.mechanism.arrays.units
+        driving = driving / units[self._actuated]
         U, s, Vt = svd(columns)
         if s[-1] <= DEAD * loop_size(self.mechanism) and not self._misses(q):
             return None
-        inverse = (Vt.T / s) @ U.T
+        inverse = units[self._passive, None] * ((Vt.T / s) @ U.T)
         q1[self._passive] = -inverse @ (driving @ held[1])
         bias = closure_bias(self.mechanism, q, q1)
         q2[self._passive] = -inverse @ (driving @ held[2] + bias)
@@ -276,7 +282,7 @@ class _Follower:
             found, closed = corrected(self.mechanism, guess[None])
             if not closed[0]:
                 return False
-            columns = closure_jacobian(self.mechanism, found[0])[:, self._passive]
+            columns = scaled_jacobian(self.mechanism, found[0])[:, self._passive]
             before = self._sign(columns) == one.sign
             low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
         if np.abs(high[1] - low[1]).max() > TOGETHER or self._misses(low[1]):
@@ -292,7 +298,7 @@ class _Follower:
 
     def _size(self, q: Array) -> float:
         """The least singular value of Psi, as a part of the loop's size."""
-        s = np.linalg.svd(closure_jacobian(self.mechanism, q), compute_uv=False)
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
         return float(s[-1] / loop_size(self.mechanism))
 
     def _sign(self, columns: Array) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
-from robodyn.loops.closing import half_turn
+from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
@@ -155,7 +155,7 @@ def whole_path(
     if isinstance(path, Legs | Spline) and len(points) == len(path.knots) and given.any():
         # the points given in full must be on the branch of the motion
         reached = whole.evaluate(path.knots[given])[0]
-        miss = half_turn(reached - points[given])
+        miss = wrapped(mechanism, reached - points[given])
         for at, place in np.argwhere(np.abs(miss[:, passive]) > SAME):
             number, joint = np.flatnonzero(given)[at], passive[place]
             right = f"q{joint + 1} = {reached[at, joint]:.9g}"

@@ -37,7 +37,7 @@ from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_a
 Array = NDArray[np.float64]
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
-UNITS = {"qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}
+UNITS = {"qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N m", "N")}
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
 MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
@@ -121,8 +121,8 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
     raise LimitError(
         f"{_joint(mechanism, name, joint)} at t = {motion.begin + u * T:.6g} s",
         name,
-        value=f"{value:.9g} {UNITS[name]}",
-        limit=f"exceeds the limit of {bound[joint]:.9g} {UNITS[name]}",
+        value=f"{value:.9g} {_unit(mechanism, name, joint)}",
+        limit=f"exceeds the limit of {bound[joint]:.9g} {_unit(mechanism, name, joint)}",
     )
 
 
@@ -251,12 +251,13 @@ def _shortest_by_torque(
         there, of = (np.array([x]) for x in place)
         value = float(parts(there, of, scale)[2][0, joint])
         at = ", ".join(f"{x:.6g}" for x in whole.evaluate(there, of)[0][0])
+        unit = _unit(mechanism, "tau", joint)
         raise LimitError(
             f"{_joint(mechanism, 'tau', joint)} at q = {at}",
             "tau",
-            value=f"{value:.9g} N m",
-            limit=f"holding this pose takes that, more than the limit of {limit[joint]:.9g} N m, "
-            "however slow the motion",
+            value=f"{value:.9g} {unit}",
+            limit=f"holding this pose takes that, more than the limit of {limit[joint]:.9g} "
+            f"{unit}, however slow the motion",
         )
     x, column = scale, 0
     for _ in range(MOST_FITS):
@@ -278,6 +279,11 @@ def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
     for joint, friction in mechanism.friction:
         fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * friction.speed))
     return 1.0 / fastest if fastest > 0.0 else 1.0
+
+
+def _unit(mechanism: Mechanism, name: str, place: int) -> str:
+    """That of a limit of an actuated joint, by its place among them."""
+    return UNITS[name][mechanism.actuated[place] in mechanism.slides]
 
 
 def _joint(mechanism: Mechanism, name: str, joint: int) -> str:

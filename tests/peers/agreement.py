@@ -16,6 +16,7 @@ from robodyn.mechanics.mechanism import Mechanism
 
 ROUNDING = 1e-13
 STATES = 200
+SLIDE = 0.04  # m, what displacements are of an angle of 1 rad
 
 States = tuple[Array, Array, Array]
 
@@ -42,8 +43,9 @@ class Row:
 
 
 def motion_states(mechanism: Mechanism, count: int) -> States:
-    """Random q, qd, qdd that keep the closures, of any size there."""
+    """Random q, qd, qdd that keep the closures, of any size there; displacements are small."""
     free = np.random.default_rng(mechanism.n).normal(size=(3, count, len(mechanism.actuated)))
+    free[..., [k in mechanism.slides for k in mechanism.actuated]] *= SLIDE
     if not mechanism.rows:
         return free[0] * 2.0, free[1], free[2]
     q = robodyn.assemble(mechanism, free[0] * 2.0)

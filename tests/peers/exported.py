@@ -31,6 +31,7 @@ EXPORTED = (
     *("pendulum", "2r", "3r", "four-bar", "parallelogram", "slider-crank", "five-bar"),
     *("watt-six-bar", "stephenson-six-bar"),
     *("balanced-arm", "geared-five-bar", "spring-slider-crank"),
+    *("rp-arm", "scotch-yoke", "whitworth", "hydraulic-boom"),
 )
 RIG = """
 gravity: [1.3, -9.6]
@@ -50,6 +51,31 @@ loads:
   - {link: left, at: [0.2, 0], force: [1, 4], frame: link}
   - {link: far hand, torque: 1.5}
 """
+SLIDES = """
+gravity: [1.0, -9.81]
+links:
+  - {name: a, joint: prismatic, axis: [1, 0.5], m: 0.8, l: 0.1, r: [0.03, 0.1], I: 0.002,
+     damping: 2}
+  - {name: b, m: 0.3, l: 0.4, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+  - {name: c, joint: prismatic, axis: [0, -1], m: 1.5, l: 0.5, r: 0.25, I: 0.03,
+     from: {link: b, at: [0.1, 0.2]}, payload: 0.3}
+  - {name: d, joint: prismatic, axis: [1, 1], m: 0.7, l: 0.2, r: 0.25, I: 0.02}
+  - {name: e, m: 0.3, l: 0.2, r: [0.1, 0.02], I: 0.0005}
+"""
+SLIDE_FORCES = """
+springs:
+  - {joint: c, stiffness: 30, length: 0.1, damping: 0.3}
+  - {between: [{link: e, at: [0.1, 0.1]}, [0.3, 2]], stiffness: 40, length: 0.4, damping: 1}
+loads:
+  - {link: d, at: [0.1, 0], force: [3, 1], frame: link}
+  - {link: c, torque: 0.4}
+"""
+CART = """
+gravity: 9.8
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 1.0, l: 0, r: 0, I: 0}
+  - {name: pole, m: 0.1, l: 1.0, r: 0.5, I: 0.008333333333333333}
+"""
 GEARS = {
     "rig, geared": """
 couplings: ["q3 = -2 q1 + 0.1", "q2 = q4 - 1/3 q1"]
@@ -67,6 +93,8 @@ actuated: [plate, far hand, slide]
 SOFT, SOFT_GEARS = 1e-5, 2e-4  # relative, of the accelerations that MuJoCo's constraints allow
 PIN_MOTION, SLIDER_MOTION = (2e-5, 1e-6), (6e-3, 4e-4)  # rad and m, see ran in mujoco_peer
 SOLVED = 1e-12  # relative, what the solver of its constraints leaves
+# the same where joints slide: a rod moves less mass than a crank, a yoke has dead centres
+SOFT_SLIDES, SOLVED_SLIDES = 1e-4, 1e-11
 
 
 def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
@@ -74,6 +102,9 @@ def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
     mechanisms = {name: robodyn.load(ROOT / f"robots/{name}.yaml") for name in EXPORTED}
     mechanisms["rig"] = build(from_text(RIG, "rig"))
     mechanisms["rig with springs and loads"] = build(from_text(RIG + FORCES, "rig"))
+    slides = {"slides": SLIDES, "slides with springs and loads": SLIDES + SLIDE_FORCES}
+    slides["cart and pole"] = CART
+    mechanisms |= {name: build(from_text(text, name)) for name, text in slides.items()}
     mechanisms |= {name: build(from_text(RIG + text, name)) for name, text in GEARS.items()}
     for scene, mechanism in mechanisms.items():
         q, qd, qdd = motion_states(mechanism, STATES)
@@ -119,9 +150,10 @@ def closed_exports(
     size = np.full(len(q), loop_size(mechanism))
     hard = known["qdd"].ours
     soft = SOFT_GEARS if mechanism.description.couplings else SOFT
+    soft, solved = (SOFT_SLIDES, SOLVED_SLIDES) if mechanism.slides else (soft, SOLVED)
     rows = {
         "Psi and gap": (max(worst(J - Psi, Psi), worst(gap, size)), ROUNDING),
-        "qdd and forces": (worst(sum(motion) + forces, *motion, forces), SOLVED),
+        "qdd and forces": (worst(sum(motion) + forces, *motion, forces), solved),
         "softness": (
             worst(
                 product(Psi, qdd) + bias + R * force - closing,

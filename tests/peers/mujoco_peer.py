@@ -15,6 +15,7 @@ import numpy as np
 from bench_frontier import Array, Case, Run
 
 import robodyn
+from peers.agreement import SLIDE
 from robodyn import Mechanism
 from robodyn.export.mjcf import mjcf as exported_text
 from robodyn.export.model_xml import Names, link_names
@@ -141,14 +142,14 @@ class Exported(Model):
         """J, residual, force, R and what closes gaps, of the rows of closures; and qdd.
 
         A connect has a third row, normal to the plane, which is empty.  A slider's row counts
-        lengths, a coupling's angles: a unit of its gap is `scale` of them.
+        lengths, a coupling's and a kept angle's row angles: a unit of its gap is `scale` of them.
         """
         qdd = self.accelerations(q, qd)
         data, rows, scales = self.data, [], []
         for k, kind in enumerate(self.model.eq_type):
             found = np.flatnonzero(data.efc_id == k)[:2].tolist()
             scale, name = 1.0, self.model.equality(k).name
-            if name.startswith("coupling"):
+            if name.startswith("coupling") or name.endswith("_angle"):
                 scale = 1.0 / self.mechanism.rows[len(rows)].arm
             elif kind == mujoco.mjtEq.mjEQ_TENDON:
                 ends = (f"{name}_{end}" for end in ("point", "left", "right"))
@@ -172,9 +173,10 @@ class Exported(Model):
 
     def ran(self, timestep: float) -> tuple[float, float]:
         """A second from the angles 1 at rates 5 (of actuated joints): error of q, largest gap."""
-        mechanism, driven = self.mechanism, len(self.mechanism.actuated)
-        q = robodyn.assemble(mechanism, np.ones(driven))
-        qd = robodyn.loop_velocities(mechanism, q, np.full(driven, 5.0))
+        mechanism = self.mechanism
+        unit = np.array([SLIDE if k in mechanism.slides else 1.0 for k in mechanism.actuated])
+        q = robodyn.assemble(mechanism, unit)
+        qd = robodyn.loop_velocities(mechanism, q, 5.0 * unit)
         exact = robodyn.simulate(mechanism, q, qd, 1.0, rtol=1e-12, atol=1e-12).q[-1]
         model = Exported(mechanism, timestep)
         model.put(q, qd)

@@ -110,8 +110,8 @@ class Model:
 class Exported:
     """The URDF that `robodyn export` writes, joints found by their names.
 
-    Its angles are stored as cosine and sine; gravity is set, and damping is added, which its
-    algorithms leave out.  Joints that mimic others have no coordinates.
+    Its angles are stored as cosine and sine, displacements as they are; gravity is set, and damping
+    is added, which its algorithms leave out.  Joints that mimic others have no coordinates.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -124,13 +124,15 @@ class Exported:
         self.free = [k for k in range(mechanism.n) if k not in following]
         joints = [self.model.joints[self.model.getJointId(names[k])] for k in self.free]
         self.places = np.array([joint.idx_q for joint in joints])
+        self.turning = np.array([joint.nq == 2 for joint in joints])
         self.joints = np.array([joint.idx_v for joint in joints])
         self.back = np.argsort(self.joints)
         self.damping = np.array(self.model.damping)[self.joints]
 
     def configuration(self, q: Array) -> Array:
-        found = np.empty(self.model.nq)
-        found[self.places], found[self.places + 1] = np.cos(q[self.free]), np.sin(q[self.free])
+        found, free = np.empty(self.model.nq), q[self.free]
+        found[self.places] = np.where(self.turning, np.cos(free), free)
+        found[self.places[self.turning] + 1] = np.sin(free[self.turning])
         return found
 
     def rates(self, qd: Array) -> Array:

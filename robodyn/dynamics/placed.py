@@ -1,0 +1,149 @@
+"""Where a mechanism is: its coordinates, the directions of its frames, and what moves with them.
+
+Coordinates x = J q are the angles alpha that directions E = exp(i alpha) turn by, and displacements
+s.  X is E of what turns, and s E_d of what slides on link d (E_d = 1 on the ground); its rates and
+accelerations are written here, once, and T = dX/dx is in `columns`.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError
+from robodyn.mechanics.planar_model import Mechanism
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are finite and n wide."""
+    return finite(name, n_wide(mechanism, name, values))
+
+
+def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
+    """`values` as floats (..., n); InputError unless they are n wide."""
+    array = np.asarray(values, dtype=float)
+    n = mechanism.n
+    if array.ndim == 0 or array.shape[-1] != n:
+        limit = f"must have {n} values along the last axis, one a joint"
+        raise InputError(f"{name}.shape", value=array.shape, limit=limit)
+    return array
+
+
+def finite(name: str, array: Array) -> Array:
+    """The array; InputError that names the first value which is not finite."""
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        place = f"{name}[{', '.join(map(str, where))}]"
+        raise InputError(place, value=array[tuple(where)], limit="must be finite")
+    return array
+
+
+def matvec(matrix: NDArray[Any], vector: NDArray[Any]) -> Array:
+    """Matrices (..., r, n) times vectors (..., n)."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+class Placed(NamedTuple):
+    """Where a mechanism is: x = J q, X, and the direction E of the frame of each, (..., n)."""
+
+    x: Array
+    X: Complex
+    E: Complex
+
+    def rates(self, mechanism: Mechanism, xd: Array) -> Placed:
+        """xd, X' and E'."""
+        w = frame_rates(mechanism, xd)
+        moved = 1j * self.X * w
+        if not mechanism.slides:
+            return Placed(xd, moved, moved)
+        slides = list(mechanism.slides)
+        moved[..., slides] += self.E[..., slides] * xd[..., slides]
+        return Placed(xd, moved, 1j * self.E * w)
+
+    def accelerations(self, mechanism: Mechanism, xd: Array, xdd: Array) -> Placed:
+        """xdd, X'' and E''."""
+        w, a = frame_rates(mechanism, xd), frame_rates(mechanism, xdd)
+        turned = 1j * a - w**2
+        bent = self.X * turned
+        if not mechanism.slides:
+            return Placed(xdd, bent, bent)
+        k = list(mechanism.slides)
+        bent[..., k] += self.E[..., k] * (xdd[..., k] + 2j * w[..., k] * xd[..., k])
+        return Placed(xdd, bent, self.E * turned)
+
+
+def frame_rates(mechanism: Mechanism, rates: Array) -> Array:
+    """Of each coordinate the rate at which its frame turns, (..., n), from those of x."""
+    if not mechanism.slides:
+        return rates
+    w = rates.copy()
+    for k in mechanism.slides:
+        d = mechanism.frames[k]
+        w[..., k] = 0.0 if d is None else rates[..., d]
+    return w
+
+
+def placed(mechanism: Mechanism, q: ArrayLike) -> Placed:
+    """Where the mechanism is at q (..., n)."""
+    return placed_at(mechanism, as_states(mechanism, "q", q) @ mechanism.arrays.J.T)
+
+
+def placed_at(mechanism: Mechanism, x: NDArray[Any]) -> Placed:
+    """The same at x = J q, of any precision."""
+    E = np.empty(x.shape, np.result_type(x, 1j))
+    alpha = frame_rates(mechanism, x)  # as rates go, so go the angles themselves
+    np.cos(alpha, out=E.real)
+    np.sin(alpha, out=E.imag)
+    if not mechanism.slides:
+        return Placed(x, E, E)
+    X = E.copy()
+    slides = list(mechanism.slides)
+    X[..., slides] *= x[..., slides]
+    return Placed(x, X, E)
+
+
+def columns(mechanism: Mechanism, V: NDArray[Any], X: Complex, E: Complex) -> Complex:
+    """V dX/dx (..., n) for V (..., n): a link that turns takes along what slides on it."""
+    found: Complex = V * (1j * X)
+    for k in mechanism.slides:
+        d = mechanism.frames[k]
+        if d is not None:
+            found[..., d] += found[..., k]
+        found[..., k] = V[..., k] * E[..., k]
+    return found
+
+
+def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Array:
+    """xd = J qd, angular velocities of links and rates of displacements, (..., n)."""
+    rates: Array = as_states(mechanism, name, qd) @ mechanism.arrays.J.T
+    return rates
+
+
+def joint_ways(
+    mechanism: Mechanism, q: NDArray[Any], z: NDArray[Any], slope: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """How far joints moved from q (n,), and qd, (..., n), by the series of x (..., n).
+
+    z = rho + i theta turns a direction; of a displacement s it is 1 + i s.  `slope` is dz/dt.
+    """
+    way, rates = np.angle(z), (z.conj() * slope).imag / np.abs(z) ** 2
+    for k in mechanism.slides:
+        way[..., k], rates[..., k] = z[..., k].imag - q[k], slope[..., k].imag
+    relative = relative_matrix(mechanism).T
+    return way @ relative, rates @ relative
+
+
+@lru_cache(maxsize=64)
+def relative_matrix(mechanism: Mechanism) -> Array:
+    """J^-1 (n, n): joint rates from absolute ones."""
+    inverse = np.eye(mechanism.n)
+    for k, above in enumerate(mechanism.above):
+        if above is not None:
+            inverse[k, above] = -1.0
+    return inverse

@@ -1,0 +1,184 @@
+"""In which order loops are closed: what couplings give first, then dyads by turns (`dyads.py`).
+
+What is left is closed by Newton's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from robodyn.errors import InputError
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism
+from robodyn.scene.scene import Coupling
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A condition of a closure solved for its unknown joints, in the order of the loop.
+
+    The order begins at the closure's first side.  Its rows are those of a pin, that of a line, or
+    that of an angle which is kept.
+    """
+
+    closure: int
+    rows: tuple[ClosureRow, ...]
+    unknown: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a mechanism is assembled: dyads in order, then what only Newton's method closes."""
+
+    coupled: tuple[tuple[int, int], ...]  # joints that follow from couplings: joint, coupling
+    turns_with: tuple[int | None, ...]  # the unknown link that each link turns with; None: known
+    steps: tuple[Step, ...]
+    rest: tuple[int, ...]  # links left unknown
+    two_way: tuple[int, ...]  # the closures that can close in two ways
+
+
+@lru_cache(maxsize=64)
+def assembly_plan(mechanism: Mechanism) -> Plan:
+    """The order in which the closures can be solved; InputError where joints are left free."""
+    turns_with: list[int | None] = [None] * mechanism.n
+    coupled, open_couplings = _resolve_couplings(mechanism)
+    given = {*mechanism.actuated, *(joint for joint, _ in coupled)}
+    for k in mechanism.order:
+        above = mechanism.above[k]
+        turns_with[k] = k if k not in given else None if above is None else turns_with[above]
+    for k in mechanism.slides:
+        turns_with[k] = None  # it goes along with its frame
+    conditions = list(_conditions(mechanism))
+    loops = [_unknown_in_loop(mechanism, turns_with, given, c, rows) for c, rows in conditions]
+    known: set[int] = set()
+    steps: list[Step] = []
+    waiting = set(range(len(loops)))
+    while waiting and not open_couplings:
+        for i in sorted(waiting):
+            step = Step(*conditions[i], tuple(k for k in loops[i] if k not in known))
+            if _ways(mechanism, turns_with, step, known):
+                steps.append(step)
+                known.update(step.unknown)
+                waiting.remove(i)
+                break
+        else:
+            break
+    solved: set[int] = set()
+    two_way = []
+    for step in steps:
+        if _ways(mechanism, turns_with, step, solved) == 2:
+            two_way.append(step.closure)
+        solved.update(step.unknown)
+    rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
+    held = set(open_couplings).union(*(loops[i] for i in waiting))
+    free = [k for k in rest if k not in held]
+    freedoms = mechanism.n - len(mechanism.rows)
+    if len(mechanism.actuated) < freedoms and not free:
+        limit = f"{freedoms} freedoms need as many actuated joints, {len(mechanism.actuated)} are "
+        limit += f"named: name more in `actuated`, or give all {mechanism.n} joint angles"
+        passive = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
+        raise InputError(f"cannot assemble {passive}", where=mechanism.source, limit=limit)
+    if free or (rest and mechanism.description.start is None):
+        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in free or rest)
+        limit = (
+            f"neither actuated nor held by a loop: give all {mechanism.n} joint angles"
+            if free
+            else "in loops that are no chain of two-link closures: add a `start` configuration to "
+            f"the scene, or give all {mechanism.n} joint angles"
+        )
+        raise InputError(f"cannot assemble {names}", where=mechanism.source, limit=limit)
+    return Plan(coupled, tuple(turns_with), tuple(steps), rest, tuple(two_way))
+
+
+def _resolve_couplings(mechanism: Mechanism) -> tuple[tuple[tuple[int, int], ...], set[int]]:
+    """The joints that follow one after another from actuated ones, each with its coupling.
+
+    And the joints of couplings that do not follow so.
+    """
+    known = set(mechanism.actuated)
+    found: list[tuple[int, int]] = []
+    waiting = dict(enumerate(mechanism.description.couplings))
+    while True:
+        unknown = {c: joints_of(coupling) - known for c, coupling in waiting.items()}
+        follows = next((c for c, joints in unknown.items() if len(joints) <= 1), None)
+        if follows is None:
+            return tuple(found), set().union(*map(joints_of, waiting.values()))
+        del waiting[follows]
+        found += [(joint, follows) for joint in unknown[follows]]
+        known |= unknown[follows]
+
+
+def joints_of(coupling: Coupling) -> set[int]:
+    return {coupling.joint, *(k for k, _ in coupling.terms)}
+
+
+def _conditions(mechanism: Mechanism) -> list[tuple[int, tuple[ClosureRow, ...]]]:
+    """Each pin, line and angle that closures ask for, with its closure."""
+    found: list[tuple[int, tuple[ClosureRow, ...]]] = []
+    for row in mechanism.rows:
+        if row.closure is None:
+            continue
+        if row.direction == 1j and found and found[-1][0] == row.closure:  # the pin's other row
+            found[-1] = row.closure, (*found[-1][1], row)
+        else:
+            found.append((row.closure, (row,)))
+    return found
+
+
+def _coordinates(mechanism: Mechanism, closure: int, rows: Sequence[ClosureRow]) -> list[int]:
+    """What moves the gap, along the loop: the first side outward, the second inward."""
+    moved = {k for k, _ in (*rows[0].P, *rows[0].angles)}
+    if rows[0].line is not None:
+        moved.add(rows[0].line)
+    sides = mechanism.description.closures[closure]
+    found: dict[int, None] = {}
+    for k in (*mechanism.path(sides.first.link), *reversed(mechanism.path(sides.second.link))):
+        found |= dict.fromkeys(x for x in (mechanism.frames[k], k) if x in moved)
+    return list(found)
+
+
+def _unknown_in_loop(
+    mechanism: Mechanism,
+    turns_with: Sequence[int | None],
+    given: set[int],
+    closure: int,
+    rows: Sequence[ClosureRow],
+) -> list[int]:
+    """The unknown joints of a condition, in the order of its loop."""
+    found: dict[int, None] = {}
+    for k in _coordinates(mechanism, closure, rows):
+        turned = mechanism.frames[k]
+        if turned is not None and (root := turns_with[turned]) is not None:
+            found[root] = None
+        if k in mechanism.slides and k not in given:
+            found[k] = None
+    return list(found)
+
+
+def _root(
+    mechanism: Mechanism, turns_with: Sequence[int | None], k: int, known: set[int]
+) -> int | None:
+    """The unknown joint that the direction of X_k turns with."""
+    turned = mechanism.frames[k]
+    root = None if turned is None else turns_with[turned]
+    return None if root in known else root
+
+
+def _ways(
+    mechanism: Mechanism, turns_with: Sequence[int | None], step: Step, known: set[int]
+) -> int:
+    """In how many ways `solve_dyad` closes a condition; 0 where it does not serve."""
+    row, slides = step.rows[0], mechanism.slides
+    turning = [k for k in step.unknown if k not in slides]
+    roots = {k: _root(mechanism, turns_with, k, known) for k, _ in row.P}
+    if len(step.rows) == 2:
+        if len(step.unknown) > 2:
+            return 0
+        return 2 if turning else 1
+    if len(step.unknown) > 1:
+        return 0
+    if not turning or row.arm:
+        return 1
+    line = None if row.line is None else _root(mechanism, turns_with, row.line, known)
+    return 0 if line is not None and line in roots.values() else 2

@@ -1,0 +1,100 @@
+"""The equations of loops: of pins, of points on lines, of angles that are kept, of couplings."""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Iterator
+
+from robodyn.errors import InputError
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.planar_model import ClosureRow, OnDemand, Terms
+from robodyn.scene.scene import Closure, Description
+
+
+def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
+    """The equations of the closures; InputError for points that cannot move apart."""
+    rows: list[ClosureRow] = []
+    for c, closure in enumerate(description.closures):
+        if not tree.moves(closure.first, closure.second):  # nothing to measure its row against
+            limit = "joins points that cannot move apart: it says nothing, or never holds"
+            raise InputError(f"closures[{c}]", where=description.source, limit=limit)
+        rows += _point_rows(tree, c, closure)
+        if closure.aligned is not None:
+            rows.append(_aligned_row(description, tree, c))
+    return rows
+
+
+def _point_rows(tree: Tree, c: int, closure: Closure) -> Iterator[ClosureRow]:
+    """Of its points; on a line of a link the gap is measured in the frame of that link."""
+    constant = tree.constant(closure.first, closure.second)
+    directions: tuple[complex, ...] = (1 + 0j, 1j)
+    line = None
+    if closure.along is not None:
+        carrier, normal = closure.second.link, 1j * closure.along
+        directions = (normal if carrier is None else tree.turned(carrier, normal),)
+        line = None if carrier is None else tree.frames[carrier]
+    for direction in directions:
+        w = direction.conjugate()
+        row = ClosureRow(c, direction, OnDemand(_turned, tree, closure, w, line), 0.0)
+        row = row._replace(line=line, lengths=tree.lengths)
+        if line is None:
+            yield row._replace(offset=(w * constant).real)
+            continue
+        # what turns with the line is constant there, what slides on its frame linear
+        own = [(k, (w * p).real) for k, p in _gap(tree, closure) if tree.frames[k] == line]
+        offset = sum(p for k, p in own if k == line)
+        angles = tuple((k, p) for k, p in own if k != line and p)
+        yield row._replace(ground=w * constant, offset=offset, angles=angles)
+
+
+def _aligned_row(description: Description, tree: Tree, c: int) -> ClosureRow:
+    """The sine of the angle by which the first point's link is off, times a length."""
+    closure = description.closures[c]
+    k, j = closure.first.link, closure.second.link
+    assert k is not None
+    assert closure.aligned is not None
+    line = None if j is None else tree.frames[j]
+    if tree.frames[k] == line:
+        limit = "its links cannot turn against one another: it says nothing, or never holds"
+        raise InputError(f"closures[{c}].aligned", where=description.source, limit=limit)
+    arm = tree.reach(closure.first, closure.second) or tree.unit
+    off = -1j * arm * cmath.exp(-1j * closure.aligned) * tree.phases[k]
+    if j is not None:
+        off *= tree.phases[j].conjugate()
+    row = ClosureRow(c, 0j, (), 0.0, arm=arm, line=line, lengths=tree.lengths)
+    d = tree.frames[k]
+    return row._replace(ground=off) if d is None else row._replace(P=((d, off),))
+
+
+def coupling_rows(description: Description) -> list[ClosureRow]:
+    """Each coupling in absolute angles, as long as the closures' rows are."""
+    links, tree = description.links, Tree(description.links)
+    size = max((tree.reach(x.first, x.second) for x in description.closures), default=0.0)
+    length = size or max((link.l for link in links), default=0.0) or 1.0
+    found: list[ClosureRow] = []
+    for coupling in description.couplings:
+        arm = 1.0 if links[coupling.joint].slides else length
+        angles: dict[int, float] = {}
+        for joint, ratio in ((coupling.joint, -1.0), *coupling.terms):
+            # q_k = x_k - x_above
+            angles[joint] = angles.get(joint, 0.0) - ratio * arm
+            above = None if links[joint].slides else links[joint].hangs_from.link
+            if above is not None and (d := tree.frames[above]) is not None:
+                angles[d] = angles.get(d, 0.0) + ratio * arm
+        kept = tuple((k, value) for k, value in angles.items() if value != 0.0)
+        row = ClosureRow(None, 0j, (), -arm * coupling.angle, kept, arm, lengths=tree.lengths)
+        found.append(row)
+    return found
+
+
+def _gap(tree: Tree, closure: Closure) -> Terms:
+    return tree.difference(closure.first, closure.second).terms
+
+
+def _turned(
+    tree: Tree, closure: Closure, w: complex, line: int | None
+) -> Iterator[tuple[int, complex]]:
+    """The terms of a gap along w, but for those that are told in the frame of the line."""
+    for k, p in _gap(tree, closure):
+        if line is None or tree.frames[k] != line:
+            yield k, w * p

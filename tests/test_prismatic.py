@@ -1,0 +1,671 @@
+"""Prismatic joints, slots on moving links and blocks that keep their angle.
+
+Held against a Lagrangian that sympy derives from Cartesian coordinates in 30 digits, against closed
+forms of textbook mechanisms, and against the identities that every mechanism must keep.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import random
+
+import numpy as np
+import pytest
+from known_terms import Known
+from mpmath import mp
+
+import oracles
+import robodyn
+from random_mechanisms import mechanism
+from robodyn.dynamics import closed_form, dynamics, identities, reaction_forces
+from robodyn.dynamics.placed import placed, relative_matrix
+from robodyn.engines.expansion import MotionProgram
+from robodyn.engines.series import FLOATS
+from robodyn.errors import DescriptionError, InputError
+from robodyn.loops import assembly, closing
+from robodyn.mechanics.actuation import Actuation
+from robodyn.scene.scene import BRANCHES
+
+FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
+FIRST = random.randrange(10**6) if FRESH else 0
+SEEDS = range(FIRST, FIRST + (400 if FRESH else 90))
+ENGINES = (("DOP853", "auto"), ("taylor", "python"), ("taylor", "compiled"))
+
+
+def link(name, m, l, r, I, parent, at, axis=None):
+    """A link for the oracle and as YAML."""
+    found = {"name": name, "m": m, "l": l, "r": complex(r), "I": I, "parent": parent, "at": at}
+    return found | ({} if axis is None else {"axis": axis / abs(axis)})
+
+
+def random_tree(seed: int, joints: str, parents) -> list[dict]:
+    """Links with joints such as RPR, their numbers drawn."""
+    rng = np.random.default_rng(seed)
+
+    def point(size):
+        return complex(*rng.uniform(-size, size, 2))
+
+    return [
+        link(
+            f"link{k}",
+            rng.uniform(0.2, 2.0),
+            rng.uniform(0.3, 1.0),
+            point(0.4),
+            rng.uniform(0.01, 0.3),
+            parent,
+            point(0.8),
+            point(1.0) if kind == "P" else None,
+        )
+        for k, (kind, parent) in enumerate(zip(joints, parents, strict=True))
+    ]
+
+
+def text_of(tree, gamma, closures=(), lines=(), actuated=None) -> str:
+    """The scene that a user would write."""
+
+    def place(parent, at):
+        own = [at.real, at.imag]
+        return own if parent is None else f"{{link: {tree[parent]['name']}, at: {own}}}"
+
+    rows = [f"gravity: [{gamma.real!r}, {gamma.imag!r}]", "links:"]
+    for each in tree:
+        slides = ""
+        if "axis" in each:
+            slides = f"joint: prismatic, axis: [{each['axis'].real!r}, {each['axis'].imag!r}], "
+        rows.append(
+            f"  - {{name: {each['name']}, {slides}m: {each['m']!r}, l: {each['l']!r}, "
+            f"r: [{each['r'].real!r}, {each['r'].imag!r}], I: {each['I']!r}, "
+            f"from: {place(each['parent'], each['at'])}}}"
+        )
+    written = [f"  - [{place(*a)}, {place(*b)}]" for a, b in closures]
+    for (first, a), (second, b), along in lines:
+        carrier = "" if second is None else f"link: {tree[second]['name']}, "
+        written.append(
+            f"  - {{point: {place(first, a)}, on: {{{carrier}through: [{b.real!r}, {b.imag!r}], "
+            f"along: [{along.real!r}, {along.imag!r}]}}}}"
+        )
+    rows += ["closures:", *written] if written else []
+    if actuated is not None:
+        rows.append(f"actuated: [{', '.join(tree[k]['name'] for k in actuated)}]")
+    return "\n".join(rows) + "\n"
+
+
+def exact_acceleration(terms, tau, digits=30):
+    """qdd of the constrained equation of motion, in as many digits."""
+    n, rows = len(tau), len(terms.gap)
+    with mp.workdps(digits):
+        system = mp.zeros(n + rows)
+        right = mp.zeros(n + rows, 1)
+        for i in range(n):
+            right[i] = mp.mpf(tau[i]) - terms.G[i]
+            for j in range(n):
+                system[i, j] = terms.M[i, j]
+                right[i] -= terms.C[i, j] * terms.qd[j]
+            for r in range(rows):
+                system[i, n + r] = -terms.Psi[r, i]
+                system[n + r, i] = terms.Psi[r, i]
+        for r in range(rows):
+            right[n + r] = -terms.Psidot_qd[r]
+        found = mp.lu_solve(system, right)
+        return np.array([float(found[i]) for i in range(n)])
+
+
+class Terms:
+    """What the oracle says of one state."""
+
+    def __init__(self, terms, q, qd):
+        self.__dict__ |= terms(q, qd)._asdict()
+        self.qd = [mp.mpf(float(x)) for x in qd]
+
+
+OPEN = {
+    "RP": (None, 0),
+    "PRP": (None, 0, 1),
+    "PPRR": (None, 0, 1, 2),
+    "PR": (None, 0),
+    "RPPR": (None, 0, 1, 2),
+    "RPRP": (None, 0, 0, 2),
+    "PPP": (None, 0, None),
+}
+
+
+@pytest.mark.parametrize("joints", OPEN)
+def test_open_trees_against_the_lagrangian(joints):
+    """M, C, G, energies, and accelerations by every way of computing them."""
+    parents = OPEN[joints]
+    for seed in range(3):
+        rng = np.random.default_rng(100 + seed)
+        tree, gamma = random_tree(seed, joints, parents), complex(*rng.uniform(-10, 10, 2))
+        mech = mechanism(text_of(tree, gamma))
+        q, qd, tau = rng.uniform(-2.0, 2.0, (3, mech.n))
+        terms = Terms(oracles.sympy_terms(tree, gamma, backend="mpmath"), q, qd)
+        for name, own in (
+            ("M", closed_form.mass_matrix(mech, q)),
+            ("C", closed_form.coriolis_matrix(mech, q, qd)),
+            ("G", closed_form.gravity_vector(mech, q)),
+        ):
+            exact = np.array(getattr(terms, name), float)
+            assert np.abs(own - exact).max() <= 4e-15 * (1.0 + np.abs(exact).max()), name
+        energies = closed_form.kinetic_energy(mech, q, qd), closed_form.potential_energy(mech, q)
+        assert energies == pytest.approx((float(terms.KE), float(terms.PE)), rel=1e-13, abs=1e-13)
+        check_accelerations(mech, q, qd, tau, exact_acceleration(terms, tau))
+
+
+def check_accelerations(mech, q, qd, tau, exact, size=1.0):
+    """Dense algebra, arrays over states, and the series' rows give the exact accelerations."""
+    allowed = 2e-13 * size * (1.0 + np.abs(exact).max())
+    many = [np.repeat(x[None], dynamics.BATCH + 1, axis=0) for x in (q, qd, tau)]
+    motion = MotionProgram(mech, Actuation(tuple(tau)), False)
+    start = motion.state(FLOATS, 0.0, [*q, *qd], ((), ()))
+    theta = motion.expand(FLOATS, motion.program.numbers, 1, start).theta
+    x = np.array([2.0 * each[2] for each in theta])
+    found = {
+        "dense": dynamics.forward_dynamics(mech, q, qd, tau),
+        "arrays": dynamics.forward_dynamics(mech, *many)[-1],
+        "rows": relative_matrix(mech) @ x,
+    }
+    for name, own in found.items():
+        assert np.abs(own - exact).max() <= allowed, name
+    if len(mech.actuated) == mech.n - len(mech.rows):
+        needed = dynamics.inverse_dynamics(mech, q, qd, exact)
+        assert np.abs(needed - tau).max() <= 10.0 * allowed
+        batch = dynamics.inverse_dynamics(
+            mech, *(np.repeat(v[None], 300, 0) for v in (q, qd, exact))
+        )
+        assert np.abs(batch[-1] - needed).max() <= 10.0 * allowed
+
+
+def closed_scene(kind: str, seed: int):
+    """A closed scene with random numbers: its tree, closures, lines and actuated joints."""
+    rng = np.random.default_rng(seed)
+
+    def about(x):
+        return float(x * rng.uniform(0.9, 1.1))
+
+    def body(name, parent, at, l, axis=None):
+        r = complex(about(0.5 * l), rng.uniform(-0.05, 0.05))
+        return link(name, about(1.0), l, r, about(0.05), parent, at, axis)
+
+    if kind == "Scotch yoke":
+        tree = [body("crank", None, 0j, about(0.3)), body("yoke", None, 0.1j, 0.2, 1.0 + 0.1j)]
+        line = ((0, complex(tree[0]["l"])), (1, 0.05 + 0j), 0.2 + 1j)
+        return tree, (), (line,), (0,)
+    if kind == "Whitworth":
+        tree = [body("crank", None, 0j, about(0.2)), body("lever", None, -0.5j, 1.1)]
+        tree.append(body("rod", 1, 1.1 + 0j, 0.6))
+        slot = ((0, complex(tree[0]["l"])), (1, 0.02j), 1.0 + 0.05j)
+        ram = ((2, 0.6 + 0j), (None, 0.4j), 1.0 + 0j)
+        return tree, (), (slot, ram), (0,)
+    if kind == "hydraulic boom":
+        tree = [body("boom", None, 0j, 2.0), body("barrel", None, 0.4 - 0.5j, 0.6)]
+        tree.append(body("rod", 1, 0.6 + 0j, 0.1, 1.0 + 0j))
+        return tree, (((2, 0.1 + 0j), (0, 0.9 + 0.1j)),), (), (2,)
+    if kind == "slider-crank with a piston":
+        tree = [body("crank", None, 0j, about(0.2)), body("rod", 0, 0j, about(0.7))]
+        tree[1]["at"] = complex(tree[0]["l"])
+        tree.append(body("piston", None, 0.05j, 0.1, 1.0 + 0j))
+        return tree, (((1, complex(tree[1]["l"])), (2, 0j)),), (), (0,)
+    assert kind == "elliptic trammel"
+    tree = [body("x", None, 0j, 0.1, 1.0 + 0j), body("bar", 0, 0j, 0.8)]
+    tree.append(body("y", None, 0j, 0.1, 1j))
+    return tree, (((1, 0.8 + 0j), (2, 0j)),), (), (1,)
+
+
+CLOSED = (
+    "Scotch yoke",
+    "Whitworth",
+    "hydraulic boom",
+    "slider-crank with a piston",
+    "elliptic trammel",
+)
+
+
+def closed_states(mech, seed, count=4):
+    """Closed states on every branch, away from singular ones."""
+    rng, found = np.random.default_rng(seed), []
+    plan = assembly.assembly_plan(mech)
+    while len(found) < count:
+        drawn = rng.uniform(-1.5, 1.5, len(mech.actuated))
+        words = ["open"] * len(mech.description.closures)
+        for c in plan.two_way:
+            words[c] = ("open", "crossed")[rng.integers(2)]
+        q, missing = assembly.attempt(mech, drawn, words)
+        if missing <= 0.0 and not robodyn_singular(mech, q):
+            found.append(q)
+    return found
+
+
+def robodyn_singular(mech, q):
+    Psi = closed_form.scaled_jacobian(mech, q)[:, list(mech.passive)]
+    return np.linalg.svd(Psi, compute_uv=False)[-1] < 0.05 * assembly.loop_size(mech)
+
+
+@pytest.mark.parametrize("kind", CLOSED)
+def test_loops_against_the_lagrangian(kind):
+    """The gap, Psi and its rate, and accelerations by every way, on all branches."""
+    for seed in range(2):
+        tree, closures, lines, actuated = closed_scene(kind, seed)
+        gamma = complex(*np.random.default_rng(seed).uniform(-10, 10, 2))
+        lines_unit = [(a, b, along / abs(along)) for a, b, along in lines]
+        oracle = oracles.sympy_terms(tree, gamma, closures, "mpmath", lines=lines_unit)
+        mech = mechanism(text_of(tree, gamma, closures, lines, actuated))
+        rng = np.random.default_rng(seed)
+        for q in closed_states(mech, seed):
+            qd = robodyn.loop_velocities(mech, q, rng.normal(size=len(actuated)))
+            tau = np.zeros(mech.n)
+            tau[list(actuated)] = rng.normal(size=len(actuated))
+            terms = Terms(oracle, q, qd)
+            size = assembly.loop_size(mech)
+            assert np.abs(np.array(terms.gap, float)).max() <= 1e-14 * size
+            own = closed_form.closure_jacobian(mech, q), closed_form.closure_bias(mech, q, qd)
+            assert np.abs(own[0] - np.array(terms.Psi, float)).max() <= 1e-14 * max(1.0, size)
+            exact = np.array(terms.Psidot_qd, float)
+            assert np.abs(own[1] - exact).max() <= 1e-13 * size * (1.0 + np.abs(qd).max() ** 2)
+            check_accelerations(mech, q, qd, tau, exact_acceleration(terms, tau), 20.0)
+
+
+MIXED = """
+gravity: [1.0, -9.81]
+links:
+  - {name: a, joint: prismatic, axis: [1, 0.5], m: 0.8, l: 0.1, r: [0.03, 0.1], I: 0.002,
+     from: [0, 0.1], friction: {force: 0.4, speed: 0.2}}
+  - {name: b, m: 0.3, l: 0.4, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+  - {name: c, joint: prismatic, axis: [0, -1], m: 1.5, l: 0.5, r: 0.25, I: 0.03,
+     from: {link: b, at: [0.1, 0.2]}, payload: 0.3}
+  - {name: d, joint: prismatic, axis: [1, 1], m: 0.7, l: 0.2, r: 0.25, I: 0.02, damping: 0.4}
+  - {name: e, m: 0.3, l: 0.2, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+springs:
+  - {joint: c, stiffness: 30, length: 0.1, damping: 0.3}
+  - {between: [{link: e, at: [0.1, 0.1]}, [0.3, 2]], stiffness: 40, length: 0.4, damping: 1}
+  - {between: [{link: d, at: [0.1, 0.1]}, {link: a, at: [0, 0]}], stiffness: 40, length: 0}
+loads:
+  - {link: d, at: [0.1, 0], force: [3, 1], frame: link}
+  - {link: c, torque: 0.4}
+  - {link: a, at: [0.1, 0], force: [3, 1], frame: link}
+  - {link: e, at: [0.1, 0], force: [3, -1]}
+"""
+COUPLED = MIXED + 'couplings: ["q3 = 0.2 q2 + 0.1"]\n'
+BLOCK = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: block, m: 0.3, l: 0, r: 0.01, I: 0.0005}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+closures:
+  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0.01], along: [1, 0]},
+     aligned: 20deg}
+actuated: [crank]
+"""
+SLIDING = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+  - {name: block, joint: prismatic, axis: [1, 0], m: 0.3, l: 0,
+     r: [0.009396926207859084, 0.003420201433256687], I: 0.0005, from: {link: lever, at: [0, 0.01]}}
+closures:
+  - [crank, {link: block, at: [0, 0]}]
+actuated: [crank]
+"""
+
+
+FACING = """
+links:
+  - {name: crank, m: 1, l: 0.1, r: 0.05, I: 0.01}
+  - {name: rod, m: 1, l: 0.1, r: 0.05, I: 0.01}
+  - {name: block, m: 1, l: 0.1, r: 0.05, I: 0.01}
+closures:
+  - {point: block, on: {through: [0.1, 0.01], along: [0, -1]}, aligned: 0.5}
+actuated: [crank]
+"""  # the line's normal is +X, as the first direction of a pin
+
+
+@pytest.mark.parametrize("text", [MIXED, COUPLED, BLOCK, SLIDING, FACING])
+def test_identities(text):
+    """With springs, loads, friction, dampers and couplings at joints of both kinds."""
+    mech = mechanism(text)
+    sample = identities.sample_states(mech, 8)
+    assert len(sample.q) == 8
+    for identity in identities.identities(mech, sample):
+        assert identity.residual is not None, identity
+        assert identity.residual <= 1e-11, identity
+
+
+@pytest.mark.parametrize("text", [MIXED, COUPLED, BLOCK])
+def test_every_engine_moves_alike(text):
+    mech = mechanism(text)
+    sample = identities.sample_states(mech, 1)
+    tau = np.zeros(mech.n)
+    tau[list(mech.actuated)] = 0.3
+    ends = []
+    for method, engine in ENGINES:
+        motion = robodyn.simulate(
+            mech, sample.q[0], 0.5 * sample.qd[0], 0.7, tau=tau.tolist(), method=method,
+            engine=engine, rtol=1e-10, atol=1e-10,
+        )  # fmt: skip
+        assert motion.outcome.label == "finished"
+        assert motion.report.energy_drift <= 1e-9
+        ends.append([*motion.q[-1], *motion.qd[-1]])
+    assert np.abs(np.diff(ends, axis=0)).max() <= 1e-8
+
+
+def test_a_slot_with_an_aligned_block_is_a_prismatic_joint():
+    """The same mechanism written in two ways moves in the same way, with the same forces."""
+    slot, slide = mechanism(BLOCK), mechanism(SLIDING)
+    crank, rate = 0.4, 3.0
+    first = assembly.assemble(slot, [crank])
+    second = assembly.assemble(slide, [crank])
+    lever = first[2]
+    assert lever == pytest.approx(second[1], abs=1e-14)
+    motions = []
+    for mech, q in ((slot, first), (slide, second)):
+        qd = robodyn.loop_velocities(mech, q, [rate])
+        solution = dynamics.forward_dynamics_and_forces(mech, q, qd, np.eye(3)[0] * 0.2)
+        motions.append((q, qd, solution.qdd, solution.multipliers))
+    (q, qd, qdd, lam), (p, pd, pdd, mu) = motions
+    assert (qd[[0, 2]], qdd[[0, 2]]) == (
+        pytest.approx(pd[[0, 1]], rel=1e-12),
+        pytest.approx(pdd[[0, 1]], rel=1e-12),
+    )
+    # the moment that keeps the block's angle, about the pin, and what the prismatic joint gives it
+    kept = dynamics.kept_moments(slot, lam)[0]
+    held = reaction_forces.slide_moments(slide, p, pd, pdd, mu)[0]
+    force = dynamics.pin_forces(slot, lam, q)[0] @ [1, 1j]
+    reaction = reaction_forces.reactions(slide, p, pd, pdd, mu)[2] @ [1, 1j]
+    assert kept == pytest.approx(held, rel=1e-11)
+    assert force == pytest.approx(reaction, rel=1e-11)
+
+
+def test_the_moment_in_a_prismatic_joint_is_that_of_a_joint_that_is_held():
+    """A slide at rest needs the moment that a revolute joint in its place needs to be held."""
+    arm = """
+gravity: 9.81
+links:
+  - {name: upper, m: 1.5, l: 0.3, r: 0.2, I: 0.05}
+  - {name: boom, %s m: 0.9, l: 0.5, r: [0.2, 0.03], I: 0.03}
+  - {name: hand, m: 0.4, l: 0.2, r: 0.1, I: 0.003, payload: 0.1}
+springs:
+  - {between: [hand, [1.0, 1.0]], stiffness: 50, length: 0.2, damping: 1}
+loads:
+  - {link: boom, at: [0.3, 0.1], force: [4, 2]}
+"""
+    slide = mechanism(arm % "joint: prismatic, axis: [1, 1],")
+    hinge = mechanism(arm % "")
+    q, qd, qdd = np.array([[0.3, 0.0, 0.5], [1.2, 0.0, -0.7], [3.0, 0.0, 2.0]])
+    p = np.add(q, [0.0, math.pi / 4, 0.0])
+    none = np.zeros(0)
+    held = reaction_forces.slide_moments(slide, q, qd, qdd, none)
+    assert held == pytest.approx(dynamics.inverse_dynamics(hinge, p, qd, qdd)[1:2], rel=1e-12)
+    forces = reaction_forces.reactions(slide, q, qd, qdd, none)
+    assert forces == pytest.approx(reaction_forces.reactions(hinge, p, qd, qdd, none), rel=1e-12)
+    along = np.exp(1j * (q[0] + math.pi / 4))
+    force = forces[1] @ [1, 1j]
+    assert dynamics.inverse_dynamics(slide, q, qd, qdd)[1] == pytest.approx(
+        (force * along.conjugate()).real, rel=1e-12
+    )
+
+
+def drawn_scene(seed: int) -> tuple[str, int]:
+    """Links on joints of both kinds, pins, sliders, slots and blocks; and the number of links."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 6))
+
+    def pair(size):
+        return rng.uniform(-size, size, 2).round(3).tolist()
+
+    def place(link):
+        return f"{pair(0.5)}" if link is None else f"{{link: l{link}, at: {pair(0.5)}}}"
+
+    rows = ["gravity: [1.0, -9.0]", "links:"]
+    for k in range(n):
+        parent = None if k == 0 or rng.random() < 0.3 else int(rng.integers(0, k))
+        kind = f"joint: prismatic, axis: {pair(1.0)}, " if rng.random() < 0.45 else ""
+        damping = f", damping: {rng.uniform(0.1, 1):.2f}" if rng.random() < 0.4 else ""
+        rows.append(
+            f"  - {{name: l{k}, {kind}m: {rng.uniform(0.2, 2):.3f}, l: {rng.uniform(0.2, 1):.3f}, "
+            f"r: {pair(0.3)}, I: {rng.uniform(0.01, 0.3):.4f}, from: {place(parent)}{damping}}}"
+        )
+    closures = []
+    for _ in range(int(rng.integers(0, 3))):
+        first = int(rng.integers(0, n))
+        second = None if rng.random() < 0.4 else int(rng.integers(0, n))
+        if first == second:
+            continue
+        if rng.random() < 0.5:
+            closures.append(f"  - [{place(first)}, {place(second)}]")
+            continue
+        carrier = "" if second is None else f"link: l{second}, "
+        kept = f", aligned: {rng.uniform(-1, 1):.3f}" if rng.random() < 0.3 else ""
+        line = f"{carrier}through: {pair(0.5)}, along: {pair(1.0)}"
+        closures.append(f"  - {{point: {place(first)}, on: {{{line}}}{kept}}}")
+    rows += ["closures:", *closures] if closures else []
+    return "\n".join(rows) + "\n", n
+
+
+def test_drawn_scenes_against_independent_mechanics():
+    """Accelerations by every way, torques, and every branch that dyads close in."""
+    seen = 0
+    for seed in SEEDS:
+        text, n = drawn_scene(seed)
+        rng = np.random.default_rng(seed)
+        try:
+            freedoms = n - len(mechanism(text).rows)
+        except InputError:  # points that cannot move apart
+            continue
+        if freedoms <= 0:
+            continue
+        driven = ", ".join(f"l{k}" for k in rng.permutation(n)[:freedoms])
+        mech = mechanism(f"{text}actuated: [{driven}]\n")
+        for q in closing.close_positions(mech, closing.random_states(mech, rng, 20)):
+            gap = np.abs(closed_form.closure_gap(mech, q)).max(initial=0.0)
+            if gap < 1e-12 and regular(mech, q):
+                check_drawn(mech, q, rng)
+                seen += 1
+                break
+    assert seen > len(SEEDS) / 3
+
+
+def regular(mech, q) -> bool:
+    Psi = closed_form.scaled_jacobian(mech, q)
+    passive = Psi[:, list(mech.passive)]
+    return not len(Psi) or min(np.linalg.svd(x, compute_uv=False)[-1] for x in (Psi, passive)) > 0.1
+
+
+def check_drawn(mech, q, rng):
+    qd, tau, driven = rng.normal(size=mech.n), np.zeros(mech.n), list(mech.actuated)
+    qd = robodyn.loop_velocities(mech, q, qd[driven]) if mech.rows else qd
+    tau[driven] = rng.normal(size=len(driven))
+    at = Known(mech, q, qd)
+    exact = at.accelerations(tau)[0].astype(float)
+    check_accelerations(mech, q, qd, tau, exact, 1.0 + at.condition)
+    try:
+        plan = assembly.assembly_plan(mech)
+    except InputError:  # loops that need a start
+        return
+    if not plan.two_way:
+        return
+    here, away = placed(mech, q).X, []
+    for choice in itertools.product(BRANCHES, repeat=len(plan.two_way)):
+        words = [BRANCHES[0]] * len(mech.description.closures)
+        for c, word in zip(plan.two_way, choice, strict=True):
+            words[c] = word
+        found, missing = assembly.attempt(mech, q[driven], words)
+        if missing <= 0.0:
+            assert np.abs(closed_form.closure_gap(mech, found)).max() <= 1e-12
+            away.append(np.abs(placed(mech, found).X - here).max())
+    assert min(away) <= 1e-8
+
+
+# -- closed forms of textbook mechanisms -----------------------------------------------------------
+
+
+def test_scotch_yoke():
+    """The yoke's displacement is r cos(theta) exactly, its acceleration -r w^2 cos(theta)."""
+    tree = [link("crank", 1.0, 0.3, 0.1, 0.02, None, 0j)]
+    tree.append(link("yoke", 2.0, 0.2, 0.1, 0.01, None, 0j, 1.0 + 0j))
+    line = ((0, 0.3 + 0j), (1, 0j), 1j)
+    mech = mechanism(text_of(tree, -9.81j, (), (line,), (0,)))
+    for theta in np.linspace(-3.0, 3.0, 13):
+        q = assembly.assemble(mech, [theta])
+        qd = robodyn.loop_velocities(mech, q, [2.0])
+        qdd = robodyn.loop_accelerations(mech, q, qd, [0.0])
+        expected = 0.3 * np.cos(theta), -0.6 * np.sin(theta), -1.2 * np.cos(theta)
+        assert (q[1], qd[1], qdd[1]) == pytest.approx(expected, abs=1e-15)
+        tau = dynamics.inverse_dynamics(mech, q, qd, qdd)[0]
+        gravity = 9.81 * 0.1 * np.cos(theta)
+        assert tau == pytest.approx(gravity + 2.0 * qdd[1] * qd[1] / 2.0, abs=1e-14)
+
+
+def test_elliptic_trammel():
+    """A point of the bar between its sliders runs on an ellipse."""
+    tree, closures, lines, actuated = closed_scene("elliptic trammel", 0)
+    mech = mechanism(text_of(tree, 0j, closures, lines, actuated))
+    for theta in np.linspace(-3.0, 3.0, 9):
+        q = assembly.assemble(mech, [theta])
+        at = placed(mech, q)
+        x, y = (
+            closed_form.points_of(mech, [mech.pivots[1]]).place(at)[0],
+            0.3 * np.exp(1j * theta),
+        )
+        z = x + q[0] * 0 + y
+        assert (z.real / 0.5) ** 2 + (z.imag / 0.3) ** 2 == pytest.approx(1.0, abs=1e-14)
+
+
+def test_whitworth_time_ratio():
+    """The lever turns back where the crank is square to it: (pi + 2 a)/(pi - 2 a), sin a = r/d."""
+    r, d = 0.1, 0.25
+    tree = [
+        link("crank", 1.0, r, 0.03, 0.02, None, 0j),
+        link("lever", 1.0, 0.5, 0.2, 0.1, None, -1j * d),
+    ]
+    slot = ((0, complex(r)), (1, 0j), 1.0 + 0j)
+    mech = mechanism(text_of(tree, 0j, (), (slot,), (0,)))
+    a = math.asin(r / d)
+    for theta in (-a, math.pi + a):  # the lever rests while the crank turns
+        q = assembly.assemble(mech, [theta])
+        assert robodyn.loop_velocities(mech, q, [1.0])[1] == pytest.approx(0.0, abs=1e-15)
+    top, bottom = (
+        robodyn.loop_velocities(mech, assembly.assemble(mech, [x]), [1.0])[1]
+        for x in (1.5707963267948966, -1.5707963267948966)
+    )
+    assert (top, bottom) == pytest.approx((r / (r + d), -r / (d - r)), rel=1e-14)
+
+
+def test_cart_pole_mode():
+    """w^2 = m g r (M + m)/((I + m r^2)(M + m) - (m r)^2) of a pole that hangs from a free cart."""
+    text = """
+gravity: 9.81
+links:
+  - {name: cart, joint: prismatic, axis: [1, 0], m: 1.0, l: 0, r: 0, I: 0}
+  - {name: pole, m: 0.2, l: 0.6, r: 0.3, I: 0.006}
+"""
+    mech = mechanism(text)
+    M, m, r, I = 1.0, 0.2, 0.3, 0.006
+    w = math.sqrt(m * 9.81 * r * (M + m) / ((I + m * r * r) * (M + m) - (m * r) ** 2))
+    q = np.array([0.0, -math.pi / 2 + 1e-6])
+    motion = robodyn.simulate(
+        mech, q, [0.0, 0.0], 2 * math.pi / w, method="taylor", rtol=1e-13, atol=1e-13
+    )
+    assert motion.q[-1, 1] == pytest.approx(q[1], abs=1e-14)
+    moved = motion.q[:, 0] + m * r / (M + m) * np.cos(motion.q[:, 1])
+    assert np.ptp(moved) <= 1e-14  # the centre of gravity stays above its place
+
+
+def test_rack_and_pinion():
+    """A coupling of an angle and a displacement: q2 = 0.05 q1."""
+    mech = mechanism("""
+gravity: 0
+links:
+  - {name: pinion, m: 1.0, l: 0.05, r: 0, I: 0.002}
+  - {name: rack, joint: prismatic, axis: [1, 0], m: 3.0, l: 0.4, r: 0.2, I: 0.01, from: [0, -0.05]}
+couplings: ["q2 = 0.05 q1"]
+actuated: [pinion]
+""")
+    q = assembly.assemble(mech, [0.7])
+    assert q[1] == pytest.approx(0.035, abs=1e-16)
+    found = dynamics.forward_dynamics_and_forces(mech, q, [0.0, 0.0], [0.1, 0.0])
+    a = 0.1 / (0.002 + 3.0 * 0.05**2)
+    assert found.qdd == pytest.approx([a, 0.05 * a], rel=1e-14)
+    assert dynamics.coupling_torques(mech, found.multipliers) == pytest.approx([3.0 * 0.05 * a])
+
+
+# -- the branches of dyads -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", CLOSED)
+def test_open_is_the_point_ahead(kind):
+    """With a slot or a slider the point is ahead along it, or behind where it is crossed."""
+    tree, closures, lines, actuated = closed_scene(kind, 3)
+    mech = mechanism(text_of(tree, 0j, closures, lines, actuated))
+    plan = assembly.assembly_plan(mech)
+    given = [0.3]
+    for c in plan.two_way:
+        places = {}
+        for word in ("open", "crossed"):
+            words = ["open"] * len(mech.description.closures)
+            words[c] = word
+            q, missing = assembly.attempt(mech, given, words)
+            if missing > 0.0:
+                return
+            assert np.abs(closed_form.closure_gap(mech, q)).max() <= 1e-15
+            places[word] = q
+        if kind == "slider-crank with a piston":
+            ahead = [places[word][2] for word in ("open", "crossed")]
+            assert ahead[0] > ahead[1]
+        if kind == "Whitworth" and c == 0:
+            assert places["open"][1] > 0.0 > places["crossed"][1]
+
+
+def test_a_start_picks_the_branch():
+    """Where the scene has no `assembly`, what is nearest to its `start` is taken."""
+    tree, closures, lines, actuated = closed_scene("Whitworth", 0)
+    text = text_of(tree, 0j, closures, lines, actuated)
+    up = mechanism(text + "start: {crank: 0, lever: 80deg, rod: 80deg}\n")
+    down = mechanism(text + "start: {crank: 0, lever: 80deg, rod: -40deg}\n")
+    told = mechanism(text + "assembly: [open, open]\nstart: {crank: 0, lever: 80deg, rod: 80deg}\n")
+    assert assembly.scene_branches(up) != assembly.scene_branches(down)
+    assert assembly.scene_branches(told) == ("open", "open")
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+ARM = """links:
+  - {name: upper, m: 1, l: 1, r: 0.5, I: 0.1}
+  - {name: boom, joint: prismatic, axis: [1, 0], m: 1, l: 1, r: 0.5, I: 0.1}
+"""
+ONE = "links: [{name: a, %s, m: 1, l: 1, r: 0, I: 1}]"
+SLOT = ARM + "closures: [{point: boom, on: {link: %s, through: [0, 0], along: [1, 0]}%s}]"
+REFUSED = {
+    ONE % "joint: prismatic": "axis: is missing",
+    ONE % "joint: revolute, axis: [1, 0]": "prismatic joints alone",
+    ONE % "joint: sliding": "revolute or prismatic",
+    ONE % "joint: prismatic, axis: [0, 0]": "point somewhere",
+    ONE % "joint: prismatic, axis: 3": "two numbers",
+    ONE % "joint: prismatic, axis: [1, 0], friction: {torque: 1, speed: 1}": "unknown key",
+    ONE % "friction: {force: 1, speed: 1}": "unknown key",
+    ARM + "springs: [{joint: boom, stiffness: 3, angle: 0.1}]": "length: is missing: the joint is",
+    ARM + "springs: [{joint: upper, stiffness: 3, length: 0.1}]": "angle: is missing: the joint is",
+    ARM + "start: {boom: 30deg}": "must be a number",
+    ARM + 'couplings: ["q2 = 0.1 q1 + 30deg"]': "joins a displacement",
+    SLOT % ("boom", ""): "point's own link",
+    SLOT % ("none", ""): "names no link",
+    SLOT % ("upper", ", aligned: 0"): "cannot turn",
+    SLOT % ("upper", ", aligned: much"): "must be a number",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_is_refused(text):
+    with pytest.raises((DescriptionError, InputError), match=REFUSED[text]):
+        mechanism(text)
+
+
+def test_a_displacement_is_no_angle(robodyn, tmp_path):
+    scene = tmp_path / "arm.yaml"
+    scene.write_text(ARM)
+    result = robodyn("torque", scene, "--q", "30deg,10deg")
+    assert result.code == 2
+    assert "entry 2 = 10deg" in result.err
+    assert "slides" in result.err
