@@ -99,6 +99,12 @@ CASES = {
     "stephenson-six-bar": Case(
         "stephenson-six-bar", (1.0,), (5.0,), (0.5, 1.0, 2.0), "the crank turns over"
     ),
+    "hoeken": Case("hoeken", (1.0,), (5.0,), (0.5, 1.0, 2.0), "the crank turns over"),
+    "rp-arm": Case("rp-arm", (0.6, 0.25), (0.5, -0.3), (0.25, 0.5, 1.0), "falls, and slides out"),
+    "elliptic-trammel": Case(
+        "elliptic-trammel", (0.4,), (6.0,), (0.5, 2.0, 5.0), "turns, in a horizontal plane"
+    ),
+    "whitworth": Case("whitworth", (1.0,), (6.0,), (0.5, 1.0, 2.0), "the crank turns over"),
 }
 
 
@@ -111,12 +117,12 @@ class Turning:
     """A link's direction e = exp(i angle), its rates for a unit of each freedom, and its bias.
 
     rate[i] is d(angle)/du_i; bias is its second derivative in time where udd = 0.  `angle` is a
-    function: only output needs it.
+    function: only output needs it.  Of a link that slides `slid` is its displacement, and d/du_i.
     """
 
-    def __init__(self, angle, e, rate, bias, ud):
+    def __init__(self, angle, e, rate, bias, ud, slid=None):
         self.angle, self.e, self.rate, self.bias = angle, e, rate, bias
-        self.w = inner(rate, ud)
+        self.w, self.slid = inner(rate, ud), slid
 
 
 class Point:
@@ -216,6 +222,7 @@ class Scene:
         freedoms = {"four-bar": 1, "slider-crank": 1, "five-bar": 2}
         freedoms |= {"watt-six-bar": 1, "stephenson-six-bar": 1}
         freedoms |= {"spring-slider-crank": 1, "geared-five-bar": 1}
+        freedoms |= {"hoeken": 1, "elliptic-trammel": 1, "whitworth": 1}
         self.springs = data.get("springs", [])
         self.freedoms = freedoms.get(name, len(self.links))
 
@@ -236,11 +243,16 @@ class Scene:
                 links.append(free(mp.fsum(u[: k + 1]), [mpf(j <= k) for j in range(n)]))
                 origins.append(origins[-1].plus(links[-1], l[k]))
             return links, origins[:-1]
+        if self.name in ("rp-arm", "elliptic-trammel", "whitworth"):
+            return getattr(self, f"_{self.name.replace('-', '_')}")(u, ud, free)
         crank = free(u[0], self.unit(0))
         tip = ground.plus(crank, l[0])
         if self.name.endswith("slider-crank"):
             return [crank, rod_on_line(tip, l[1], self.height, ud)], [ground, tip]
         pivot = fixed(*self.links[2]["from"], n)
+        if self.name == "hoeken":
+            coupler, rocker = dyad(tip, pivot, mpf("0.25"), l[2], ud)
+            return [crank, coupler, rocker], [ground, tip, pivot]
         if self.name == "four-bar":
             coupler, rocker = dyad(tip, pivot, l[1], l[2], ud)
             return [crank, coupler, rocker], [ground, tip, pivot]
@@ -263,6 +275,49 @@ class Scene:
         left_rod, right_rod = dyad(tip, far, l[1], l[3], ud)
         return [crank, left_rod, right, right_rod], [ground, tip, pivot, far]
 
+    def _rp_arm(self, u, ud, free):
+        """The boom's origin is u_2 along the shoulder."""
+        shoulder = free(u[0], self.unit(0))
+        boom = free(u[0], self.unit(0))
+        boom.slid = u[1], self.unit(1)
+        e, across, w = boom.e, turned(boom.e), shoulder.w
+        bias = 2 * w * ud[1] * across - w**2 * u[1] * e
+        return [shoulder, boom], [fixed(0, 0, 2), Point(u[1] * e, [u[1] * across, e], bias)]
+
+    def _elliptic_trammel(self, u, ud, free):
+        """x = -l cos u, y = l sin u."""
+        l, (c, s), w = self.links[1]["l"], (mp.cos(u[0]), mp.sin(u[0])), ud[0]
+        x = free(mpf(0), [mpf(0)])
+        x.slid = -l * c, [l * s]
+        bar = free(u[0], self.unit(0))
+        y = Turning(lambda: mpf(0), mpc(0, 1), [mpf(0)], mpf(0), ud, (l * s, [l * c]))
+        begin = Point(mpc(-l * c, 0), [mpc(l * s, 0)], mpc(l * c * w**2, 0))
+        end = Point(mpc(0, l * s), [mpc(0, l * c)], mpc(0, -l * s * w**2))
+        return [x, bar, y], [begin, begin, end]
+
+    def _whitworth(self, u, ud, free):
+        """The lever points from its pivot at the crank's pin; a rod from it moves the ram."""
+        l = [link["l"] for link in self.links]
+        crank, pivot = free(u[0], self.unit(0)), fixed(*self.links[1]["from"], 1)
+        tip = fixed(0, 0, 1).plus(crank, l[0])
+        z = tip.z - pivot.z
+        d = mp.sqrt(dot(z, z))
+        e = z / d
+        rate = [dot(slope, turned(e)) / d for slope in tip.slope]
+        w, out = inner(rate, ud), dot(inner(tip.slope, ud), e)
+
+        def angle():  # it turns with the crank
+            return u[0] + mp.arg(z / crank.e)
+
+        lever = Turning(angle, e, rate, (dot(tip.bias, turned(e)) - 2 * w * out) / d, ud)
+        back = pivot.plus(lever, mpf(self.links[2]["from"]["at"][0]))
+        x, height = map(mpf, self.links[3]["from"])
+        rod = rod_on_line(back, l[2], height, ud)
+        end = back.plus(rod, l[2])
+        ram = free(mpf(0), [mpf(0)])
+        ram.slid = end.z.real - x, [slope.real for slope in end.slope]
+        return [crank, lever, rod, ram], [fixed(0, 0, 1), pivot, back, end]
+
     @property
     def below(self):
         """The link that each hangs from."""
@@ -271,6 +326,9 @@ class Scene:
             "slider-crank": [None, 0],
             "spring-slider-crank": [None, 0],
             "geared-five-bar": [None, 0, None, 2],
+            "hoeken": [None, 0, None],
+            "elliptic-trammel": [None, 0, None],
+            "whitworth": [None, None, 1, None],
             "five-bar": [None, 0, None, 2],
             "watt-six-bar": [None, 0, None, 1, 2],
             "stephenson-six-bar": [None, 0, None, 1, None],
@@ -279,7 +337,9 @@ class Scene:
     def slopes(self, links):
         """dq/du of each joint, which is a difference of absolute angles."""
         return [
-            link.rate
+            link.slid[1]
+            if link.slid
+            else link.rate
             if parent is None
             else [r - s for r, s in zip(link.rate, links[parent].rate, strict=True)]
             for link, parent in zip(links, self.below, strict=True)
@@ -288,7 +348,9 @@ class Scene:
     def angles(self, links):
         """q."""
         return [
-            link.angle() - (0 if parent is None else links[parent].angle())
+            link.slid[0]
+            if link.slid
+            else link.angle() - (0 if parent is None else links[parent].angle())
             for link, parent in zip(links, self.below, strict=True)
         ]
 
