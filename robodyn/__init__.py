@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from robodyn.dynamics.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
     from robodyn.dynamics.dynamics import inverse_dynamics as inverse_dynamics
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
+    from robodyn.dynamics.dynamics import kept_moments as kept_moments
     from robodyn.dynamics.dynamics import pin_forces as pin_forces
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
+    from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
@@ -67,12 +69,13 @@ _ROOMS = {
         "forward_dynamics_and_forces",
         "inverse_dynamics",
         "inverse_dynamics_and_forces",
+        "kept_moments",
         "pin_forces",
     ],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism", "load"],
-    "dynamics.reaction_forces": ["reactions", "shaking_force"],
+    "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.time_scaling": ["shortest_motion"],

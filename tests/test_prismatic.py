@@ -370,8 +370,8 @@ def test_a_slot_with_an_aligned_block_is_a_prismatic_joint():
         pytest.approx(pdd[[0, 1]], rel=1e-12),
     )
     # the moment that keeps the block's angle, about the pin, and what the prismatic joint gives it
-    kept = dynamics.kept_moments(slot, lam)[0]
-    held = reaction_forces.slide_moments(slide, p, pd, pdd, mu)[0]
+    kept = robodyn.kept_moments(slot, lam)[0]
+    held = robodyn.slide_moments(slide, p, pd, pdd, mu)[0]
     force = dynamics.pin_forces(slot, lam, q)[0] @ [1, 1j]
     reaction = reaction_forces.reactions(slide, p, pd, pdd, mu)[2] @ [1, 1j]
     assert kept == pytest.approx(held, rel=1e-11)
@@ -396,7 +396,7 @@ loads:
     q, qd, qdd = np.array([[0.3, 0.0, 0.5], [1.2, 0.0, -0.7], [3.0, 0.0, 2.0]])
     p = np.add(q, [0.0, math.pi / 4, 0.0])
     none = np.zeros(0)
-    held = reaction_forces.slide_moments(slide, q, qd, qdd, none)
+    held = robodyn.slide_moments(slide, q, qd, qdd, none)
     assert held == pytest.approx(dynamics.inverse_dynamics(hinge, p, qd, qdd)[1:2], rel=1e-12)
     forces = reaction_forces.reactions(slide, q, qd, qdd, none)
     assert forces == pytest.approx(reaction_forces.reactions(hinge, p, qd, qdd, none), rel=1e-12)

@@ -64,10 +64,11 @@ class ClosureRow(NamedTuple):
 
     `direction` is the unit vector along which the gap (first side minus second) is measured, in
     the frame E_line of the link that carries the line, if one does (else E_line = 1); a multiplier
-    lambda of this row is the force lambda * direction * E_line on the side named first, N.  Of a
-    coupling, and of an angle that a closure keeps, it has no P: an equation of coordinates is
-    multiplied by `arm` (m), so that gaps compare, and arm * lambda is the torque on the coupling's
-    joint, or on the first side's link, N m.
+    lambda of this row is the force lambda * direction * E_line on the side named first, N.  A
+    coupling has no P: an equation of coordinates is multiplied by `arm` (m), so that gaps compare,
+    and arm * lambda is the torque on the coupling's joint, N m.  Of an angle that a closure keeps
+    the gap is arm times the sine of what it is off, arm * lambda the moment on the first side's
+    link.
     """
 
     closure: int | None  # None: of a coupling
