@@ -460,7 +460,7 @@ def test_drawn_scenes_against_independent_mechanics():
         mech = mechanism(f"{text}actuated: [{driven}]\n")
         for q in closing.close_positions(mech, closing.random_states(mech, rng, 20)):
             gap = np.abs(closed_form.closure_gap(mech, q)).max(initial=0.0)
-            if gap < 1e-12 and regular(mech, q):
+            if gap < 1e-12 and regular(mech, q) and upright(mech, q):
                 check_drawn(mech, q, rng)
                 seen += 1
                 break
@@ -471,6 +471,17 @@ def regular(mech, q) -> bool:
     Psi = closed_form.scaled_jacobian(mech, q)
     passive = Psi[:, list(mech.passive)]
     return not len(Psi) or min(np.linalg.svd(x, compute_uv=False)[-1] for x in (Psi, passive)) > 0.1
+
+
+def upright(mech, q) -> bool:
+    """Whether no kept angle is half a turn off, where its sine vanishes too."""
+    at, found = placed(mech, q), []
+    for r, row in enumerate(mech.rows):
+        if row.closure is not None and row.arm:
+            across = row.ground + at.X @ mech.arrays.P[r]
+            line = 1.0 if row.line is None else at.E[row.line].conj()
+            found.append((1j * line * across).real > 0.0)
+    return all(found)
 
 
 def check_drawn(mech, q, rng):
