@@ -25,6 +25,7 @@ from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.series import FLOATS
 from robodyn.errors import DescriptionError, InputError
 from robodyn.loops import assembly, closing
+from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.actuation import Actuation
 from robodyn.scene.scene import BRANCHES
 
@@ -600,6 +601,31 @@ actuated: [pinion]
     a = 0.1 / (0.002 + 3.0 * 0.05**2)
     assert found.qdd == pytest.approx([a, 0.05 * a], rel=1e-14)
     assert dynamics.coupling_torques(mech, found.multipliers) == pytest.approx([3.0 * 0.05 * a])
+
+
+def test_a_torque_on_a_link_that_cannot_turn_goes_to_the_ground():
+    scene = """
+links:
+  - {name: ram, joint: prismatic, axis: [1, 0], m: 2, l: 0.1, r: 0, I: 0.01}
+loads:
+  - {link: ram, torque: 1.5}
+"""
+    mech, still = mechanism(scene), np.zeros(1)
+    none = np.zeros(0)
+    assert robodyn.shaking_force(mech, still, still, still) == pytest.approx([0.0, 0.0, 1.5])
+    assert robodyn.slide_moments(mech, still, still, still, none) == pytest.approx([-1.5])
+
+
+def test_a_block_that_stands_half_a_turn_off_is_open():
+    """There the sine of what it is off vanishes too."""
+    mech = mechanism(BLOCK)
+    q = assembly.assemble(mech, [0.4])
+    assert check_closed(mech, q) is None
+    over = np.add(q, [0.0, math.pi, 0.0])
+    assert np.abs(closed_form.closure_gap(mech, over)).max() <= 1e-15
+    state, error = check_closed(mech, np.stack([q, over]))
+    assert state == 1
+    assert "the loops are open" in str(error)
 
 
 # -- the branches of dyads -------------------------------------------------------------------------

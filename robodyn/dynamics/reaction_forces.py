@@ -137,7 +137,9 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     """
     place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)
-    moment = (place.conj() * load).imag.sum(axis=-1) + sum(mechanism.moments)
+    # those on links that cannot turn are no load of the mechanism's, but of the ground's
+    torques = sum(x.torque for x in mechanism.description.loads if isinstance(x, Moment))
+    moment = (place.conj() * load).imag.sum(axis=-1) + torques
     spinning = frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
     moment = moment - spinning @ bodies_of(mechanism).inertia
     if mechanism.forces:
@@ -205,9 +207,7 @@ def bodies_of(mechanism: Mechanism) -> Bodies:
     return Bodies(
         mass=np.array([mass for _, mass, _ in own], float),
         points=points_of(mechanism, [point for _, _, point in own]),
-        below=mechanism.arrays.carried[
-            [k for k, _, _ in own]
-        ],  # its ones are at what carries a link
+        below=mechanism.arrays.carried[[k for k, _, _ in own]],
         inertia=np.array([link.I for link in links], float),
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_rate, scaled_jacobian
-from robodyn.dynamics.placed import absolute_rates, as_states, matvec
+from robodyn.dynamics.placed import absolute_rates, as_states, matvec, placed
 from robodyn.errors import InputError
 from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
@@ -107,7 +107,8 @@ def check_closed(
     if not mechanism.rows or q.size == 0:
         return None
     sizes = np.array([row.size for row in mechanism.rows])
-    checks = [("position", "m", closure_gap(mechanism, q), loop_size(mechanism))]
+    opening = closure_gap(mechanism, q) + _turned_over(mechanism, q)
+    checks = [("position", "m", opening, loop_size(mechanism))]
     if qd is not None:
         rates = absolute_rates(mechanism, qd)
         fastest = np.abs(rates).max(axis=-1, keepdims=True)
@@ -124,6 +125,23 @@ def check_closed(
             state = int(np.flatnonzero(wrong.any(axis=-1))[0])
             return state, _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
     return None
+
+
+def _turned_over(mechanism: Mechanism, q: Array) -> Array:
+    """What is added to the gap, (..., r) m, of angles that are kept, but for half a turn.
+
+    Their gap is a sine, which vanishes there too.
+    """
+    more = np.zeros((*q.shape[:-1], len(mechanism.rows)))
+    kept = [r for r, row in enumerate(mechanism.rows) if row.closure is not None and row.arm]
+    at = placed(mechanism, q) if kept else None
+    for r in kept:
+        assert at is not None
+        row = mechanism.rows[r]
+        line = 1.0 if row.line is None else at.E[..., row.line].conj()
+        cosine = (1j * line * (row.ground + at.X @ mechanism.arrays.P[r])).real
+        more[..., r] = np.where(cosine < 0.0, 2.0 * row.arm, 0.0)
+    return more
 
 
 def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
