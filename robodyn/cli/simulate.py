@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import nullcontext
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import cache
-from typing import Annotated
+from typing import Annotated, BinaryIO
 
 import numpy as np
 from typer import Option
@@ -16,18 +17,25 @@ from robodyn.cli.files import output_file
 from robodyn.cli.options import Model, Number, Q, Qd, Quiet, Text
 from robodyn.cli.output import note
 from robodyn.cli.signals import watching
-from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
+from robodyn.cli.simulate_options import (
+    EventOptions,
+    RunOptions,
+    TorqueOptions,
+    named,
+    torque_source,
+)
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError
+from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.recording import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
-from robodyn.simulation.simulation import run
+from robodyn.simulation.simulation import UNTIL, run
 from robodyn.tables.output_file import open_output
 from robodyn.tables.table_writer import Writer
 
@@ -48,6 +56,7 @@ def simulate(
     every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None,
     points: Points = None,
     sources: TorqueOptions = TorqueOptions(),
+    events: EventOptions = EventOptions(),
     how: RunOptions = RunOptions(),
     quiet: Quiet = False,
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None,
@@ -60,6 +69,9 @@ def simulate(
     tracking errors e1.. (rad).  Rows at 0, every so often, and always at the end.  A summary goes
     to stderr.  A run that does not finish writes what it computed and exits with 1.
 
+    An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
+    what holds at the start is none.  Its time is found to rounding.
+
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
     accelerates the control model by qdd_ref + kd ed + kp e.
@@ -68,6 +80,7 @@ def simulate(
     Examples:
       robodyn simulate robots/2r.yaml --q 30deg,45deg --time 10 > motion.csv
       robodyn simulate robots/four-bar.yaml --q 60deg --tau "2*sin(3*t)" --every 0.01 -o run.csv
+      robodyn simulate robots/2r.yaml --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
       robodyn simulate robots/2r.yaml --q 0,0 --quiet | robodyn torque robots/2r.yaml - | tail -1
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 > ref.csv
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
@@ -78,6 +91,7 @@ def simulate(
     mechanism = load(model)
     settings = how.settings()
     torques, duration = torque_source(mechanism, sources, duration)
+    watched = events.watch(mechanism, duration)
     times = output_times(duration, every, points)
     start = [Quantity("q", q, True), Quantity("qd", qd)]
     if how.assemble:
@@ -114,10 +128,14 @@ def simulate(
         def sink(t: np.ndarray, y: np.ndarray) -> None:
             writer().write_columns(_rows(mechanism, torques, t, y))
 
-        with nullcontext() if report is None else open_output(report) as file:
+        with ExitStack() as files:
+            file = None if report is None else files.enter_context(open_output(report))
+            table = (
+                None if events.events is None else files.enter_context(open_output(events.events))
+            )
             with named(), remarks():
                 outcome, recorder = run(
-                    mechanism, begin, duration, torques, settings, sink, times, watch
+                    mechanism, begin, duration, torques, settings, sink, times, watch, watched
                 )
                 facts = recorder.settle()
             if estimate is not None and math.isfinite(estimate):
@@ -125,11 +143,13 @@ def simulate(
             writer()
             if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
+            if table is not None and watched is not None:
+                _write_events(table, mechanism, watched.found)
         if not quiet:
-            _tell(mechanism, facts)
+            _tell(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
                 note("error of q and qd: not estimated, as no tighter run finishes")
-        if outcome is not Outcome.FINISHED:
+        if outcome not in (Outcome.FINISHED, Outcome.EVENT):
             stream.flush()
             where = f"{facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
             raise UnfinishedError(where, limit=outcome.advice)
@@ -162,7 +182,15 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
     return np.concatenate(parts, axis=-1)
 
 
-def _tell(mechanism: Mechanism, facts: Report) -> None:
+def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:
+    """Each event: its name, its time and the state there."""
+    joints = range(1, mechanism.n + 1)
+    writer = Writer(stream, ["event", "t", *(f"{name}{k}" for name in ("q", "qd") for k in joints)])
+    for event in found:
+        writer.write_row([event.name, event.t, *event.y[: 2 * mechanism.n].tolist()])
+
+
+def _tell(mechanism: Mechanism, facts: Report, until: str | None) -> None:
     """The summary on stderr."""
     moving = facts.energy_in_motion
     drift = f"{facts.energy_drift:.2g} of the {moving:.4g} J in motion"
@@ -180,6 +208,13 @@ def _tell(mechanism: Mechanism, facts: Report) -> None:
             f"largest gap: {facts.largest_gap:.2g} m, {facts.largest_gap_rate:.2g} m/s "
             f"({facts.stabilize})"
         )
+    if until is not None:
+        way = "ended by" if facts.ended_by else "not met up to the end:"
+        lines.append(f"{way} --until {until}")
+    counts = {name: count for name, count in facts.events.items() if name != UNTIL}
+    if counts:
+        lines.append(f"events: {', '.join(f'{name} {count}' for name, count in counts.items())}")
+    lines += facts.remarks
     if facts.error_estimate is not None:
         lines.append(f"error of q and qd: about {facts.error_estimate:.2g}, by a tighter run")
     if facts.tracking:

@@ -128,15 +128,32 @@ def absolute_rates(mechanism: Mechanism, qd: ArrayLike, name: str = "qd") -> Arr
 def joint_ways(
     mechanism: Mechanism, q: NDArray[Any], z: NDArray[Any], slope: NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """How far joints moved from q (n,), and qd, (..., n), by the series of x (..., n).
+    """How far joints moved from q (..., n), and qd, (..., n), by the series of x (..., n).
 
     z = rho + i theta turns a direction; of a displacement s it is 1 + i s.  `slope` is dz/dt.
     """
     way, rates = np.angle(z), (z.conj() * slope).imag / np.abs(z) ** 2
     for k in mechanism.slides:
-        way[..., k], rates[..., k] = z[..., k].imag - q[k], slope[..., k].imag
+        way[..., k], rates[..., k] = z[..., k].imag - q[..., k], slope[..., k].imag
     relative = relative_matrix(mechanism).T
     return way @ relative, rates @ relative
+
+
+def states_along(mechanism: Mechanism, y: Array, series: Complex, h: Array, parts: Array) -> Array:
+    """q and qd (m, k, 2n) at `parts` (k) of steps h (m) from y (m, 2n or more), by their series.
+
+    Those (m, p, n) are rho + i theta of the coordinates; closures are kept as far as these do.
+    """
+    m, orders, n = series.shape
+    powers = parts[:, None] ** np.arange(orders)
+    slopes = np.zeros_like(powers)
+    slopes[:, 1:] = powers[:, :-1] * np.arange(1, orders)
+    scaled = series * (h[:, None] ** np.arange(orders))[..., None]
+    columns = scaled.transpose(0, 2, 1).reshape(m * n, orders)
+    both = (columns @ np.concatenate([powers, slopes]).T).reshape(m, n, 2, len(parts))
+    z, slope = both[:, :, 0].swapaxes(1, 2), both[:, :, 1].swapaxes(1, 2)
+    way, rates = joint_ways(mechanism, y[:, None, :n], z, slope)
+    return np.concatenate([y[:, None, :n] + way, rates / h[:, None, None]], axis=-1)
 
 
 @lru_cache(maxsize=64)

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
+from robodyn.events.watch import EventWatch, Step, Stop
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
@@ -68,6 +69,7 @@ class Outcome(Enum):
         "(or BDF, LSODA)",
     )
     INTERRUPTED = ("interrupted", "what was computed until then is kept")
+    EVENT = ("ended", "by the event that was to end it")
 
     @property
     def label(self) -> str:
@@ -106,6 +108,9 @@ class Report:
     missed: str = ""  # of a change point that the loops just miss there
     error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
     tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
+    events: dict[str, int] = field(default_factory=dict)  # how often each happened
+    ended_by: str = ""  # the event that ended the run
+    remarks: list[str] = field(default_factory=list)  # on events whose times are not sharp
     hint: str = ""  # what would make it faster, or safer
 
 
@@ -139,6 +144,9 @@ class Recorder:
     unseen: UnseenWork | None = None
     missed: float = 0.0  # J
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
+    events: EventWatch | None = None
+    stopped: Stop | None = None  # by what event
+    last_row: float | None = None  # its time
 
     def begin(self, y: Array) -> None:
         smooth = self.actuation.constants is not None or self.actuation.linear
@@ -154,15 +162,36 @@ class Recorder:
         t = float(solver.t)
         y = solver.y.copy()
         self.report.steps += 1
+        between = cache(solver.dense_output)  # made where a row or an event asks for it
+        stop = None
+        if self.events is not None:
+            begin, places = float(solver.t_old or 0.0), None
+            if hasattr(solver, "K"):  # the stages of an explicit method
+                explicit: Any = solver
+                ends = np.stack([explicit.y_old, y])
+                slopes = np.stack([explicit.K[0], explicit.f])
+                places = self.events.near(begin, t, ends, slopes)
+            step = Step(begin, t, y, lambda times: between()(times).T)
+            stop = self.events.step(step, places)
+            if stop is not None:
+                t, y = stop.t, stop.y
         self.report.evaluations = self.ended + solver.nfev
         if self.times is None:
             self._row(np.array([t]), y[None])
         else:
-            between = cache(solver.dense_output)  # made where a row asks for it
             self._due(t, y, lambda times: between()(times).T)
         self.steps.append((np.array([t]), y[None]))
         self.held += 1
         self._stepped(t, solver.status == "running")
+        if stop is not None:
+            self.stop(stop)
+
+    def stop(self, stop: Stop) -> NoReturn:
+        """End the run at an event, with a row there."""
+        self.stopped = stop
+        if self.last_row != stop.t:
+            self._row(np.array([stop.t]), stop.y[None])
+        raise StopRun(Outcome.EVENT)
 
     def end_solver(self, solver: OdeSolver) -> None:
         """Count what a solver did that another one follows."""
@@ -250,10 +279,16 @@ class Recorder:
         self.flush_steps()
         if self.actuation.control is not None:
             self.report.tracking = self.actuation.control.tracking()
+        if self.events is not None:
+            self.report.events = self.events.counts()
+            self.report.remarks = self.events.remarks()
+            if self.stopped is not None:
+                self.report.ended_by = self.events.functions[self.stopped.place].name
         return self.report
 
     def _row(self, t: Array, y: Array) -> None:
         self.rows.append((t, y))
+        self.last_row = float(t[-1]) if len(t) else self.last_row
         self.waiting += len(t)
         if self.waiting >= self.rows_at_once:
             self.flush_rows()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, get_args
@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.events.functions import event_function, event_functions
+from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
 from robodyn.mechanics.actuation import Actuation
@@ -41,12 +43,13 @@ METHODS: tuple[str, ...] = get_args(Method)
 ORDERS = (4, 60)  # of the Taylor series
 CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
+UNTIL = "until"  # the name of the event that ends a run
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 
 @dataclass
 class Motion:
-    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, and the report."""
+    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report."""
 
     t: Array
     q: Array
@@ -54,6 +57,7 @@ class Motion:
     tau: Array
     outcome: Outcome
     mechanism: Mechanism
+    events: list[Event]
     _settle: Callable[[], Report] = field(repr=False, compare=False)
 
     @cached_property
@@ -131,6 +135,8 @@ def simulate(
     order: int | None = None,
     engine: str = "auto",
     max_step: float = np.inf,
+    events: Mapping[str, str] | None = None,
+    until: str | None = None,
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -140,6 +146,8 @@ def simulate(
     `method` is one of scipy's, or "taylor", whose `order` follows from the tolerance unless given,
     and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
     compiled where a run takes, or this process took, many steps of the mechanism.
+    `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
+    when each passes zero, or becomes true; the run ends where `until` does.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
     q = as_states(mechanism, "q", q)
@@ -154,6 +162,7 @@ def simulate(
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
+    watch = watched_events(mechanism, events or {}, until, float(t_end))
     outcome, recorder = run(
         mechanism,
         state,
@@ -162,12 +171,29 @@ def simulate(
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
         lambda t, y: rows.append((t, y)),
         times,
+        events=watch,
     )
+    found = [] if watch is None else [x._replace(y=x.y[: 2 * mechanism.n]) for x in watch.found]
     n = mechanism.n
     rows = rows or [(np.zeros(0), np.zeros((0, 2 * n)))]
     t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
     torques = applied_torques(mechanism, actuation, t, y)
-    return Motion(t, y[:, :n], y[:, n : 2 * n], torques, outcome, mechanism, recorder.settle)
+    q, qd = y[:, :n], y[:, n : 2 * n]
+    return Motion(t, q, qd, torques, outcome, mechanism, found, recorder.settle)
+
+
+def watched_events(
+    mechanism: Mechanism, events: Mapping[str, str], until: str | None, t_end: float
+) -> EventWatch | None:
+    """What watches a run for events, and ends it at that of `until`; None where there are none.
+
+    Raises InputError for what is no event.
+    """
+    functions = event_functions(mechanism, events)
+    stops = frozenset([len(functions)] if until is not None else [])
+    if until is not None:
+        functions.append(event_function(mechanism, UNTIL, until, "until"))
+    return EventWatch(functions, t_end, stops) if functions else None
 
 
 def run(
@@ -179,12 +205,13 @@ def run(
     sink: Sink,
     times: Array | EvenTimes | None = None,
     watch: Callable[[float], bool] | None = None,
+    events: EventWatch | None = None,
 ) -> tuple[Outcome, Recorder]:
     """Integrate from `state` (2n,) and hand rows (t (k,), y (k, 2n)) to `sink` as they come.
 
     Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
-    the run as interrupted when it returns True.  The recorder has the report, and its statistics
-    once it is settled.
+    the run as interrupted when it returns True; `events` finds events, and may end it as well.
+    The recorder has the report, and its statistics once it is settled.
     """
     settings.check()
     if not np.isfinite(t_end):
@@ -232,6 +259,7 @@ def run(
             limit = "the torque or the acceleration is not finite there"
             raise RobodynError("cannot start", where=mechanism.source, limit=limit)
     recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, actuation)
+    recorder.events = events
     recorder.begin(y0)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED

@@ -9,6 +9,7 @@ one and drives it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from robodyn.errors import RobodynError
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
@@ -40,7 +42,8 @@ class Chunk(NamedTuple):
     """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
 
     y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
-    was asked for.
+    was asked for.  `series` (m, order + 2, n), of engines that keep them, has how far each
+    coordinate has gone since the step's start: rho + i theta.
     """
 
     t: Array
@@ -48,12 +51,21 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
+    series: Complex | None = None
+
+    def first(self, steps: int, direction: float) -> Chunk:
+        """The first steps, and the rows within them."""
+        t = self.t[:steps]
+        end = t[-1] * direction if steps else -np.inf
+        rows = int(np.searchsorted(self.row_t * direction, end, "right"))
+        return Chunk(t, self.y[:steps], self.row_t[:rows], self.row_y[:rows], Status.FULL)
 
 
 class Engine(Protocol):
-    """What advances a state by steps of the Taylor series."""
+    """What advances a state by steps of the Taylor series; it `keeps` the series where asked to."""
 
     order: int
+    keeps: bool
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.
@@ -65,6 +77,10 @@ class Engine(Protocol):
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step."""
+        ...
+
+    def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
+        """The states (k, N) at times (k,) in a step from (t, y) to `end`, as a function."""
         ...
 
 

@@ -27,14 +27,15 @@ Array = NDArray[np.float64]
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
-# what the observer is told: addresses of times, rows, ends and states, how many times, rows so far
-TABLE = ("times", "rows", "ends", "states", "count", "given")
+# what the observer is told: addresses of times, rows, ends, states and series, how many times, rows
+# so far, whether series are kept
+TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
 
 
 class Rows(Observer):
-    """Keeps every step's end, and rows at given times; of one lane."""
+    """Keeps every step's end, its series where asked to, and rows at given times; of one lane."""
 
-    key = "rows"
+    key = "rows " + " ".join(TABLE)
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -58,6 +59,13 @@ class Rows(Observer):
         count = len(scene.state)
         wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
+        with k.when(k.compare("sge", self._told(k, own, "keeps"), k.whole(1))):
+            turns, orders = 2 * scene.mechanism.n, scene.order + 2
+            with k.loop(k.whole(orders)) as m:
+                place = k.multiply(k.add(k.multiply(taken, k.whole(orders)), m), k.whole(turns))
+                source = scene.row(k, block, m)
+                target = k.at(self._told(k, own, "series"), place)
+                k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
         there = k.room(k.numbers, count)
         state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.store(end, k.at(self._told(k, own, "ends"), taken))
@@ -144,6 +152,7 @@ class CompiledEngine:
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
+        self.keeps = False
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
@@ -193,6 +202,18 @@ class CompiledEngine:
         t, y, end = self._last
         return self._advance(t, y, end, times, 1).row_y
 
+    def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
+        """See `Engine`: the step is made once more for each call."""
+        forward = 1.0 if end > t else -1.0
+
+        def states(times: Array) -> Array:
+            after = (times - t) * forward > 0.0
+            rows = np.broadcast_to(y, (len(times), len(y))).copy()
+            rows[after] = self._advance(t, y, end, times[after], 1).row_y
+            return rows
+
+        return states
+
     def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         pieces = self.actuation.pieces
         scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
@@ -213,21 +234,25 @@ class CompiledEngine:
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
         wanted = len(times)
-        sizes = len(TABLE), wanted, wanted * N, steps, steps * N
-        a, b, c, d, end = accumulate(sizes)
+        turns = steps * (self.order + 2) * 2 * self.mechanism.n if self.keeps else 0
+        a, b, c, d, e, end = accumulate((len(TABLE), wanted, wanted * N, steps, steps * N, turns))
         if len(self._room) < end:
             self._room = np.empty(end)
         room = self._room
         table, told = room[:a].view(np.int64), room.ctypes.data
-        table[:] = told + 8 * a, told + 8 * b, told + 8 * c, told + 8 * d, wanted, 0
+        table[:] = *(told + 8 * x for x in (a, b, c, d, e)), wanted, 0, self.keeps
         room[a:b] = times
         code.advance(address, steps, told)
-        taken, given = int(block[place["steps"]]), int(table[-1])
+        taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
         status = block[place["status"]]
         found = Status.FULL if status == RUNNING else Status(int(status))
         rows = room[b : b + given * N].reshape(given, N)
-        states = room[d : d + taken * N].reshape(taken, N)
-        return Chunk(room[c : c + taken].copy(), states.copy(), times[:given], rows.copy(), found)
+        ends, states = room[c : c + taken].copy(), room[d : d + taken * N].reshape(taken, N)
+        series = None
+        if self.keeps:
+            room = room[e:end].reshape(steps, self.order + 2, 2 * self.mechanism.n)[:taken]
+            series = room.view(np.complex128).copy()
+        return Chunk(ends, states.copy(), times[:given], rows.copy(), found, series)
 
 
 @lru_cache(maxsize=64)

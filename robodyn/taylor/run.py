@@ -18,7 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
+from robodyn.dynamics.placed import states_along
 from robodyn.errors import InputError, RobodynError
+from robodyn.events.signs import NODES
+from robodyn.events.watch import EventWatch, Step, Stop
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing, loop_terms
@@ -40,6 +43,7 @@ Array = NDArray[np.float64]
 STRAIGHT, MOST_LINKS = 6000, 120
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
+AHEAD = 8  # where an event may end the run, at first
 CALL = 0.1  # s that a call of compiled code may take
 # Steps of a scene in Python after which machine code has paid: making it costs as much as these.
 WORTH = 1500
@@ -179,6 +183,8 @@ def taylor_run(
     stuck = False  # whether no series leads on: a torque bends without end, or rounding hides it
     idle = 0  # times in a row that nothing led on
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
+    watched = recorder.events is not None
+    ahead = AHEAD if watched else COMPILED_STEPS  # steps at a time: one beyond an event is lost
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
         if abs(bound - t) > max_step:
@@ -205,6 +211,9 @@ def taylor_run(
             steps = STEPS if isinstance(runner, SteppingEngine) else most
             steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
             called = time.perf_counter()
+            if runner.keeps is not watched:
+                runner.keeps = watched
+            steps = min(steps, ahead)
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start
@@ -218,12 +227,19 @@ def taylor_run(
                 times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])
                 leaps = misses.leaps(times, ends)
             if leaps:
-                chunk = _first(chunk, leaps[0], 1.0 if bound > t else -1.0)
+                chunk = chunk.first(leaps[0], 1.0 if bound > t else -1.0)
             held = bool(leaps)
+            within: Callable[[Array], Array] = runner.within
+            stop: Stop | None = None
+            if recorder.events is not None and len(chunk.t):
+                chunk, within, stop = _with_events(recorder.events, mechanism, chunk, t, y, runner)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
-            recorder.chunk(chunk, t_end, runner.within)
+            recorder.chunk(chunk, t_end, within)
+            if stop is not None:
+                recorder.stop(stop)
+            ahead = min(2 * ahead, COMPILED_STEPS)
             status = chunk.status
             recent.append(chunk)
             if status is not Status.FULL:
@@ -257,11 +273,30 @@ def taylor_run(
                 recorder.report.hint = HINT
 
 
-def _first(chunk: Chunk, steps: int, direction: float) -> Chunk:
-    """The first steps of a chunk, and the rows within them."""
-    t = chunk.t[:steps]
-    rows = int(np.searchsorted(chunk.row_t * direction, t[-1] * direction, "right")) if steps else 0
-    return Chunk(t, chunk.y[:steps], chunk.row_t[:rows], chunk.row_y[:rows], Status.FULL)
+def _with_events(
+    events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
+) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
+    """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    assert chunk.series is not None
+    times, starts = np.append(t, chunk.t), np.concatenate([y[None], chunk.y[:-1]])
+    forward = 1.0 if times[1] > times[0] else -1.0
+
+    def step(j: int) -> Step:
+        begin, end = float(times[j]), float(times[j + 1])
+        return Step(begin, end, chunk.y[j], engine.dense(begin, starts[j], end))
+
+    sampled = states_along(mechanism, starts, chunk.series, np.diff(times), NODES)
+    found = events.series(times, sampled, step)
+    if found is None:
+        return chunk, engine.within, None
+    j, stop = found
+    whole, last = chunk.first(j, forward), step(j)
+    if stop.t == last.begin:
+        return whole, last.states, stop
+    before = chunk.row_t * forward <= stop.t * forward
+    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
+    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
+    return cut, last.states, stop
 
 
 def reach(actuation: Actuation, t: float, y: Array) -> None:

@@ -62,6 +62,7 @@ class SteppingEngine:
         self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
+        self.keeps = False
         self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
@@ -128,6 +129,7 @@ class SteppingEngine:
         ends: list[float] = []
         states: list[list[float]] = []
         rows: list[Array] = []
+        kept: list[Any] = []
         due = 0
         status, n = Status.FULL, self.mechanism.n
         while len(ends) < steps:
@@ -159,6 +161,8 @@ class SteppingEngine:
                     rows[-1][-1] = new
                 due = last
             self.last = t, state, series
+            if self.keeps:
+                kept.append(series[: 2 * n])
             t, state = end, new
             ends.append(t)
             states.append(state)
@@ -172,12 +176,22 @@ class SteppingEngine:
                 break
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
-        return Chunk(np.array(ends), made, times[:due], row_y, status)
+        series_of = None
+        if kept:
+            parts = np.array(kept)
+            series_of = (parts[:, :n] + 1j * parts[:, n:]).swapaxes(1, 2)
+        return Chunk(np.array(ends), made, times[:due], row_y, status, series_of)
 
     def within(self, times: Array) -> Array:
         """See `Engine`."""
         t, state, series = self.last
         return self.states(state, series, times - t)
+
+    def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
+        """See `Engine`."""
+        state = y.tolist()
+        series = self.expand(t, state, abs(end - t), 1.0 if end > t else -1.0)[2]
+        return lambda times: self.states(state, series, times - t)
 
     def _shorten(
         self,
@@ -233,7 +247,7 @@ class SteppingEngine:
         """The states (k, N), closed, at times x (k,) after `state`, where the series begins."""
         n = self.mechanism.n
         y = np.array(state)
-        z = np.array(series[:n]).T + 1j * np.array(series[n : 2 * n]).T  # (order + 2, n)
+        z = _turns(series, n)
         orders = np.arange(len(z))
         powers = x[:, None] ** orders
         turn = powers @ z
@@ -253,6 +267,11 @@ class SteppingEngine:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]
         return rows
+
+
+def _turns(series: Any, n: int) -> NDArray[np.complex128]:
+    """rho + i theta (order + 2, n)."""
+    return np.asarray(np.array(series[:n]).T + 1j * np.array(series[n : 2 * n]).T)
 
 
 def _agree(series: Sequence[float], x: float, value: float, relative: float, small: float) -> bool:

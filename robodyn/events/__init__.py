@@ -1,0 +1,1 @@
+"""Events of a run: where functions of the motion change sign, none missed."""

@@ -1,0 +1,130 @@
+"""Events as people write them: `q1 > 90deg`, or `qd1`, a function whose zeros count.
+
+An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take, with
+numbers such as 90deg, 60rpm or 5ms besides.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
+
+Array = NDArray[np.float64]
+Values = Callable[[Array, Array], Array]
+
+UNITS = {"deg": "pi/180", "rad": "1", "rpm": "pi/30", "ms": "1e-3", "s": "1", "mm": "1e-3"}
+_QUANTITY = re.compile(
+    rf"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)({'|'.join(UNITS)})\b", re.ASCII
+)
+_NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
+WAYS = {ast.Gt: 1, ast.GtE: 1, ast.Lt: -1, ast.LtE: -1}
+_ARRAYS: dict[str, Callable[..., Any]] = {
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "abs": np.abs,
+    "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
+    "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
+    "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
+    "log": lambda x, base=math.e: np.log(x) / math.log(base),
+}
+
+
+@dataclass(frozen=True)
+class EventFunction:
+    """A function of time and state whose changes of sign are events.
+
+    `way` 1: where it becomes positive, -1: negative, 0: both.  `values(t (k,), y (k, 2n or more))`
+    gives it, nan where it is not defined; `sizes` what its rounding is a part of.
+    """
+
+    name: str
+    way: int
+    values: Values
+    sizes: Values
+
+
+def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> EventFunction:
+    """The event at which a comparison becomes true, or at which a function passes zero.
+
+    Raises InputError, naming `where`, for what is neither.
+    """
+    plain = _QUANTITY.sub(lambda x: f"({x[1]}*{UNITS[x[2]]})", text)
+    try:
+        written = Written(plain, *state_names(mechanism.n))
+    except NotAllowedError as error:
+        raise InputError(f"an event does not allow {error}", where=where) from None
+    except ValueError as error:
+        raise InputError(repr(text), where=where, limit=f"is no expression: {error}") from None
+    if len(written.codes) != 1:
+        raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
+    if not written.names:
+        raise InputError(repr(text), where=where, limit="never changes: it names no t, q or qd")
+    tree, way = ast.parse(written.codes[0], mode="eval").body, 0
+    if isinstance(tree, ast.Compare):
+        way, tree = WAYS[type(tree.ops[0])], ast.BinOp(tree.left, ast.Sub(), *tree.comparators)
+    values, sizes = (_vectorised(x, mechanism.n) for x in (tree, _size(tree)))
+    return EventFunction(name, way, values, sizes)
+
+
+def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:
+    """Events by their names; InputError for a name or an expression that is none."""
+    for name in given:
+        if not _NAME.fullmatch(name):
+            limit = "must be a letter, then letters, digits, _ or -"
+            raise InputError("name of an event", value=name, limit=limit)
+    return [event_function(mechanism, name, text, f"event {name}") for name, text in given.items()]
+
+
+class _Chosen(ast.NodeTransformer):
+    """`a if b else c` of arrays."""
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
+        parts = [self.visit(part) for part in (node.test, node.body, node.orelse)]
+        return ast.Call(ast.Name("_where", ast.Load()), parts, [])
+
+
+def _size(tree: ast.expr) -> ast.expr:
+    """The sum of the sizes of what a sum adds."""
+    match tree:
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return ast.BinOp(_size(left), ast.Add(), _size(right))
+        case ast.UnaryOp(operand=operand):
+            return _size(operand)
+    return ast.Call(ast.Name("_abs", ast.Load()), [tree], [])
+
+
+def _vectorised(tree: ast.expr, n: int) -> Values:
+    scope: dict[str, Any] = {"__builtins__": {}, "_where": np.where, "_pow": np.power}
+    for name in FUNCTIONS:
+        scope[f"_{name}"] = _ARRAYS.get(name) or getattr(np, name)
+    text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(tree)))
+    used = set(re.findall(r"\bqd?\d+\b", text))
+    columns = [
+        f"{name}{k} = y[:, {k + first}]"
+        for name, first in (("q", 0), ("qd", n))
+        for k in range(n)
+        if f"{name}{k}" in used
+    ]
+    body = "\n    ".join([*columns, f"return {text}"])
+    exec(compile(f"def values(t, y):\n    {body}\n", "<robodyn event>", "exec"), scope)
+    function = scope["values"]
+
+    def values(t: Array, y: Array) -> Array:
+        with np.errstate(all="ignore"):
+            found = np.asarray(function(t, y), float)
+        return found if found.shape == t.shape else np.broadcast_to(found, t.shape)
+
+    return values
