@@ -62,7 +62,7 @@ def error(mech, start, times, exact, torques, settings):
     """The largest error of a run at these times."""
     rows = []
     outcome, _ = run(
-        mech, start, times[-1], torques, settings, lambda t, y: rows.append(y), np.array(times)
+        mech, start, times[-1], torques, settings, lambda t, y, _: rows.append(y), np.array(times)
     )
     assert outcome is Outcome.FINISHED
     return float(np.abs(np.concatenate(rows) - exact).max())
@@ -83,7 +83,7 @@ def tightest(mech, start, times, torques):
     """States by the tightest series; test_engines.py holds series and motions against others."""
     rows = []
     settings = Settings("taylor", 1e-14, 1e-14)
-    run(mech, start, times[-1], torques, settings, lambda t, y: rows.append(y), times)
+    run(mech, start, times[-1], torques, settings, lambda t, y, _: rows.append(y), times)
     return np.concatenate(rows)
 
 

@@ -60,7 +60,7 @@ def known(name):
 def _by_floats(mech, start, times, torques):
     """Rows of the series in floats: near enough to tell how far a motion is moved by 1e-9."""
     rows, tightest = [], Settings("taylor", 1e-14, 1e-14)
-    run(mech, start, times[-1], torques, tightest, lambda t, y: rows.append(y), times)
+    run(mech, start, times[-1], torques, tightest, lambda t, y, _: rows.append(y), times)
     return rows
 
 

@@ -24,7 +24,7 @@ def least_singular(mech, q):
     """The recorder's values, and those of numpy's decomposition."""
     Psi = closed_form.closure_jacobian(mech, q)
     idle = Actuation((0.0,) * mech.n)
-    recorder = Recorder(mech, Report(), lambda t, y: None, None, 10**6, None, idle)
+    recorder = Recorder(mech, Report(), lambda t, y, _: None, None, 10**6, None, idle)
     s = np.linalg.svd(Psi, compute_uv=False)[:, -1]
     return recorder._least_singular(Psi), s / loop_size(mech)
 
@@ -99,7 +99,7 @@ def rows_of(name, q, t_end, times, settings, watch=None):
     start = np.concatenate([q, np.zeros(mech.n)])
     blocks = []
 
-    def sink(t, y):
+    def sink(t, y, _):
         blocks.append((t, y))
 
     torques = Actuation((0.0,) * mech.n)
@@ -147,7 +147,7 @@ def test_memory_does_not_grow_with_the_rows(method, engine):
         rows = []
         run(
             mech, start, 0.5, Actuation((0.0, 0.0)), settings,
-            lambda t, y: rows.append(len(t)), even(0.5, count),
+            lambda t, y, _: rows.append(len(t)), even(0.5, count),
         )  # fmt: skip
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()

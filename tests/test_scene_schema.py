@@ -189,10 +189,27 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["scene", "revolute_link", "point_spring", "joint_spring", "force", "torque"]
+    "form",
+    [
+        "scene",
+        "revolute_link",
+        "point_spring",
+        "joint_spring",
+        "force",
+        "torque",
+        "dry_friction",
+        "stops",
+        "hard_stops",
+    ],
 )
 def test_the_tables_of_the_readme_are_the_grammar(form: str) -> None:
-    named = {"scene": "scene key", "revolute_link": "link key"}
+    named = {
+        "scene": "scene key",
+        "revolute_link": "link key",
+        "dry_friction": "key of a friction that sticks",
+        "stops": "key of limits with stops",
+        "hard_stops": "key of limits with hard stops",
+    }
     header = f"| {named.get(form, f'key of a {form}'.replace('_', ' '))} | unit | value | default |"
     lines = [header.replace("a joint spring", "a spring at a joint"), "|---|---|---|---|"]
     for name, key in FORMS[form].keys.items():

@@ -708,7 +708,7 @@ class TestStabilize:
             1.0,
             Actuation((0.0,) * 3),
             Settings(rtol=1e-12, atol=1e-12, stabilize="baumgarte", baumgarte=b),
-            lambda t, y: rows.append(y),
+            lambda t, y, _: rows.append(y),
             times,
         )
         assert outcome is Outcome.FINISHED
@@ -1003,7 +1003,7 @@ class TestOutcomes:
             1.0,
             Actuation((0.0, 0.0)),
             Settings(),
-            lambda t, y: rows.append((t, y)),
+            lambda t, y, _: rows.append((t, y)),
             np.linspace(0.0, 1.0, 101),
             watch,
         )
@@ -1130,7 +1130,7 @@ class TestManyRows:
 
             times = np.linspace(0.0, 3e6, rows)
             free = Actuation((0.0, 0.0))
-            run(scene("2r"), start, 3e6, free, Settings(), lambda t, y: None, times, watch)
+            run(scene("2r"), start, 3e6, free, Settings(), lambda t, y, _: None, times, watch)
             return clock[-1] - clock[20]
 
         few = min(cost(11) for _ in range(3))
@@ -1159,7 +1159,7 @@ class TestMemory:
             times = None if rate is None else np.linspace(0.0, duration, int(rate * duration))
             tracemalloc.start()
             base = tracemalloc.get_traced_memory()[0]
-            run(mech, state, duration, free, settings, lambda t, y: taken.append(len(t)), times)
+            run(mech, state, duration, free, settings, lambda t, y, _: taken.append(len(t)), times)
             found = tracemalloc.get_traced_memory()[1] - base
             tracemalloc.stop()
             return found, sum(taken)

@@ -220,7 +220,7 @@ class TestEngines:
         settings = Settings("taylor", engine="compiled")
         alone = [taylor(mech, q, still, 5.0, engine="compiled") for q in (first, second)]
         begin, unforced = np.concatenate([first, still]), Actuation((0.0,) * mech.n)
-        _, recorder = run(mech, begin, 5.0, unforced, settings, lambda t, y: None, watch=watch)
+        _, recorder = run(mech, begin, 5.0, unforced, settings, lambda t, y, _: None, watch=watch)
         again = taylor(mech, first, still, 5.0, engine="compiled")
         assert apart(again, alone[0]) == apart(inner[0], alone[1]) == 0.0
         assert recorder.settle().energy_drift == alone[0].report.energy_drift

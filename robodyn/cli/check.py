@@ -17,7 +17,7 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.grammar import FORMS
-from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Moment, Point
+from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Link, Moment, Point
 
 STATES = 200
 PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its damping
@@ -91,11 +91,9 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
 def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
     """A link, key by key."""
     link = mechanism.description.links[k]
-    rubs = link.friction
     axis: dict[str, Any] = {}
     if link.axis is not None:
         axis = {"joint": JOINTS[1], "axis": [link.axis.real, link.axis.imag]}
-    load = "force" if link.slides else "torque"
     return {
         "name": link.name,
         **axis,
@@ -106,8 +104,25 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
         "from": _place(mechanism, link.hangs_from),
         "payload": link.payload,
         "damping": link.damping,
-        "friction": None if rubs is None else {load: rubs.torque, "speed": rubs.speed},
+        "friction": _friction(link),
+        "limits": _limits(link),
     }
+
+
+def _friction(link: Link) -> dict[str, float | None] | None:
+    """The friction at a link's joint, as its scene writes it."""
+    if link.friction is None:
+        return None
+    named = link.friction._asdict()
+    return {"force" if link.slides else "torque": named.pop("torque"), **named}
+
+
+def _limits(link: Link) -> dict[str, float] | None:
+    """Where a link's joint ends, as its scene writes it."""
+    if link.limits is None:
+        return None
+    named = {"min": link.limits.low, "max": link.limits.high, **link.limits._asdict()}
+    return {key: x for key, x in named.items() if key not in ("low", "high") and x is not None}
 
 
 def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
@@ -205,11 +220,28 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
     ]
 
 
+def _told_friction(
+    friction: dict[str, float | None] | None, load: str, rate: str, mixed: bool
+) -> str:
+    """As a cell of the table; where joints have different units with its own."""
+    if friction is None:
+        return ""
+    moving, *others = friction.values()
+    own = f"{moving:g} {load}" if mixed else f"{moving:g}"
+    if len(others) == 1:
+        return f"{own} above {others[0]:g} {rate}"
+    static, stribeck = others
+    falls = "" if stribeck is None else f" within {stribeck:g} {rate}"
+    return f"{own}, {static:g} at rest{falls}"
+
+
 def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:
     """The links, one a row; where joints have different units each value has its own."""
-    extras = [key for key in ("payload", "damping", "friction") if any(x[key] for x in links)]
+    extras = [
+        key for key in ("payload", "damping", "friction", "limits") if any(x[key] for x in links)
+    ]
     headed = {name: f"{name} [{key.unit}]" for name, key in FORMS["revolute_link"].keys.items()}
-    headed["friction"] = "friction [N m]"
+    headed |= {"friction": "friction [N m]", "limits": "limits"}
     mixed = bool(mechanism.slides)
     if mixed:
         headed |= {"damping": "damping", "friction": "friction"}
@@ -223,9 +255,9 @@ def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:
             unit = f"{load} s/{rate.removesuffix('/s')}"
             told["damping"] = f"{link['damping']:g} {unit}" if link["damping"] else ""
         if "friction" in told:
-            most, speed = link["friction"].values() if link["friction"] else (0.0, 0.0)
-            own = f"{most:g} {load}" if mixed else f"{most:g}"
-            told["friction"] = f"{own} above {speed:g} {rate}" if link["friction"] else ""
+            told["friction"] = _told_friction(link["friction"], load, rate, mixed)
+        if "limits" in told:
+            told["limits"] = ", ".join(f"{key} {x:g}" for key, x in (told["limits"] or {}).items())
         r = "{:g}".format(*link["r"]) if link["r"][1] == 0 else "({:g}, {:g})".format(*link["r"])
         row = [f"{k + 1} {link['name']}", link["m"], link["l"], r, link["I"], link["from"]]
         slides = "turns" if axis is None else "slides along ({:g}, {:g})".format(*axis)

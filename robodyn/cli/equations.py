@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from typer import Option
 
 from robodyn.cli.options import Model, Out
+from robodyn.cli.output import note
 from robodyn.cli.progress import progress
 from robodyn.equations import equations as equations_of
 from robodyn.equations.code import c99, python
@@ -51,6 +52,8 @@ def equations(
       robodyn equations robots/3r.yaml --format c --out arm.c
     """
     mechanism = load(model)
+    if mechanism.switches:
+        note("dry friction and ends of joints are left out: the equations are those without them")
     if format in CODE:
         content = CODE[format](recorded(mechanism, numeric))
     else:

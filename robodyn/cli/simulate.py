@@ -125,8 +125,8 @@ def simulate(
         def writer() -> Writer:  # a run that cannot start writes no header
             return Writer(stream, _columns(mechanism, torques))
 
-        def sink(t: np.ndarray, y: np.ndarray) -> None:
-            writer().write_columns(_rows(mechanism, torques, t, y))
+        def sink(t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
+            writer().write_columns(_rows(mechanism, moving, torques, t, y))
 
         with ExitStack() as files:
             file = None if report is None else files.enter_context(open_output(report))
@@ -144,7 +144,8 @@ def simulate(
             if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
             if table is not None and watched is not None:
-                _write_events(table, mechanism, watched.found)
+                found = sorted([*watched.found, *recorder.contacts], key=lambda x: abs(x.t))
+                _write_events(table, mechanism, found)
         if not quiet:
             _tell(mechanism, facts, events.until)
             if how.estimate_error and facts.error_estimate is None:
@@ -164,15 +165,16 @@ def _columns(mechanism: Mechanism, torques: Actuation) -> list[str]:
     return names + [f"e{k + 1}" for k in mechanism.actuated if torques.control is not None]
 
 
-def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The columns' values (T, columns) at times and states."""
+def _rows(
+    mechanism: Mechanism, moving: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    """The columns' values (T, columns) at times and states; `moving` is what moves there."""
     n = mechanism.n
     q, qd = y[:, :n], y[:, n:]
     tau = applied_torques(mechanism, torques, t, y)
-    solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
-    forces = loop_forces(mechanism, solution.multipliers, q)
-    energy = closed_form.kinetic_energy(mechanism, q, qd)
-    energy = energy + closed_form.potential_energy(mechanism, q)
+    solution = forward_dynamics_and_forces(moving, q, qd, tau)
+    forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
+    energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
     parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]
     if mechanism.rows:
         gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
@@ -228,7 +230,11 @@ def _tell(mechanism: Mechanism, facts: Report, until: str | None) -> None:
         lines.append(f"largest torque: {', '.join(torques)}")
     if facts.hint:
         lines.append(facts.hint)
-    if facts.nearest_singular is not None and facts.nearest_singular_time is not None:
+    if (
+        mechanism.rows
+        and facts.nearest_singular is not None
+        and facts.nearest_singular_time is not None
+    ):
         lines.append(
             f"nearest to singular: {facts.nearest_singular:.3g} at "
             f"t = {facts.nearest_singular_time:.6g} s (least singular value of Psi, relative)"

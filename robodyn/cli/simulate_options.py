@@ -150,7 +150,9 @@ class EventOptions:
                 error.where = f"--{error.where}"
             raise
         if watch is None and self.events is not None:
-            raise InputError("--events", limit="there are none: give --event or --until")
+            if not mechanism.switches:
+                raise InputError("--events", limit="there are none: give --event or --until")
+            watch = EventWatch([], t_end)
         return watch
 
 

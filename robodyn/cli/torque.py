@@ -40,7 +40,7 @@ def torque(
     mechanism = load(model)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
-    loops = mechanism.rows or mechanism.passive
+    loops = mechanism.rows or mechanism.passive or mechanism.switches
     if states is None and not loops and mechanism.n <= MAX_GENERATED:
         tau = _single_state(mechanism, quantities)
         if not all(map(math.isfinite, tau)):

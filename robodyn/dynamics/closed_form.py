@@ -193,7 +193,11 @@ def gap_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:
     if mechanism.lines:
         across = lines(mechanism, at.E).conj() * (across + arrays.ground)
     gap: Array = across.real + arrays.offset
-    return gap + at.x @ arrays.angles.T if mechanism.has_angles else gap
+    if mechanism.has_angles:
+        gap = gap + at.x @ arrays.angles.T
+    if mechanism.held:
+        gap[..., list(mechanism.held)] = 0.0
+    return gap
 
 
 def jacobian_at(mechanism: Mechanism, arrays: Arrays, at: Placed) -> Array:

@@ -285,7 +285,7 @@ class _Step(Items):
             self.put("miss", k.divide(miss, now))
             self.call("compare")
             agrees = self.get("agrees")
-            if scene.mechanism.friction:
+            if scene.mechanism.rubs:
                 self.reach(k.multiply(now, k.number(0.5)))
                 self.call("compare")
                 agrees = k.multiply(agrees, self.get("agrees"))

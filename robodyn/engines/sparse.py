@@ -62,6 +62,7 @@ class SparseMechanism:
         self.row, self.link = (np.array([e[i] for e in entries], dtype=int) for i in (0, 1))
         self.P, self.angles = (np.array([e[i] for e in entries]) for i in (2, 3))
         self.offset = np.array([x.offset for x in mechanism.rows])
+        self.held = list(mechanism.held)
         paths = [(k, ancestor) for k in range(n) for ancestor in mechanism.path(k)]
         self.J = csr_matrix((np.ones(len(paths)), tuple(np.array(paths).T)), shape=(n, n))
         children = [(k, above) for k, above in enumerate(mechanism.parent) if above is not None]
@@ -114,6 +115,7 @@ class SparseMechanism:
         """Re(P E) + angles alpha + offset, (r,)."""
         terms = PE.real + self.angles * alpha[self.link]
         gap: Array = np.bincount(self.row, terms, minlength=self.r) + self.offset
+        gap[self.held] = 0.0
         return gap
 
     def closing_step(self, q: Array) -> tuple[Array, Any, float, Callable[[Array], Array]]:

@@ -28,6 +28,7 @@ from robodyn.scene.grammar import FORMS, NUMBERS
 from robodyn.scene.scene import (
     Closure,
     Coupling,
+    Friction,
     JointSpring,
     Link,
     Load,
@@ -84,7 +85,7 @@ class Parameters:
         self.kept = {c: self._kept(c, row) for c, row in angles if c is not None}
         gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
-            if link.friction is not None and link.friction.torque:
+            if isinstance(link.friction, Friction) and link.friction.torque:
                 form = "slide_friction" if link.slides else "friction"
                 numbers = self._numbers(form, k, link.friction, link.name)
                 links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
@@ -116,7 +117,7 @@ class Parameters:
             meaning = f"axis that {link.name} slides on, its cosine with {{}}"
             u = f"u{k + 1}"
             numbers["axis"] = self._direction(u, k, link.axis, meaning, above, Role.direction)
-        return link._replace(**numbers, friction=None)
+        return link._replace(**numbers, friction=None, limits=None)
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]  # of times (k,), (k,)
+Sized = Callable[[Array], tuple[Array, Array]]  # the same, and what its rounding is a part of
 
 DEGREE = 16
 ROUNDING = 16.0 * float(np.finfo(float).eps)  # of the sum of |c_k|
+FLAT = 1e3  # times its rounding: a function that changes by less is looked at no closer
 DEEPEST = 60  # halvings
 SPREAD = np.append(0.0, 10.0 ** -np.arange(1.0, 15.0))  # of a bracket, about a guess of the root
 
@@ -79,11 +81,10 @@ def certain(values: Array, noise: Array) -> NDArray[np.int64]:
     return np.where(sure, np.sign(c[..., 0]), 0.0).astype(np.int64)
 
 
-def stretches(
-    f: Function, begin: float, end: float, noise: float, depth: int = 0
-) -> Iterator[Stretch]:
-    """The signs of f, whose values are right but for `noise`, from `begin` to `end`, in order."""
-    values = f(begin + (end - begin) * NODES)
+def stretches(f: Sized, begin: float, end: float, depth: int = 0) -> Iterator[Stretch]:
+    """The signs of f from `begin` to `end`, in order."""
+    values, sizes = f(begin + (end - begin) * NODES)
+    noise = ROUNDING * float(sizes.max())
     c = FROM_VALUES @ np.where(np.isfinite(values), values, 0.0)
     box = Box(begin, end, c, float(errors(c, noise)))
     size = np.abs(c)
@@ -93,8 +94,10 @@ def stretches(
         yield Stretch(begin, end, int(np.sign(c[0])))
     elif size[1] > (SLOPES * size)[2:].sum() + SLOPES[-1] * box.error:
         yield from _monotone(box, begin, end)
-    elif 4.0 * size[2] > (BENDS * size)[3:].sum() + BENDS[-1] * box.error:
-        yield from _bent(box)
+    elif 4.0 * size[2] > (BENDS * size)[3:].sum() + BENDS[-1] * box.error and (
+        (found := _bent(box)) or size.sum() < FLAT * noise or depth == DEEPEST
+    ):
+        yield from found or _grazing(box)
     elif (
         depth == DEEPEST
         or abs(end - begin) <= 8.0 * math.ulp(max(abs(begin), abs(end)))
@@ -103,8 +106,8 @@ def stretches(
         yield Stretch(begin, end, 0)
     else:
         middle = begin + 0.5 * (end - begin)
-        yield from stretches(f, begin, middle, noise, depth + 1)
-        yield from stretches(f, middle, end, noise, depth + 1)
+        yield from stretches(f, begin, middle, depth + 1)
+        yield from stretches(f, middle, end, depth + 1)
 
 
 def _value(box: Box, t: float) -> float:
@@ -141,20 +144,30 @@ def _monotone(box: Box, begin: float, end: float) -> Iterator[Stretch]:
         yield Stretch(begin, end, first or last)
 
 
-def _bent(box: Box) -> Iterator[Stretch]:
-    """Of a box in which f bends one way alone."""
+def _top(box: Box) -> float | None:
+    """Where f, which bends one way alone, has its extremum."""
     slope = Box(box.begin, box.end, _slope(box.c), 0.0)
     if _value(slope, box.begin) * _value(slope, box.end) >= 0.0:
-        yield from _monotone(box, box.begin, box.end)
-        return
-    top = _root(slope, box.begin, box.end)
-    if _sign(box, top):
-        yield from _monotone(box, box.begin, top)
-        yield from _monotone(box, top, box.end)
-        return
-    yield Stretch(box.begin, top, _sign(box, box.begin))  # it grazes zero there
-    yield Stretch(top, top, 0)
-    yield Stretch(top, box.end, _sign(box, box.end))
+        return None
+    return _root(slope, box.begin, box.end)
+
+
+def _bent(box: Box) -> list[Stretch]:
+    """Of a box in which f bends one way alone; nothing where its extremum hides its sign."""
+    top = _top(box)
+    if top is None:
+        return list(_monotone(box, box.begin, box.end))
+    if not _sign(box, top):
+        return []
+    return [*_monotone(box, box.begin, top), *_monotone(box, top, box.end)]
+
+
+def _grazing(box: Box) -> list[Stretch]:
+    """Of a box in which rounding hides whether f passes zero at its extremum."""
+    top = _top(box)
+    assert top is not None
+    first, last = Stretch(box.begin, top, _sign(box, box.begin)), _sign(box, box.end)
+    return [first, Stretch(top, top, 0), Stretch(top, box.end, last)]
 
 
 def _root(box: Box, low: float, high: float) -> float:

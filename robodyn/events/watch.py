@@ -80,11 +80,20 @@ class EventWatch:
 
     def __post_init__(self) -> None:
         self.signs = self.signs or [0] * len(self.functions)
+        self.watched = list(self.functions)
 
-    def counts(self) -> dict[str, int]:
-        """How often each event happened."""
-        names = [event.name for event in self.found]
-        return {function.name: names.count(function.name) for function in self.functions}
+    def guard(self, guards: Sequence[EventFunction]) -> None:
+        """Watch these besides, which are positive now: what changes their signs ends the run."""
+        own = len(self.functions)
+        self.watched = [*self.functions, *guards]
+        self.signs = [*self.signs[:own], *(1 for _ in guards)]
+
+    def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
+        """How often each event happened, and each of some others."""
+        counts = dict.fromkeys((function.name for function in self.functions), 0)
+        for event in (*self.found, *others):
+            counts[event.name] = counts.get(event.name, 0) + 1
+        return counts
 
     def remarks(self) -> list[str]:
         """What is to be said of events that rounding hides, or whose times are not sharp."""
@@ -115,7 +124,7 @@ class EventWatch:
         flat, shape = sampled.reshape(len(at), -1), sampled.shape[:2]
         doubtful: dict[int, list[int]] = {}
         known = []
-        for i, function in enumerate(self.functions):
+        for i, function in enumerate(self.watched):
             noise = ROUNDING * function.sizes(at, flat).reshape(shape).max(axis=1)
             signs = certain(function.values(at, flat).reshape(shape), noise)
             known.append(signs)
@@ -143,7 +152,7 @@ class EventWatch:
         h = end - begin
         between, at = HERMITE @ np.concatenate([ends, h * slopes]), begin + h * CUTS
         doubtful = []
-        for i, function in enumerate(self.functions):
+        for i, function in enumerate(self.watched):
             values = function.values(at, between)
             least, most = float(values.min()), float(values.max())
             nearest = least if self.signs[i] > 0 else -most
@@ -154,16 +163,17 @@ class EventWatch:
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []
-        for i in range(len(self.functions)) if places is None else places:
+        for i in range(len(self.watched)) if places is None else places:
             passed += [(t, apart, i) for t, apart in self._crossings(i, step)]
         forward = 1.0 if step.end > step.begin else -1.0
         passed.sort(key=lambda each: each[0] * forward)
         instant = APART * abs(self.t_end)
-        ends = next((each for each in passed if each[2] in self.stops), None)
+        own = len(self.functions)
+        ends = next((each for each in passed if each[2] in self.stops or each[2] >= own), None)
         for t, apart, i in passed:
             if ends is not None and (t - ends[0]) * forward > instant:
                 break
-            if len(self.found) < MOST:
+            if i < own and len(self.found) < MOST:
                 self.found.append(Event(self.functions[i].name, t, self._state(step, t), apart))
         return None if ends is None else Stop(ends[2], ends[0], self._state(step, ends[0]))
 
@@ -172,25 +182,29 @@ class EventWatch:
 
     def _crossings(self, i: int, step: Step) -> list[tuple[float, float]]:
         """When a function passes zero in the way that counts, and how far that may be off."""
-        function = self.functions[i]
+        function = self.watched[i]
         found: list[tuple[float, float]] = []
 
         def values(t: Array) -> Array:
             return function.values(t, step.states(t))
 
-        at = step.begin + (step.end - step.begin) * NODES
-        noise = ROUNDING * float(function.sizes(at, step.states(at)).max())
+        def sized(t: Array) -> tuple[Array, Array]:
+            y = step.states(t)
+            return function.values(t, y), function.sizes(t, y)
+
         before: Stretch | None = None
-        for stretch in stretches(values, step.begin, step.end, noise):
+        for stretch in stretches(sized, step.begin, step.end):
             if not stretch.sign:
-                if stretch.begin == stretch.end:
+                if stretch.begin == stretch.end and i < len(self.functions):
                     self._graze(function.name, stretch.begin)
                 continue
             if self.signs[i] not in (0, stretch.sign) and function.way in (0, stretch.sign):
                 t, apart = step.begin, 0.0
                 if before is not None:
                     low, high = (x.begin + 0.5 * (x.end - x.begin) for x in (before, stretch))
-                    first, last = values(np.array([low, high])).tolist()
+                    ends, sizes = sized(np.array([low, high]))
+                    noise = ROUNDING * float(sizes.max())
+                    first, last = ends.tolist()
                     t = root(values, low, high, stretch.begin)
                     apart = noise * abs((high - low) / ((last - first) or math.inf))
                 found.append((t, apart))

@@ -37,7 +37,10 @@ from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
-REASONS = {"friction": "MuJoCo has no friction by tanh(qd/speed); its frictionloss is another law"}
+REASONS = {
+    "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
+    "limits": "MuJoCo's limits are soft constraints of a law of their own",
+}
 SAID = ("closures", "springs", "loads", "couplings")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
 SOFT_REMARKS = (

@@ -29,7 +29,8 @@ REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",
     "springs": "URDF has no springs; MJCF has",
     "loads": "URDF has no loads; MJCF has",
-    "friction": "URDF has no friction by tanh(qd/speed), only the bare torque",
+    "friction": "URDF has no friction by tanh(qd/speed) or Stribeck's, only the bare torque",
+    "limits": "URDF's limits are no stops: what happens there is left to its reader",
 }
 REMARKS = (
     "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an",

@@ -217,6 +217,9 @@ def exact_gap(mechanism: Mechanism, q: Any) -> Array:
 
     gap = []
     for row in mechanism.rows:
+        if row.held:
+            gap.append(0.0)
+            continue
         real, imag = whole(row.ground.real) << BITS, whole(row.ground.imag) << BITS
         for k, p in row.P:
             (c, s), a, b = coordinate(k), whole(p.real), whole(p.imag)

@@ -215,6 +215,6 @@ class EquationsOfMotion(ForceRows):
                 total.append((angle, self.coordinate(k)))
                 self.moments[k].append((angle, mu))
             gap = program.sum(*total, constant=program.number(row.offset))
-            gaps.append(gap)
+            gaps.append(program.sum() if row.held else gap)
             self._rows.append(program.add(Derivative(program.add(Derivative(gap)))))
         return multipliers

@@ -9,6 +9,10 @@ the coefficients c_k gives F_k -= conj(c_k) f.  A joint's torque is
 
     T = tau - D qd - friction tanh(qd/speed) - k (q - angle),
 
+and that of a joint which slips one way (way = 1 or -1) loses besides
+
+    way (torque + (static - torque) exp(-(qd/stribeck)^2)),
+
 the force along its axis where the joint slides.
 
 A new kind of force or of joint torque is a few more rows here: what it does, the energy that it
@@ -227,12 +231,29 @@ class ForceRows(LinkRows):
             if work:
                 working = acting[1:] if steady and tau is not None else acting
                 self.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
-            constant = 0.0
+            constant = self._slipping(j, acting, work)
             for stiffness, angle in springs.get(j, []):
                 acting.append((number(-stiffness), self.q(j)))
                 constant += stiffness * angle
-            if acting:
+            if acting or constant:
                 self.torques[j] = program.sum(*acting, constant=number(constant))
+
+    def _slipping(self, j: int, acting: list[Term], work: bool) -> float:
+        """The friction of a joint that slips, added to what acts; what of it is constant."""
+        program, number, constant = self.program, self.program.number, 0.0
+        for friction, way in ((x, way) for k, x, way in self.mechanism.slips if k == j):
+            constant -= way * friction.torque
+            if work:
+                self.power.append((number(-way * friction.torque), self.v(j)))
+            if friction.stribeck is not None and friction.static > friction.torque:
+                part = program.sum((number(1.0 / friction.stribeck), self.v(j)))
+                square = program.sum((-1.0, program.add(Product(part, part))))
+                more, bell = friction.static - friction.torque, program.add(Function("exp", square))
+                acting.append((number(-way * more), bell))
+                self._bends(bell, more)
+                if work:
+                    self.power.append((number(-way * more), program.add(Product(bell, self.v(j)))))
+        return constant
 
     def _bends(self, slot: Slot, arm: float) -> None:
         """A slot whose series may hold only in part of a step, and what makes a torque of it."""

@@ -42,6 +42,8 @@ from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import (
     Description,
+    DryFriction,
+    Friction,
     JointSpring,
     Load,
     Moment,
@@ -146,8 +148,14 @@ def constants(description: Description) -> Mechanism:
         friction=tuple(
             (k, link.friction)
             for k, link in enumerate(links)
-            if link.friction is not None and link.friction.torque
+            if isinstance(link.friction, Friction) and link.friction.torque
         ),
+        dry=tuple(
+            (k, link.friction)
+            for k, link in enumerate(links)
+            if isinstance(link.friction, DryFriction) and link.friction.static
+        ),
+        limits=tuple((k, link.limits) for k, link in enumerate(links) if link.limits is not None),
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
         unit=tree.unit,

@@ -15,7 +15,7 @@ def bare(mechanism: Mechanism) -> Mechanism:
     """The links alone."""
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
-    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=(), slips=())
     return replace(nothing, energy_offset=0.0)
 
 
@@ -33,7 +33,8 @@ def loaded(mechanism: Mechanism) -> Mechanism:
 def spent(mechanism: Mechanism) -> Mechanism:
     """What makes Q: dampers of springs, forces that turn with a link, friction."""
     springs = tuple(x._replace(stiffness=0.0) for x in mechanism.springs)
-    return replace(loaded(mechanism), springs=springs, friction=mechanism.friction)
+    rubs = replace(loaded(mechanism), friction=mechanism.friction, slips=mechanism.slips)
+    return replace(rubs, springs=springs)
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar, overload
 
-from robodyn.scene.scene import Description, Friction, JointSpring
+from robodyn.scene.scene import Description, DryFriction, Friction, JointSpring, Limits
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +68,7 @@ class ClosureRow(NamedTuple):
     coupling has no P: an equation of coordinates is multiplied by `arm` (m), so that gaps compare,
     and arm * lambda is the torque on the coupling's joint, N m.  Of an angle that a closure keeps
     the gap is arm times the sine of what it is off, arm * lambda the moment on the first side's
-    link.
+    link.  A joint that is `held` where it is has a row of rates alone: its gap counts as zero.
     """
 
     closure: int | None  # None: of a coupling
@@ -79,6 +79,7 @@ class ClosureRow(NamedTuple):
     arm: float = 0.0
     line: int | None = None
     ground: complex = 0j
+    held: bool = False
     lengths: Mapping[int, float] = {}  # that displacements are compared by, m
 
     @property
@@ -147,6 +148,9 @@ class Mechanism:
     joint_springs: tuple[JointSpring, ...] = ()
     forces: Sequence[Force] = ()
     friction: tuple[tuple[int, Friction], ...] = ()  # of joints
+    dry: tuple[tuple[int, DryFriction], ...] = ()  # the same, with sticking: see `modes.py`
+    limits: tuple[tuple[int, Limits], ...] = ()  # of joints: see `modes.py`
+    slips: tuple[tuple[int, DryFriction, int], ...] = ()  # joints that slip, and which way
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
@@ -189,6 +193,11 @@ class Mechanism:
         return tuple((r, row.line) for r, row in enumerate(self.rows) if row.line is not None)
 
     @cached_property
+    def held(self) -> tuple[int, ...]:
+        """The rows of joints that are held where they are."""
+        return tuple(r for r, row in enumerate(self.rows) if row.held)
+
+    @cached_property
     def has_angles(self) -> bool:
         """Whether rows have terms that are linear in x."""
         return any(row.angles for row in self.rows)
@@ -205,14 +214,24 @@ class Mechanism:
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
         turning = any(force.turns for force in self.forces)
-        return bool(self.springs or self.joint_springs or self.friction or turning)
+        return bool(self.springs or self.joint_springs or self.rubs or turning)
 
     @property
     def changes_energy(self) -> bool:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
         turning = any(force.turns for force in self.forces)
         dampers = any(self.damping) or any(spring.damping for spring in self.springs)
-        return bool(dampers or self.friction or turning)
+        return bool(dampers or self.rubs or turning)
+
+    @property
+    def rubs(self) -> bool:
+        """Whether friction acts, other than that of what sticks."""
+        return bool(self.friction or self.slips)
+
+    @property
+    def switches(self) -> bool:
+        """Whether its equations of motion change on the way: dry friction, ends of joints."""
+        return bool(self.dry or self.limits)
 
     @cached_property
     def arrays(self) -> Arrays:
@@ -220,7 +239,7 @@ class Mechanism:
         return _arrays(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made = ("arrays", "above", "lines", "has_angles")
+        made = ("arrays", "above", "lines", "held", "has_angles")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
+from robodyn.scene.contact_values import ContactReader
 from robodyn.scene.grammar import Key
 from robodyn.scene.quantities import parse_coupling, parse_number
 from robodyn.scene.scene import (
@@ -21,7 +22,6 @@ from robodyn.scene.scene import (
     Closure,
     Coupling,
     Description,
-    Friction,
     JointSpring,
     Link,
     Load,
@@ -58,7 +58,7 @@ def from_tree(root: Node | None, source: str) -> Description:
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
-class _Reader(ValueReader):
+class _Reader(ContactReader):
     """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
 
     missing: ClassVar[dict[str, Any]] = {
@@ -164,12 +164,6 @@ class _Reader(ValueReader):
         above = values.pop("from") or (self.tip(i - 1) if i else Point(None, 0j))
         values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
-
-    def friction(self, node: Node, place: str) -> Friction:
-        return Friction(**self.form("friction", node, place))
-
-    def slide_friction(self, node: Node, place: str) -> Friction:
-        return Friction(*self.form("slide_friction", node, place).values())
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""

@@ -49,11 +49,20 @@ class Form(NamedTuple):
         return [name for name, key in self.keys.items() if key.needed == needed]
 
 
-NUMBERS = {"number": "", "angle": "", "amount": ">= 0", "positive": "> 0"}  # and their limits
+# and their limits
+NUMBERS = {"number": "", "angle": "", "amount": ">= 0", "positive": "> 0", "part": "in [0, 1]"}
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
 # The forms of a mapping of this kind, each with the keys that tell it; the last has none.
 MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
+    "friction": {"dry_friction": ("static",), "friction": ()},
+    "slide_friction": {"slide_dry_friction": ("static",), "slide_friction": ()},
+    "limits": {"stops": ("stiffness",), "hard_stops": ("restitution",), "limits": ()},
+    "slide_limits": {
+        "slide_stops": ("stiffness",),
+        "slide_hard_stops": ("restitution",),
+        "slide_limits": (),
+    },
     "link": {"prismatic_link": ("axis",), "revolute_link": ()},
     "spring": {"slide_spring": ("joint", "length"), "joint_spring": ("joint",), "point_spring": ()},
     "load": {"torque": ("torque",), "force": ()},
@@ -121,6 +130,39 @@ def _friction(name: str, unit: str, speed: str) -> Form:
     )
 
 
+def _dry_friction(name: str, unit: str, speed: str) -> Form:
+    return Form(
+        f"Friction that sticks: {name} + (static - {name}) exp(-(qd/stribeck)^2) against the "
+        "motion; at rest it holds up to static.",
+        {
+            name: Key("amount", "in motion, far above the rate stribeck", unit),
+            "static": Key("amount", f"most that it holds at rest, not below {name}", unit),
+            "stribeck": Key("positive", "rate over which it falls from static", speed, "none"),
+        },
+    )
+
+
+def _limits(kind: str, unit: str, load: str) -> dict[str, Form]:
+    """Compliant stops, hard ones, and limits alone."""
+    ends = {
+        "min": Key(kind, "where the joint ends below", unit, "none"),
+        "max": Key(kind, "where it ends above; one of the two may be missing", unit, "none"),
+    }
+    stiffness = Key("positive", "of the stop, which pushes and never pulls", f"{load}/{unit}")
+    damping = Key("amount", "of the stop, while it pushes", f"{load} s/{unit}", "0")
+    restitution = Key("part", "speed after an impact over that before, from 0 to 1")
+    prefix = "slide_" if kind == "number" else ""
+    return {
+        f"{prefix}stops": Form(
+            "Compliant stops of a joint.", ends | {"stiffness": stiffness, "damping": damping}
+        ),
+        f"{prefix}hard_stops": Form(
+            "Hard stops of a joint, which throw it back.", ends | {"restitution": restitution}
+        ),
+        f"{prefix}limits": Form("Limits of a joint, which end a simulation.", ends),
+    }
+
+
 def _joint_spring(free: str, kind: str, unit: str, load: str) -> Form:
     turns = f"; its {free} counts from turn to turn" if kind == "angle" else ""
     place = "angle" if kind == "angle" else "displacement"
@@ -182,6 +224,7 @@ FORMS = {
             "joint": Key("joint_kind", "of its own joint", default=JOINTS[0]),
             "damping": _damping("N m s/rad"),
             "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
+            "limits": Key("limits", "where its own joint ends", default="none"),
         },
     ),
     "prismatic_link": Form(
@@ -194,10 +237,15 @@ FORMS = {
             ),
             "damping": _damping("N s/m"),
             "friction": Key("slide_friction", "Coulomb friction at its own joint", default="none"),
+            "limits": Key("slide_limits", "where its own joint ends", default="none"),
         },
     ),
     "friction": _friction("torque", "N m", "rad/s"),
     "slide_friction": _friction("force", "N", "m/s"),
+    "dry_friction": _dry_friction("torque", "N m", "rad/s"),
+    "slide_dry_friction": _dry_friction("force", "N", "m/s"),
+    **_limits("angle", "rad", "N m"),
+    **_limits("number", "m", "N"),
     "link_point": Form(
         "A point of a link.",
         {

@@ -6,6 +6,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
@@ -30,6 +31,44 @@ class Friction(NamedTuple):
     speed: float
 
 
+class DryFriction(NamedTuple):
+    """Coulomb friction with true sticking: N m, and rad/s; of a prismatic joint N and m/s.
+
+    A joint at rest holds up to `static`; one that moves at the rate v is held back by
+    torque + (static - torque) exp(-(v/stribeck)^2), without `stribeck` by the torque alone.
+    """
+
+    torque: float
+    static: float
+    stribeck: float | None = None
+
+    def slipping(self, speed: float) -> float:
+        """The friction at a speed other than zero."""
+        if self.stribeck is None:
+            return self.torque
+        return self.torque + (self.static - self.torque) * math.exp(-((speed / self.stribeck) ** 2))
+
+
+class Limits(NamedTuple):
+    """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
+
+    A compliant stop, of a stiffness (N m/rad) and a damping (N m s/rad), pushes and never pulls;
+    a hard one throws back at `restitution` times the speed.
+    """
+
+    low: float | None
+    high: float | None
+    stiffness: float | None = None
+    damping: float = 0.0
+    restitution: float | None = None
+
+    @property
+    def ends(self) -> list[tuple[int, float]]:
+        """The sides, -1 and 1, that have an end, and where."""
+        sides = ((-1, self.low), (1, self.high))
+        return [(side, end) for side, end in sides if end is not None]
+
+
 class Link(NamedTuple):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
 
@@ -45,8 +84,9 @@ class Link(NamedTuple):
     hangs_from: Point
     payload: float = 0.0
     damping: float = 0.0
-    friction: Friction | None = None
+    friction: Friction | DryFriction | None = None
     axis: complex | None = None
+    limits: Limits | None = None
 
     @property
     def slides(self) -> bool:

@@ -123,7 +123,8 @@ class ValueReader:
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        if limit and (value < 0.0 or (value == 0.0 and limit == "> 0")):
+        too_large = key.kind == "part" and value > 1.0
+        if too_large or (limit and (value < 0.0 or (value == 0.0 and limit == "> 0"))):
             self.fault(place, node, f"must be {limit}{key.hint}", self.shown(node))
             return 0.0
         return value

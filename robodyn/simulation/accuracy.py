@@ -143,7 +143,7 @@ class _Motion:
     ) -> None:
         self._of = mechanism, state, t_end, actuation
         ends: list[Array] = []
-        outcome, _ = run(*self._of, settings, lambda t, y: ends.append(t))
+        outcome, _ = run(*self._of, settings, lambda t, y, _: ends.append(t))
         self.finishes = outcome is Outcome.FINISHED
         steps = np.concatenate(ends)
         self.longest = float(np.abs(np.diff(steps)).max(initial=0.0)) or np.inf
@@ -168,7 +168,7 @@ class _Motion:
         if not self.finishes:
             return None
         rows: list[Array] = []
-        outcome, recorder = run(*self._of, settings, lambda t, y: rows.append(y), self.times)
+        outcome, recorder = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
         if outcome is not Outcome.FINISHED:
             return None
         return Sampled(np.concatenate(rows), recorder.settle().work_missed)

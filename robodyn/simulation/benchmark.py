@@ -84,7 +84,7 @@ def benchmark(
         rows: list[Array] = []
         begun = time.perf_counter()
         outcome, recorder = run(
-            mechanism, state, at[-1], actuation, settings, lambda t, y: rows.append(y), at
+            mechanism, state, at[-1], actuation, settings, lambda t, y, _: rows.append(y), at
         )
         took = time.perf_counter() - begun
         report = recorder.settle()

@@ -7,7 +7,7 @@ many at once and memory does not grow with the length of a run.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
-from robodyn.events.watch import EventWatch, Step, Stop
+from robodyn.events.functions import EventFunction
+from robodyn.events.watch import Event, EventWatch, Step, Stop
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
 Array = NDArray[np.float64]
-Sink = Callable[[Array, Array], None]
+Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n), of one mode
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
@@ -67,6 +68,15 @@ class Outcome(Enum):
         "stiff",
         "the explicit method is held to tiny steps by its stability: take --method Radau "
         "(or BDF, LSODA)",
+    )
+    LIMIT = (
+        "limit",
+        "the joint has no stop there: give its limits a stiffness or a restitution, or less torque",
+    )
+    CHATTERING = (
+        "chattering",
+        "modes of contact follow one another without time passing: the scene's friction and stops "
+        "contradict one another there",
     )
     INTERRUPTED = ("interrupted", "what was computed until then is kept")
     EVENT = ("ended", "by the event that was to end it")
@@ -147,6 +157,8 @@ class Recorder:
     events: EventWatch | None = None
     stopped: Stop | None = None  # by what event
     last_row: float | None = None  # its time
+    closes: bool = False  # whether the mechanism has closures, in all modes
+    contacts: list[Event] = field(default_factory=list)  # what joints met, and left
 
     def begin(self, y: Array) -> None:
         smooth = self.actuation.constants is not None or self.actuation.linear
@@ -187,11 +199,34 @@ class Recorder:
             self.stop(stop)
 
     def stop(self, stop: Stop) -> NoReturn:
-        """End the run at an event, with a row there."""
+        """End the run, or the phase, at an event."""
         self.stopped = stop
-        if self.last_row != stop.t:
-            self._row(np.array([stop.t]), stop.y[None])
+        if self.guard is None:
+            self.end_row()
         raise StopRun(Outcome.EVENT)
+
+    def end_row(self) -> None:
+        """A row where the run was stopped."""
+        if self.stopped is not None and self.last_row != self.stopped.t:
+            self._row(np.array([self.stopped.t]), self.stopped.y[None])
+
+    @property
+    def guard(self) -> int | None:
+        """The place of the guard that ended the phase; None: something else ended the run."""
+        if self.stopped is None or self.events is None:
+            return None
+        place = self.stopped.place - len(self.events.functions)
+        return place if place >= 0 else None
+
+    def begin_phase(self, moving: Mechanism, guards: Sequence[EventFunction]) -> None:
+        """The motion goes on in another mode, which lasts as long as the guards are positive."""
+        if moving is not self.mechanism:
+            self.flush_rows()
+            self.flush_steps()
+            self.mechanism, self.rank = moving, 0
+        self.stopped = None
+        assert self.events is not None
+        self.events.guard(guards)
 
     def end_solver(self, solver: OdeSolver) -> None:
         """Count what a solver did that another one follows."""
@@ -280,9 +315,9 @@ class Recorder:
         if self.actuation.control is not None:
             self.report.tracking = self.actuation.control.tracking()
         if self.events is not None:
-            self.report.events = self.events.counts()
+            self.report.events = self.events.counts(self.contacts)
             self.report.remarks = self.events.remarks()
-            if self.stopped is not None:
+            if self.stopped is not None and self.guard is None:
                 self.report.ended_by = self.events.functions[self.stopped.place].name
         return self.report
 
@@ -299,7 +334,7 @@ class Recorder:
             t = np.concatenate([t for t, _ in self.rows])
             y = np.concatenate([y for _, y in self.rows])
             self.rows, self.waiting = [], 0
-            self.sink(t, y[:, : 2 * self.mechanism.n])
+            self.sink(t, y[:, : 2 * self.mechanism.n], self.mechanism)
 
     def flush_steps(self) -> None:
         """Take the waiting steps into the statistics."""
@@ -330,7 +365,7 @@ class Recorder:
         report.energy_drift = max(error, before) / moving if moving > 0.0 else 0.0
         report.work_missed = self.missed / moving if moving > 0.0 else 0.0
         report.work = float(work[-1])
-        if mechanism.rows:
+        if self.closes:
             self._flush_loops(t, q, qd)
 
     def _flush_loops(self, t: Array, q: Array, qd: Array) -> None:

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,10 @@ from robodyn.simulation.recording import Outcome, Recorder, Report, Sink, StopRu
 from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 
+if TYPE_CHECKING:
+    from robodyn.simulation.phases import Phases
+    from robodyn.taylor.steps import SteppingEngine
+
 Array = NDArray[np.float64]
 
 MAX_EVALUATIONS = 2_000_000
@@ -43,6 +47,7 @@ METHODS: tuple[str, ...] = get_args(Method)
 ORDERS = (4, 60)  # of the Taylor series
 CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
+MOST_IDLE = 100  # phases in a row that take no time, after which none will
 UNTIL = "until"  # the name of the event that ends a run
 SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
@@ -58,6 +63,7 @@ class Motion:
     outcome: Outcome
     mechanism: Mechanism
     events: list[Event]
+    _phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)
     _settle: Callable[[], Report] = field(repr=False, compare=False)
 
     @cached_property
@@ -71,7 +77,12 @@ class Motion:
     @cached_property
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
-        return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
+        if not self.mechanism.switches:
+            return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
+        ends = np.cumsum([count for count, _ in self._phases])[:-1]
+        parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau))
+        each = zip(self._phases, *parts, strict=True)
+        return np.concatenate([dynamics.forward_dynamics(moving, *x) for (_, moving), *x in each])
 
 
 @dataclass(slots=True)
@@ -163,13 +174,19 @@ def simulate(
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
+    phases: list[tuple[int, Mechanism]] = []
+
+    def keep(t: Array, y: Array, moving: Mechanism) -> None:
+        rows.append((t, y))
+        phases.append((len(t), moving))
+
     outcome, recorder = run(
         mechanism,
         state,
         float(t_end),
         actuation,
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
-        lambda t, y: rows.append((t, y)),
+        keep,
         times,
         events=watch,
     )
@@ -179,7 +196,9 @@ def simulate(
     t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    return Motion(t, q, qd, torques, outcome, mechanism, found, recorder.settle)
+    found += recorder.contacts
+    found.sort(key=lambda event: abs(event.t))
+    return Motion(t, q, qd, torques, outcome, mechanism, found, phases, recorder.settle)
 
 
 def watched_events(
@@ -227,68 +246,46 @@ def run(
             span = f"{first:g} to {last:g} s"
             raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
     actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
-    work = actuation.active or mechanism.changes_energy
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
     report.hint = "" if actuation.told_by_leaves else TOO_FAST
-    report.stabilize = stabilize = settings.stabilize if mechanism.rows else "none"
-    projects = stabilize == "projection"
-    baumgarte = settings.baumgarte if stabilize == "baumgarte" else 0.0
-    y0 = np.concatenate([state, [0.0]]) if work else np.array(state, float)
-    taylor = settings.method == "taylor"
-
-    sides: list[RightHandSide] = []
-
-    def side() -> RightHandSide:
-        if not sides:
-            sides.append(right_hand_side(mechanism, actuation, work=work, baumgarte=baumgarte))
-        return sides[0]
-
+    report.stabilize = settings.stabilize if mechanism.rows else "none"
     n = mechanism.n
+    work = actuation.active or mechanism.changes_energy or mechanism.switches
+    y = np.concatenate([state, [0.0]]) if work else np.array(state, float)
     if t_end != 0.0 and mechanism.rows:
-        loop_rates.check_way_on(mechanism, y0[None, :n], y0[None, n : 2 * n])
-    if projects:
-        y0 = Projection(mechanism, best_closing(mechanism))(y0)
+        loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
+    if report.stabilize == "projection":
+        y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
-        actuation.told.begin(y0.tolist(), float(t_end))
-    if taylor:  # tell now where no motion is defined
-        if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
-            dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
-    else:
-        report.evaluator = side().kind
-        if not np.isfinite(side().rates(0.0, y0)).all():
-            limit = "the torque or the acceleration is not finite there"
-            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-    recorder = Recorder(mechanism, report, sink, times, settings.max_evaluations, watch, actuation)
-    recorder.events = events
-    recorder.begin(y0)
+        actuation.told.begin(y.tolist(), float(t_end))
+    phases = None
+    if mechanism.switches:
+        from robodyn.simulation.phases import Phases
+
+        events = events or EventWatch([], t_end)
+        phases = Phases(mechanism, actuation, y, t_end)
+        y = phases.y
+    smooth = _Smooth(actuation, settings, t_end, work)
+    moving = mechanism if phases is None else phases.moving
+    smooth.check_start(moving, y, report)
+    recorder = Recorder(moving, report, sink, times, settings.max_evaluations, watch, actuation)
+    recorder.events, recorder.closes = events, bool(mechanism.rows)
+    recorder.begin(y)
     begun = time.perf_counter()
     outcome = Outcome.FINISHED
     if t_end != 0.0:
         try:
-            if taylor:
-                from robodyn.taylor.run import taylor_run
-
-                outcome = taylor_run(
-                    mechanism,
-                    actuation,
-                    y0,
-                    t_end,
-                    recorder,
-                    rtol=float(settings.rtol),
-                    atol=float(settings.atol),
-                    order=settings.order,
-                    engine=settings.engine,
-                    project=projects,
-                    max_step=float(settings.max_step),
-                    side=side,
-                )
+            if phases is not None:
+                outcome = _in_phases(phases, smooth, y, recorder)
             else:
-                outcome = _by_scipy(side(), y0, t_end, actuation, settings, recorder, projects)
+                outcome = smooth.run(mechanism, 0.0, y, recorder)
         except SingularError:
             outcome = Outcome.SINGULAR
         except StopRun as stop:
             outcome = stop.outcome
     recorder.flush_rows()
+    if phases is not None:
+        recorder.contacts = phases.found
     if actuation.control is not None:  # it may follow another run before it is asked
         recorder.settle()
     report.seconds = time.perf_counter() - begun
@@ -296,41 +293,121 @@ def run(
     return outcome, recorder
 
 
-def _by_scipy(
-    side: RightHandSide,
-    y: Array,
-    t_end: float,
-    actuation: Actuation,
-    settings: Settings,
-    recorder: Recorder,
-    projects: bool,
-) -> Outcome:
-    from robodyn.simulation.solvers import StiffError, solver_of
+def _in_phases(phases: Phases, smooth: _Smooth, y: Array, recorder: Recorder) -> Outcome:
+    """From the state y at t = 0, phase by phase."""
+    t, idle = 0.0, 0
+    while True:
+        recorder.begin_phase(phases.moving, phases.functions)
+        outcome = smooth.run(phases.moving, t, y, recorder)
+        place, stopped = recorder.guard, recorder.stopped
+        if outcome is not Outcome.EVENT or place is None or stopped is None:
+            return outcome
+        if why := phases.ends_run(place):
+            recorder.report.ended_by = why
+            recorder.end_row()
+            return Outcome.LIMIT
+        idle = idle + 1 if stopped.t == t else 0
+        if idle == MOST_IDLE:
+            return Outcome.CHATTERING
+        t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
+        if t == smooth.t_end:
+            return Outcome.FINISHED
 
-    tolerances = settings.rtol, settings.atol
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # LSODA's; the outcome says it
-        solver = solver_of(
-            settings.method,
-            side,
-            (0.0, y, t_end),
-            tolerances,
-            recorder,
-            actuation,
-            projects,
-            settings.max_step,
-        )
+
+class _Smooth:
+    """Integrates smooth motions of mechanisms, one after the other; what it makes it keeps."""
+
+    def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
+        self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
+        self._sides: dict[Mechanism, RightHandSide] = {}
+        self._engines: dict[Mechanism, SteppingEngine] = {}
+
+    def side(self, mechanism: Mechanism) -> RightHandSide:
+        """The rates of the mechanism."""
+        if mechanism not in self._sides:
+            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            self._sides[mechanism] = right_hand_side(
+                mechanism,
+                self.actuation,
+                work=self.work,
+                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+            )
+        return self._sides[mechanism]
+
+    def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
+        """Raise RobodynError, now, where no motion is defined."""
+        n = mechanism.n
+        if self.settings.method == "taylor":
+            if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
+                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+            return
+        side = self.side(mechanism)
+        report.evaluator = side.kind
+        if not np.isfinite(side.rates(0.0, y)).all():
+            limit = "the torque or the acceleration is not finite there"
+            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+    def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
+        """From (t, y) to the end, or to an event."""
+        settings = self.settings
+        projects = settings.stabilize == "projection" and bool(mechanism.rows)
         try:
-            while solver.status == "running":
-                solver.step()
-        except StiffError:
-            return Outcome.STIFF
-    if solver.status == "finished":
-        return Outcome.FINISHED
-    recorder.flush_steps()
-    near = recorder.last_singular
-    singular = near is not None and near < NEARLY_SINGULAR
-    return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
+            if settings.method != "taylor":
+                return self._by_scipy(mechanism, t, y, recorder, projects)
+            from robodyn.taylor.run import taylor_run
+
+            return taylor_run(
+                mechanism,
+                self.actuation,
+                y,
+                self.t_end,
+                recorder,
+                rtol=float(settings.rtol),
+                atol=float(settings.atol),
+                order=settings.order,
+                engine=settings.engine,
+                project=projects,
+                max_step=float(settings.max_step),
+                side=lambda: self.side(mechanism),
+                begin=t,
+                engines=self._engines,
+            )
+        except StopRun as stop:
+            if stop.outcome is not Outcome.EVENT:
+                raise
+            return stop.outcome
+
+    def _by_scipy(
+        self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
+    ) -> Outcome:
+        from robodyn.simulation.solvers import StiffError, solver_of
+
+        tolerances = self.settings.rtol, self.settings.atol
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # LSODA's; the outcome says it
+            solver = solver_of(
+                self.settings.method,
+                self.side(mechanism),
+                (t, y, self.t_end),
+                tolerances,
+                recorder,
+                self.actuation,
+                projects,
+                self.settings.max_step,
+            )
+            try:
+                while solver.status == "running":
+                    solver.step()
+            except StiffError:
+                return Outcome.STIFF
+            finally:
+                recorder.end_solver(solver)
+        if solver.status == "finished":
+            return Outcome.FINISHED
+        recorder.flush_steps()
+        near = recorder.last_singular
+        singular = near is not None and near < NEARLY_SINGULAR
+        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 
 
 def _check_times(times: Array, t_end: float) -> None:

@@ -130,11 +130,14 @@ def taylor_run(
     project: bool,
     max_step: float,
     side: Callable[[], RightHandSide],
+    begin: float = 0.0,
+    engines: dict[Mechanism, SteppingEngine] | None = None,
 ) -> Outcome:
-    """Integrate from (0, y) to t_end; `side` makes what DOP853 needs, where it is needed.
+    """Integrate from (begin, y) to t_end; `side` makes what DOP853 needs, where it is needed.
 
     `engine` is python, compiled, or auto: compiled where as many steps of the mechanism as WORTH
-    were made in this process, or are to be expected.
+    were made in this process, or are to be expected.  `engines` keeps those in Python for the next
+    run.
     """
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
@@ -146,9 +149,13 @@ def taylor_run(
         return misses is not None and misses.crosses(y[: mechanism.n])
 
     def careful() -> SteppingEngine:
-        made = stepping_engine(
-            mechanism, actuation, rtol, atol, order=order, project=project, work=work
-        )
+        made = None if engines is None else engines.get(mechanism)
+        if made is None:
+            made = stepping_engine(
+                mechanism, actuation, rtol, atol, order=order, project=project, work=work
+            )
+        if engines is not None:
+            engines[mechanism] = made
         made.halts = recorder.watch
         return made
 
@@ -174,8 +181,8 @@ def taylor_run(
             raise InputError("engine", value=engine, limit=limit)
     waits = engine == "auto" and stepping is None and seen[0] < worth
     stepping = stepping or careful()
-    _check_start(mechanism, actuation, y)
-    t, begun, most = 0.0, time.perf_counter(), STEPS
+    _check_start(mechanism, actuation, begin, y)
+    t, begun, most = begin, time.perf_counter(), STEPS
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = False  # whether only the motion that leads across a change point leads on
     if closing is not None and isinstance(stepping, SteppingEngine):  # machine code tells itself
@@ -305,9 +312,9 @@ def reach(actuation: Actuation, t: float, y: Array) -> None:
         actuation.told.reach(kink, y.tolist())
 
 
-def _check_start(mechanism: Mechanism, actuation: Actuation, y: Array) -> None:
+def _check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array) -> None:
     try:
-        torques = actuation.function(mechanism.n)(0.0, y.tolist())
+        torques = actuation.function(mechanism.n)(t, y.tolist())
     except (ArithmeticError, ValueError):
         torques = [math.nan]
     if not all(map(math.isfinite, torques)):

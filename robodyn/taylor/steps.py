@@ -25,6 +25,9 @@ Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end,
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
 
 
+BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
+
+
 class Steps(NamedTuple):
     """What makes the steps of a mechanism under its torques, tau and their slopes where in a table.
 
@@ -212,8 +215,9 @@ class SteppingEngine:
         miss *= (self.order + 1) * self.lightest
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            if self._agrees(series, x, t + x, new, relative, miss / h):
-                if not self.mechanism.friction:  # far above its speed all its derivatives vanish
+            falls = self._falls_over(state, new)
+            if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
+                if not self.mechanism.rubs:  # far above its speed all its derivatives vanish
                     break
                 middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
                 if self._agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
@@ -221,6 +225,20 @@ class SteppingEngine:
             h *= 0.5
             new = self.states(state, series, np.array([h * direction]))[0].tolist()
         return h, new
+
+    def _falls_over(self, state: list[float], new: list[float]) -> bool:
+        """Whether friction that falls with the rate may rise and fall between two states.
+
+        Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`.
+        """
+        n = self.mechanism.n
+        for joint, friction, _ in self.mechanism.slips:
+            v, after, width = state[n + joint], new[n + joint], friction.stribeck
+            if width is not None and abs(after - v) > max(0.5 * abs(v), width):
+                nearest = min(abs(v), abs(after)) if v * after > 0.0 else 0.0
+                if nearest < BELL * width:
+                    return True
+        return False
 
     def _land(
         self,

@@ -1,0 +1,95 @@
+"""The modes of a mechanism whose joints stick, or end: in each its equations of motion are smooth.
+
+A joint with dry friction sticks or slips one way; one with ends is free, presses a compliant stop,
+or rests at a hard one.  What sticks or rests is held: a row in its rates, whose multiplier is what
+holds it.  The mechanism in a mode is one like any other, and every engine serves it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from robodyn.mechanics.loop_rows import coupling_rows
+from robodyn.mechanics.planar_model import Mechanism
+from robodyn.scene.scene import Coupling, JointSpring, Limits
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+T = TypeVar("T", float, Any)
+
+
+class Mode(NamedTuple):
+    """Which joints are held, which slip and which way, which press the stop of which side."""
+
+    held: tuple[int, ...] = ()
+    slips: tuple[tuple[int, int], ...] = ()
+    pressed: tuple[tuple[int, int], ...] = ()
+
+
+@lru_cache(maxsize=256)
+def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
+    """The mechanism in a mode; the rows of what is held follow its own."""
+    dry, limits = dict(mechanism.dry), dict(mechanism.limits)
+    description = mechanism.description
+    held = tuple(Coupling(joint, (), 0.0) for joint in mode.held)
+    rows = [row._replace(held=True) for row in coupling_rows(description._replace(couplings=held))]
+    springs, damping = list(mechanism.joint_springs), list(mechanism.damping)
+    for joint, side in mode.pressed:
+        stop = limits[joint]
+        assert stop.stiffness is not None
+        springs.append(JointSpring(joint, stop.stiffness, dict(stop.ends)[side]))
+        damping[joint] += stop.damping
+    return replace(
+        mechanism,
+        rows=mechanism.rows + tuple(rows),
+        joint_springs=tuple(springs),
+        damping=tuple(damping),
+        slips=tuple((joint, dry[joint], way) for joint, way in mode.slips),
+        dry=(),
+        limits=(),
+    )
+
+
+def pushes(stop: Limits, side: int, q: T, qd: T) -> T:
+    """The force of a compliant stop over its stiffness, away from its side, rad or m.
+
+    As its spring and damper have it: below zero it would pull, and does not act.
+    """
+    assert stop.stiffness is not None
+    return side * (q - dict(stop.ends)[side] + stop.damping / stop.stiffness * qd)
+
+
+def pressed(
+    mechanism: Mechanism, q: Sequence[float], qd: Sequence[float]
+) -> tuple[tuple[int, int], ...]:
+    """The compliant stops that push in a state: of joints beyond them, and no faster out."""
+    found = []
+    for joint, stop in mechanism.limits:
+        for side, end in stop.ends if stop.stiffness is not None else []:
+            beyond = side * (q[joint] - end) > 0.0
+            if beyond and pushes(stop, side, q[joint], qd[joint]) > 0.0:
+                found.append((joint, side))
+    return tuple(found)
+
+
+def resting_friction(mechanism: Mechanism, qd: NDArray[Any], qdd: NDArray[Any]) -> bool:
+    """Whether in any of the motions (k, n) a joint with dry friction stays at rest."""
+    joints = [joint for joint, _ in mechanism.dry]
+    return bool(((qd[:, joints] == 0.0) & (qdd[:, joints] == 0.0)).any())
+
+
+def moving_mode(
+    mechanism: Mechanism, q: Sequence[float], qd: Sequence[float], qdd: Sequence[float]
+) -> Mode:
+    """The mode of a motion that is given: joints slip as they move, or as they are about to.
+
+    A joint that neither moves nor starts has no friction here: all within what it holds is right.
+    """
+    ways = ((j, qd[j] or qdd[j]) for j, _ in mechanism.dry)
+    slips = tuple((j, 1 if way > 0.0 else -1) for j, way in ways if way)
+    return Mode((), slips, pressed(mechanism, q, qd))

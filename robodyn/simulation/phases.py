@@ -1,0 +1,289 @@
+"""The phases of a run: between two of them a joint sticks or slips, meets an end or leaves it.
+
+In each phase the mechanism is in one mode (`modes.py`), and its motion is smooth.  What ends a
+phase is the change of sign of a function that is positive as long as the mode lasts, and is watched
+as an event.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
+from robodyn.dynamics.sticking import (
+    AT_REST,
+    NEAR,
+    bounds,
+    held_forces,
+    margins,
+    mode_at,
+    resting,
+    touching,
+)
+from robodyn.errors import InputError
+from robodyn.events.functions import EventFunction
+from robodyn.events.watch import Event
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode, pressed, pushes
+from robodyn.scene.scene import Limits
+from robodyn.simulation.impacts import rates_after
+from robodyn.simulation.run_torques import applied_torques
+
+Array = NDArray[np.float64]
+End = tuple[int, int]  # a joint and a side
+
+ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
+
+
+class Guard(NamedTuple):
+    """What ends a phase: one that slips, holds, is inside of a hard end, presses or is apart from
+    a compliant one."""
+
+    kind: str
+    joint: int
+    side: int  # of the joint's end; or the way that it slips
+
+
+class Phases:
+    """How a mechanism goes from mode to mode, from the state y = (q, qd, ...) at t = 0.
+
+    Raises InputError for a state beyond an end, or a run backwards: what has come to rest does not
+    tell from where.
+    """
+
+    def __init__(self, mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float) -> None:
+        if t_end < 0.0:
+            limit = "must not be negative: dry friction and stops have no motion backwards"
+            raise InputError("time", value=t_end, limit=limit)
+        self.mechanism, self.actuation, self.t_end = mechanism, actuation, t_end
+        self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
+        self.found: list[Event] = []
+        q, qd = self._split(y)
+        for joint, side, end, stop in self._ends():
+            if stop.stiffness is None and side * (q[joint] - end) > NEAR * max(1.0, abs(end)):
+                raise InputError(
+                    f"q{joint + 1} ({mechanism.link_names[joint]})",
+                    where=mechanism.source,
+                    value=float(q[joint]),
+                    limit=f"is beyond the joint's {_word(side)}, {end:.9g}",
+                )
+        hits = [end for end in touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
+        self.y = self._impact(0.0, y, hits, set()) if hits else y
+        q, qd = self._split(self.y)
+        pushing = pressed(mechanism, q.tolist(), qd.tolist())
+        touches = set(touching(mechanism, q, qd))
+        self._enter(0.0, set(resting(mechanism, qd)), touches, set(pushing))
+
+    def _ends(self) -> Iterator[tuple[int, int, float, Limits]]:
+        """Each end of a joint: the joint, the side, where it is, and what is there."""
+        for joint, stop in self.mechanism.limits:
+            for side, end in stop.ends:
+                yield joint, side, end, stop
+
+    def _split(self, y: Array) -> tuple[Array, Array]:
+        n = self.mechanism.n
+        return y[:n], y[n : 2 * n]
+
+    def _torque(self, t: float, y: Array) -> Array:
+        tau: Array = applied_torques(self.mechanism, self.actuation, np.array([t]), y[None])[0]
+        return tau
+
+    # -- modes -------------------------------------------------------------------------------------
+
+    def _enter(
+        self,
+        t: float,
+        rests: set[int],
+        touches: set[End],
+        pushing: set[End],
+        starting: tuple[int, int] | None = None,
+    ) -> None:
+        """The mode in which the state goes on, and what ends it."""
+        q, qd = self._split(self.y)
+        tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
+        self.mode, self.still = mode_at(
+            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting
+        )
+        self.touches = {end for end in touches if end[0] in self.still}
+        self.bounds = {
+            joint: bounds(self.mechanism, joint, [s for j, s in self.touches if j == joint])
+            for joint in self.still
+        }
+        self.moving = in_mode(self.mechanism, self.mode)
+        self._watch(t)
+
+    def _watch(self, t: float) -> None:
+        """The functions that are positive while the mode lasts."""
+        self.guards: list[Guard] = [Guard("slips", *slip) for slip in self.mode.slips]
+        for joint, side, _, stop in self._ends():
+            if (joint, side) not in self.touches:
+                compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
+                kind = "inside" if stop.stiffness is None else compliant
+                self.guards.append(Guard(kind, joint, side))
+        count = self._margins(np.array([t]), self.y[None]).shape[1] if self.still else 0
+        self.guards += [Guard("holds", k, 0) for k in range(count)]
+        self.functions = [self._function(guard, t) for guard in self.guards]
+
+    def _function(self, guard: Guard, t: float) -> EventFunction:
+        values = partial(self._value, guard)
+        here = float(values(np.array([t]), self.y[None])[0])
+        size = float(self._size(guard, np.array([t]), self.y[None])[0])
+        if guard.kind in ("inside", "presses", "apart"):
+            size += float(self.mechanism.arrays.units[guard.joint])
+        offset = here if abs(here) <= NEAR * size else 0.0  # it is zero there, but for rounding
+        name = f"{guard.kind} {guard.joint} {guard.side}"
+        return EventFunction(
+            name, -1, lambda t, y: values(t, y) - offset, partial(self._size, guard)
+        )
+
+    def _value(self, guard: Guard, t: Array, y: Array) -> Array:
+        n, (kind, joint, side) = self.mechanism.n, guard
+        if kind == "slips":
+            return np.asarray(side * y[:, n + joint])
+        if kind == "holds":
+            return self._margins(t, y)[:, joint]
+        q, qd = y[:, joint], y[:, n + joint]
+        inside = -side * (q - dict(self.limits[joint].ends)[side])
+        if kind == "inside":
+            return np.asarray(inside)
+        push: Array = pushes(self.limits[joint], side, q, qd)
+        # apart: inside of the end, or faster out than the stop follows
+        return push if kind == "presses" else np.maximum(-push, inside)
+
+    def _size(self, guard: Guard, t: Array, y: Array) -> Array:
+        n, (kind, joint, side) = self.mechanism.n, guard
+        if kind == "slips":
+            return np.asarray(np.abs(y[:, n : 2 * n]).sum(axis=1))
+        if kind == "holds":
+            held = [x for b in self.bounds.values() for x in (b.low, b.high) if math.isfinite(x)]
+            return np.asarray(np.abs(self._forces(t, y)).sum(axis=1) + sum(map(abs, held)))
+        stop = self.limits[joint]
+        reach = np.abs(y[:, joint]) + abs(dict(stop.ends)[side])
+        lag = stop.damping / (stop.stiffness or math.inf)
+        return np.asarray(reach + lag * np.abs(y[:, n + joint]))
+
+    def _forces(self, t: Array, y: Array) -> Array:
+        """What holds each held joint, (k, held)."""
+        n = self.mechanism.n
+        tau = applied_torques(self.mechanism, self.actuation, t, y)
+        solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau)
+        return held_forces(self.moving, solution.multipliers)
+
+    def _margins(self, t: Array, y: Array) -> Array:
+        q = y[:, : self.mechanism.n]
+        forces = self._forces(t, y)
+        return margins(self.mechanism, self.mode, self.still, q, forces, self.bounds)
+
+    # -- from one to the next ----------------------------------------------------------------------
+
+    def ends_run(self, place: int) -> str:
+        """What ends the run where the guard at a place does; nothing where the run goes on."""
+        kind, joint, side = self.guards[place]
+        if kind != "inside" or self.limits[joint].restitution is not None:
+            return ""
+        end = dict(self.limits[joint].ends)[side]
+        return (
+            f"q{joint + 1} ({self.mechanism.link_names[joint]}) passes its {_word(side)}, {end:.9g}"
+        )
+
+    def next(self, t: float, y: Array, place: int) -> Array:
+        """The phase that follows at the state y at t, where the guard at a place ended one."""
+        before = self._energy(self.moving, y)
+        guard, q, qd = self.guards[place], *self._split(y)
+        rests = {joint for joint in self.still if joint in self.dry}
+        touches, pushing = set(self.touches), set(self.mode.pressed)
+        if guard.kind == "presses":
+            pushing.remove((guard.joint, guard.side))
+        if guard.kind == "apart":
+            pushing.add((guard.joint, guard.side))
+        if guard.kind == "slips":
+            rests.add(guard.joint)
+            self._tell(t, y, guard.joint, "stops")
+        fastest = float(np.abs(qd).max(initial=0.0))
+        hits = [
+            (joint, side)
+            for joint, side in touching(self.mechanism, q, qd)
+            if side * qd[joint] > AT_REST * fastest and (joint, side) not in touches
+        ]
+        if guard.kind == "inside":
+            hits = sorted({*hits, (guard.joint, guard.side)})
+        y = y.copy()
+        for joint in rests | {joint for joint, _ in touches}:
+            y[self.mechanism.n + joint] = 0.0
+        self.y = y
+        if hits:
+            self.y = self._impact(t, y, hits, touches)
+            _, qd = self._split(self.y)
+            still = AT_REST * float(np.abs(qd).max(initial=0.0))
+            rests = {joint for joint in rests if abs(qd[joint]) <= still}
+            touches = {end for end in touches | set(hits) if abs(qd[end[0]]) <= still}
+        was = self.mode
+        self._enter(t, rests, touches, pushing, self._starting(guard))
+        self._note(t, was, guard)
+        if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
+            self.y[-1] += self._energy(self.moving, self.y) - before
+        return self.y
+
+    def _starting(self, guard: Guard) -> tuple[int, int] | None:
+        """The joint that what holds it holds no longer, and which way it starts."""
+        held = self.mode.held
+        if guard.kind != "holds" or guard.joint >= 2 * len(held):
+            return None
+        way = 1 if guard.joint < len(held) else -1  # the force that it needs is below, or above
+        return held[guard.joint % len(held)], way
+
+    def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
+        """The state after an impact; bounces that would end at once are over."""
+        q, qd = self._split(y)
+        ends = sorted({*hits, *touches})
+        e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
+        after = rates_after(self.mechanism, q, qd, ends, e)
+        slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
+        free = in_mode(self.mechanism, Mode((), slips))
+        qdd = forward_dynamics(free, q, after, self._torque(t, y))
+        over = False
+        for k, (joint, side) in enumerate(ends):
+            leaves, back = -side * after[joint], side * qdd[joint]
+            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
+                lasts = 2.0 * leaves / (back * (1.0 - e[k]))
+                if lasts < ENDLESS * abs(self.t_end):
+                    e[k], over = 0.0, True
+        if over:
+            after = rates_after(self.mechanism, q, qd, ends, e)
+        y = y.copy()
+        y[self.mechanism.n : 2 * self.mechanism.n] = after
+        for joint, side in hits:
+            self._tell(t, y, joint, f"hits its {_word(side)}")
+            if abs(after[joint]) <= AT_REST * float(np.abs(after).max(initial=0.0)):
+                y[self.mechanism.n + joint] = 0.0
+        return y
+
+    def _energy(self, moving: Mechanism, y: Array) -> float:
+        KE, PE = closed_form.energies(moving, *self._split(y))
+        return float(KE + PE)
+
+    def _note(self, t: float, was: Mode, guard: Guard) -> None:
+        """Tell what changed."""
+        for joint, side in set(self.mode.pressed) - set(was.pressed):
+            self._tell(t, self.y, joint, f"meets its {_word(side)}")
+        for joint, side in set(was.pressed) - set(self.mode.pressed):
+            self._tell(t, self.y, joint, f"leaves its {_word(side)}")
+        if guard.kind == "holds":
+            for joint in sorted(set(was.held) - set(self.mode.held)):
+                self._tell(t, self.y, joint, "starts")
+
+    def _tell(self, t: float, y: Array, joint: int, what: str) -> None:
+        name = f"{self.mechanism.link_names[joint]} {what}"
+        self.found.append(Event(name, t, y[: 2 * self.mechanism.n].copy()))
+
+
+def _word(side: int) -> str:
+    return "max" if side > 0 else "min"
