@@ -15,7 +15,7 @@ def bare(mechanism: Mechanism) -> Mechanism:
     """The links alone."""
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
-    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+    nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=(), rotors=())
     return replace(nothing, energy_offset=0.0)
 
 

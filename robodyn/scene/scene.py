@@ -30,6 +30,22 @@ class Friction(NamedTuple):
     speed: float
 
 
+class Motor(NamedTuple):
+    """A motor and its gear at a joint: the rotor turns `ratio` times as far as the joint.
+
+    It sits on the link that carries the joint, and turns relative to it.  Of the rotor: inertia
+    kg m^2, damping N m s/rad, N m, rad/s, N m/A, ohm; the ratio of a prismatic joint is in rad/m.
+    """
+
+    ratio: float
+    inertia: float
+    damping: float = 0.0
+    torque_max: float | None = None
+    speed_max: float | None = None
+    torque_constant: float | None = None
+    resistance: float | None = None
+
+
 class Link(NamedTuple):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
 
@@ -47,6 +63,7 @@ class Link(NamedTuple):
     damping: float = 0.0
     friction: Friction | None = None
     axis: complex | None = None
+    motor: Motor | None = None
 
     @property
     def slides(self) -> bool:
