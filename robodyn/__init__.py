@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
+    from robodyn.mechanics.motors import motor_loads as motor_loads
+    from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
@@ -75,6 +77,8 @@ _ROOMS = {
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism", "load"],
+    "mechanics.motors": ["motor_loads"],
+    "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],

@@ -13,6 +13,7 @@ from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.motors import motor_columns
 from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
@@ -70,6 +71,7 @@ class Plan:
             described = mechanism.description
             names += [f"f{x}{c + 1}" for c in range(len(described.closures)) for x in "xy"]
             names += [f"tc{c + 1}" for c in range(len(described.couplings))]
+            names += motor_columns(mechanism)
             return [*names, "outcome"]
         if "final" in self.results:
             names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
