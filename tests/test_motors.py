@@ -345,6 +345,7 @@ def test_torque_tells_of_motors(robodyn: Run, arm: Path, tmp_path: Path) -> None
     assert done.out.splitlines()[0] == "q1,q2,qd1,qd2," + COLUMNS
     for row, qd in zip(done.rows, ((1.0, 2.0), (0.5, 0.0)), strict=True):
         expected_columns({name: float(x) for name, x in row.items()}, qd)
+    assert "-0.0" not in robodyn("torque", arm, "--q", "90deg,0").succeeds().out
     table = robodyn("torque", arm, "--q", "0,0", "--format", "table").succeeds().out
     for head in ("motor1 [N m]", "motor_speed1 [rad/s]", "volt1 [V]", "amp1 [A]", "watt1 [W]"):
         assert head in table

@@ -105,7 +105,7 @@ class SparseMechanism:
             gapd = np.bincount(self.row, slope * rates[self.link], minlength=self.r)
             gap = self.gap(PE, self.J @ y[:n])
             bend = bend - 2 * baumgarte * gapd - baumgarte**2 * gap
-        inertia = w.real + self.rotors
+        inertia = w.real + self.rotors if self.mechanism.rotors else w.real
         values = np.concatenate([inertia, inertia[self.off], slope, slope])
         factors = self._system.factorise(values)
         absolute = factors.solve(np.concatenate([force, bend]))[:n]

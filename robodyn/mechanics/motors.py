@@ -10,14 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.scene.scene import Motor
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import ArrayLike, NDArray
 
 
 def driving_motors(mechanism: Mechanism) -> Iterator[tuple[int, Motor]]:
@@ -42,26 +38,13 @@ def motor_values(mechanism: Mechanism, tau: Sequence[Any], qd: Sequence[Any]) ->
     """
     torques, speeds, volts, amps = [], [], [], []
     for k, motor in driving_motors(mechanism):
-        torques.append(tau[k] / motor.ratio)
-        speeds.append(motor.ratio * qd[k])
+        torques.append(tau[k] / motor.ratio + 0.0)  # no -0.0
+        speeds.append(motor.ratio * qd[k] + 0.0)
         if motor.torque_constant and motor.resistance:
             amps.append(torques[-1] / motor.torque_constant)
             volts.append(motor.resistance * amps[-1] + motor.torque_constant * speeds[-1])
-    watts = [volt * amp for volt, amp in zip(volts, amps, strict=True)]
+    watts = [volt * amp + 0.0 for volt, amp in zip(volts, amps, strict=True)]
     return [*torques, *speeds, *volts, *amps, *watts]
-
-
-def motor_loads(
-    mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike
-) -> dict[str, NDArray[np.float64]]:
-    """The same by name, each (...), of joint torques and rates (..., n)."""
-    import numpy as np
-
-    from robodyn.dynamics.placed import n_wide
-
-    given = [n_wide(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
-    torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))
-    return dict(zip(motor_columns(mechanism), motor_values(mechanism, torques, rates), strict=True))
 
 
 def torque_limits(mechanism: Mechanism) -> list[float]:
