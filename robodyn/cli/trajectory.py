@@ -24,7 +24,7 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, path_through
-from robodyn.trajectories.limits import LimitError, with_motors
+from robodyn.trajectories.motion_limits import LimitError, with_motors
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.reference import ReferenceMotion, motion_along
 

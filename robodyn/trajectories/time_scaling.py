@@ -28,11 +28,11 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
-from robodyn.trajectories.limits import LimitError as LimitError
-from robodyn.trajectories.limits import Limits as Limits
-from robodyn.trajectories.limits import is_of_motor, limit_unit, limited_joint, with_motors
-from robodyn.trajectories.limits import limits_of as limits_of
 from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.motion_limits import LimitError as LimitError
+from robodyn.trajectories.motion_limits import Limits as Limits
+from robodyn.trajectories.motion_limits import is_of_motor, limit_unit, limited_joint, with_motors
+from robodyn.trajectories.motion_limits import limits_of as limits_of
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
 from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
