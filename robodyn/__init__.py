@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
     from robodyn.dynamics.dynamics import kept_moments as kept_moments
     from robodyn.dynamics.dynamics import pin_forces as pin_forces
+    from robodyn.dynamics.motor_loads import motor_loads as motor_loads
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
+    from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
@@ -75,6 +77,8 @@ _ROOMS = {
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism", "load"],
+    "dynamics.motor_loads": ["motor_loads"],
+    "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],

@@ -16,9 +16,11 @@ from random_mechanisms import (
     Shape,
     forced,
     mechanism,
+    motored,
     seeded_scene,
     seeded_tree,
     sizes,
+    sliding,
 )
 from robodyn.dynamics import identities
 from robodyn.mechanics.mechanism import Mechanism
@@ -58,12 +60,27 @@ def plain_scene(name, seed):
         tree, n = seeded_tree(seed, 2 + seed % 4), 2 + seed % 4
         joint, other = (seed % n, (seed + 1) % n)
         return geared(seed, tree, joint, other, [k for k in range(n) if k != joint])
+    if name == "tree with motors":
+        return motored(seed, seeded_tree(seed, (2, 5, 3, 4, 1, 8)[seed % 6]))
+    if name == "sliding tree with motors":
+        n = 2 + seed % 4
+        return motored(seed, sliding(seed, seeded_tree(seed, n), (seed // 4) % n))
+    if name == "geared five-bar with motors":
+        return motored(seed, plain_scene("geared five-bar", seed))
+    if name == "six-bar with motors":
+        return motored(seed, seeded_scene(seed, LOOPS["six-bar with a piston"]))
     if name == "geared five-bar":
         return geared(seed, seeded_scene(seed, LOOPS["five-bar"]), 2, 0, [0])
     return seeded_scene(seed, (LOOPS | SLIDERS)[name])
 
 
-KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar")
+MOTORED = (
+    "tree with motors",
+    "sliding tree with motors",
+    "geared five-bar with motors",
+    "six-bar with motors",
+)
+KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED)
 # of the cart-pole the torque of one joint alone makes no motion that is asked for
 ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem != "cart-pole")
 
@@ -160,7 +177,7 @@ def case(mech, q, qd, seed, qdd=None):
 @functools.cache
 def random_case(name, seed, acted):
     scene = plain_scene(name, seed)
-    if acted:
+    if acted and not scene.mechanism.slides:
         scene = forced(seed, scene)
         more = "{joint: link0, stiffness: 2.5, angle: 0.7}, {joint: link0, stiffness: 3, angle: 2}"
         scene = replace(scene, text=scene.text.replace("springs: [", f"springs: [{more}, "))

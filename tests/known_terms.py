@@ -123,7 +123,11 @@ class Known:
             self.forces = Forces(description, pose, qd, mp.tanh)
             potential, other, PE = self.forces.torques()
             self.G = G - potential
-            self.Q = other - np.array([link.damping for link in description.links]) * qd
+            damping = [mpf(link.damping) for link in description.links]
+            for k, link in enumerate(description.links):
+                if link.motor is not None:
+                    damping[k] += mpf(link.motor.damping) * mpf(link.motor.ratio) ** 2
+            self.Q = other - np.array(damping) * qd
             self.PE = PE - sum(
                 link["m"] * (description.gravity.conjugate() * pose.position((k, link["r"]))).real
                 for k, link in enumerate(tree)

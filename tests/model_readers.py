@@ -33,6 +33,7 @@ class Body:
     axis: Array | None = None
     slides: bool = False
     damping: float = 0.0
+    armature: float = 0.0
     stiffness: float = 0.0
     springref: float = 0.0
     mass: float = 0.0
@@ -61,6 +62,8 @@ class Model:
     # constant wrenches on a site, in the frame of it or of another
     wrenches: list[tuple[str, str | None, Array]] = field(default_factory=list)
     motors: list[str] = field(default_factory=list)
+    # inertias of sums of joints: the inertia, and {joint: factor}
+    spun: list[tuple[float, dict[str, float]]] = field(default_factory=list)
     keys: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -119,6 +122,12 @@ class Model:
             turn = frames[body.name][1]
             M += body.mass * Jv.T @ Jv + Jw.T @ turn @ body.inertia @ turn.T @ Jw
             G -= body.mass * Jv.T @ gravity
+            if body.joint is not None:
+                j = self.joints.index(body.joint)
+                M[j, j] += body.armature
+        for inertia, factors in self.spun:
+            row = np.array([factors.get(joint, 0.0) for joint in self.joints])
+            M += inertia * np.outer(row, row)
         return M, G
 
     def forces(self, q: Mapping[str, float], qd: Mapping[str, float]) -> Array:
@@ -246,7 +255,8 @@ def read_mjcf(text: str) -> Model:
                 assert joint.get("type") in ("hinge", "slide")
                 body.slides = joint.get("type") == "slide"
                 assert body.slides or "xyaxes" not in child.attrib
-                assert not {"range", "ref", "pos", "armature"} & set(joint.keys())
+                assert not {"range", "ref", "pos"} & set(joint.keys())
+                body.armature = float(joint.get("armature", "0"))
                 body.joint, body.axis = joint.get("name"), unit(joint.get("axis"))
                 body.damping, body.stiffness, body.springref = (
                     float(joint.get(key, "0")) for key in ("damping", "stiffness", "springref")
@@ -272,6 +282,9 @@ def read_mjcf(text: str) -> Model:
         tendon.get("name"): {x.get("joint"): float(x.get("coef")) for x in tendon.findall("joint")}
         for tendon in root.findall("tendon/fixed")
     }
+    for tendon in root.findall("tendon/fixed"):
+        if "armature" in tendon.attrib:
+            model.spun.append((float(tendon.get("armature")), fixed[tendon.get("name")]))
     for equal in root.findall("equality/joint"):
         a0, a1, *others = numbers(equal.get("polycoef"), 5).tolist()
         assert others == [0, 0, 0]

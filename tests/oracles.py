@@ -17,6 +17,7 @@ Contents: 2R arm; four-bar; general trees (Lagrange, Newton-Euler, 30 digits); e
 """
 
 import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -296,7 +297,8 @@ def four_bar_tree(p):
 #   (complex, or float along the link), l m the length (no part in the dynamics), parent the
 #   index of the link that it hangs from or None for the ground, at m its joint (complex) in the
 #   parent's link frame or in the ground frame; axis, where it slides, the unit vector (complex) of
-#   that frame along which it does, and along which its own x axis lies.
+#   that frame along which it does, and along which its own x axis lies; rotor, of a motor at its
+#   joint, the ratio of the gear (rad/m where it slides) and the inertia kg m^2 of what spins.
 # gamma = gx + i gy is the acceleration of gravity, m/s^2: -9.81j points along -Y.
 # ---------------------------------------------------------------------------------------------
 
@@ -326,9 +328,10 @@ def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30, lines=()):
     number, dtype = {"numpy": (float, float), "mpmath": (mpf, object)}[backend]
     parents = tuple(link["parent"] for link in tree)
     slides = tuple("axis" in link for link in tree)
+    driven = tuple("rotor" in link for link in tree)
     ends = tuple((first[0], second[0]) for first, second in closures)
     on_lines = tuple((first[0], second[0]) for first, second, _ in lines)
-    evaluate = _lagrange(parents, slides, ends, on_lines, backend)
+    evaluate = _lagrange(parents, slides, driven, ends, on_lines, backend)
 
     # in the order of the symbols in _lagrange
     points = [gamma, *(link["r"] for link in tree), *(link["at"] for link in tree)]
@@ -337,6 +340,7 @@ def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30, lines=()):
     points += [each for (_, a), (_, b), along in lines for each in (a, b, along)]
     values = [link["m"] for link in tree] + [link["I"] for link in tree]
     values += [coordinate for point in points for coordinate in (point.real, point.imag)]
+    values += [x for link in tree if "rotor" in link for x in link["rotor"]]
 
     n, rows = len(tree), 2 * len(ends) + len(lines)
     shapes = [(n, n), (n, n), (n,), (), (), (rows,), (rows, n), (rows,)]
@@ -354,12 +358,13 @@ def sympy_terms(tree, gamma, closures=(), backend="numpy", digits=30, lines=()):
 
 
 @functools.cache
-def _lagrange(parents, slides, ends, on_lines, backend):
+def _lagrange(parents, slides, driven, ends, on_lines, backend):
     """All terms of a tree of this shape as one function (q, qd, values) -> flat list.
 
     With centres of gravity (x, y) and absolute rates w,
 
         KE = sum 1/2 m (xdot^2 + ydot^2) + 1/2 I w^2        PE = -sum m (gx x + gy y)
+        KE += sum 1/2 J (w of the carrying link + ratio qd)^2 of rotors
         M_ij = d2KE / dqd_i dqd_j        G_i = dPE / dq_i
         C_ij = sum_k 1/2 (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) qd_k
     """
@@ -371,6 +376,8 @@ def _lagrange(parents, slides, ends, on_lines, backend):
     gamma, *points = (sp.symbols(f"x{i} y{i}") for i in range(count))
     r, at, axes, closing = points[:n], points[n : 2 * n], points[2 * n : 3 * n], points[3 * n :]
     values = [*m, *I, *gamma, *(coordinate for point in points for coordinate in point)]
+    rotors = {i: sp.symbols(f"N{i} J{i}") for i in range(n) if driven[i]}
+    values += [x for pair in rotors.values() for x in pair]
 
     def on_ground(link, point):
         """Ground coordinates of a point of a link (or of the ground)."""
@@ -399,6 +406,9 @@ def _lagrange(parents, slides, ends, on_lines, backend):
         x, y = on_ground(i, r[i])
         KE += m[i] * (rate(x) ** 2 + rate(y) ** 2) / 2 + I[i] * rate(alpha[i]) ** 2 / 2
         PE -= m[i] * (gamma[0] * x + gamma[1] * y)
+    for i, (ratio, inertia) in rotors.items():
+        carrier = 0 if parents[i] is None else rate(alpha[parents[i]])
+        KE += inertia * (carrier + ratio * qd[i]) ** 2 / 2
 
     M = sp.hessian(KE, qd)
     dM = [sp.diff(M, q[k]) for k in range(n)]
@@ -549,6 +559,11 @@ def mp_terms(tree, gamma, q, qd, digits=30):
                     M[i, j] += link["m"] * (J[i][0] * J[j][0] + J[i][1] * J[j][1])
                     M[i, j] += link["I"] * turns[i] * turns[j]
                     C[i, j] += link["m"] * (J[i][0] * Jdot[j][0] + J[i][1] * Jdot[j][1])
+            if "rotor" in link:  # turns with what carries it, and `ratio` times as far as the joint
+                ratio, inertia = link["rotor"]
+                spin = {j: mpf(1) for j in path[parent] if "axis" not in tree[j]} | {b: mpf(ratio)}
+                for i, j in itertools.product(spin, spin):
+                    M[i, j] += inertia * spin[i] * spin[j]
     return M, C, G
 
 

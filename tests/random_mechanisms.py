@@ -340,6 +340,27 @@ def forced(seed: int, plain: Scene) -> Scene:
     return Scene(text + "".join(added), plain.q, plain.qd, plain.qdd)
 
 
+def motored(seed: int, plain: Scene) -> Scene:
+    """The scene with a motor at every joint but the last, or at its only one."""
+    numbers, text = seeded(3000 + seed), plain.text
+    for k in range(max(1, plain.n - 1)):
+        motor = {
+            "ratio": numbers.real(2.0, 40.0) * (-1) ** numbers.whole(0, 1),
+            "inertia": numbers.real(1e-5, 1e-3),
+            "damping": numbers.real(0.0, 1e-3),
+        }
+        text = text.replace(f"name: link{k},", f"name: link{k}, motor: {_flow(motor)},")
+    return Scene(text, plain.q, plain.qd, plain.qdd)
+
+
+def sliding(seed: int, plain: Scene, joint: int) -> Scene:
+    """The open tree with a prismatic joint in place of one of its others."""
+    axis = _flow(_pair(seeded(4000 + seed).point(1.0)))
+    name = f"name: link{joint},"
+    text = plain.text.replace(name, f"{name} joint: prismatic, axis: {axis},")
+    return Scene(text, plain.q, plain.qd, plain.qdd)
+
+
 def seeded_scene(seed: int, shape: Shape, massless: tuple[int, ...] = ()) -> Scene:
     """A random scene of this shape, always the same for the same seed."""
     numbers = seeded(seed)
@@ -418,6 +439,8 @@ def oracle_tree(description: Description) -> list[dict]:
         tree.append({"m": m, "l": link.l, "r": r, "I": I, "parent": parent, "at": at})
         if link.axis is not None:
             tree[-1]["axis"] = link.axis
+        if link.motor is not None:
+            tree[-1]["rotor"] = link.motor.ratio, link.motor.inertia
     return tree
 
 
@@ -467,7 +490,12 @@ def sizes(description: Description) -> Sizes:
         for pair in oracle_closures(description)
         for link, at in pair
     ]
+    for link in tree:
+        ratio, rotor = link.get("rotor", (0.0, 0.0))
+        inertia += rotor * (1.0 + abs(ratio)) ** 2
+    motors = [link.motor for link in description.links if link.motor is not None]
     damping = max(link.damping for link in description.links)
+    damping += max((x.damping * x.ratio**2 for x in motors), default=0.0)
     return Sizes(inertia, abs(description.gravity) * moment, damping, max(loops, default=0.0))
 
 

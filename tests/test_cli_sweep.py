@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT, Outcome
+from test_prismatic import BLOCK
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
@@ -384,3 +385,17 @@ def test_the_scheduler_needs_its_extra(robodyn: Run, monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(sys.modules, "distributed", None)
     refused = robodyn(*ARM, "--vary", "q1=0,1", "--scheduler", "tcp://x:1")
     refused.fails(2, "--scheduler", "robodyn[cluster]")
+
+
+def test_torques_of_a_loop_that_keeps_an_angle(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    """The moment of the angle is among the columns, as in `torque`."""
+    path = scene(BLOCK)
+    swept = robodyn(
+        "sweep", path, "--kind", "torque", "--vary", "qd1=1,2", "--q", 0.4, "--quiet"
+    ).succeeds()
+    for row in swept.rows:
+        single = robodyn("torque", path, "--q", 0.4, "--qd", row["qd1"]).succeeds().row
+        assert list(row) == ["qd1", *single, "outcome"]
+        assert "mz1" in single
+        for name, value in single.items():
+            assert float(row[name]) == pytest.approx(value, rel=1e-9)

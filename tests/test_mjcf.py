@@ -20,9 +20,11 @@ from random_mechanisms import (
     forced,
     loops,
     mechanism,
+    motored,
     seeded_scene,
     seeded_tree,
     sizes,
+    sliding,
     trees,
 )
 from robodyn.errors import InputError
@@ -291,6 +293,16 @@ class TestForces:
         resisted = mech.arrays.damping * qd
         size = max(np.abs(part).max() for part in (G, Q, resisted, 1.0))
         assert_close(theirs, Q - G - resisted, size, rtol)
+
+    @pytest.mark.parametrize("seed", range(8))
+    def test_of_rotors(self, seed):
+        """On the ground an armature, on a link that turns that of a tendon; and damping."""
+        n = 2 + seed % 4
+        scene = motored(seed, sliding(seed, seeded_tree(seed, n), seed % n))
+        assert_same_terms(scene.mechanism, scene.q)
+        self.assert_same_forces(scene.mechanism, scene.q, scene.qd)
+        moving = any(rotor.carrier is not None for rotor in scene.mechanism.rotors)
+        assert ("from 3.3.1" in mjcf(scene.mechanism)) == moving
 
     @pytest.mark.parametrize("seed", range(8))
     def test_of_trees(self, seed):

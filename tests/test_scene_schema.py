@@ -57,6 +57,8 @@ loads:
   - {link: crank, torque: -1.5}
 """
 )
+MOTOR = "{ratio: -50, inertia: 2e-5, torque_constant: 0.03, resistance: 1.2, speed_max: 500}"
+DRIVEN = ARM.replace("I: 0.082", f"I: 0.082, motor: {MOTOR}")
 SHIPPED = [*ROOT.glob("robots/*.yaml"), *ROOT.glob("tests/hard_cases/*.yaml")]
 
 
@@ -66,7 +68,7 @@ def test_shipped_scenes_obey(path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [ARM, LOOP, EVERYTHING, FORCES, "links: [{name: a, m: 1, l: 2, r: 0, I: 0}]"]
+    "text", [ARM, LOOP, EVERYTHING, FORCES, DRIVEN, "links: [{name: a, m: 1, l: 2, r: 0, I: 0}]"]
 )
 def test_good_scenes_obey(text: str) -> None:
     from_text(text, "my.yaml")
@@ -159,6 +161,12 @@ FAULTS = [
     (FORCES, "frame: link", "frame: world"),
     (FORCES, "torque: -1.5", "torque: -1.5, at: [0, 0]"),
     (FORCES, "torque: -1.5", "torque: strong"),
+    (DRIVEN, "ratio: -50", "ratio: 0"),
+    (DRIVEN, "ratio: -50, ", ""),
+    (DRIVEN, "inertia: 2e-5", "inertia: -2e-5"),
+    (DRIVEN, "resistance: 1.2", "resistance: 0"),
+    (DRIVEN, "speed_max: 500", "speed_max: fast"),
+    (DRIVEN, "speed_max: 500", "speed: 500"),
     (EVERYTHING, "plate: 30deg", "plate: 30degrees"),
     (EVERYTHING, "plate: 30deg", "plate: [1]"),
     (EVERYTHING, "start: {plate: 30deg, right: -pi/4, slide: 0.5}", "start: 30deg"),
@@ -200,6 +208,7 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
         "dry_friction",
         "stops",
         "hard_stops",
+        "motor",
     ],
 )
 def test_the_tables_of_the_readme_are_the_grammar(form: str) -> None:

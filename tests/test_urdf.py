@@ -190,6 +190,14 @@ def test_springs_and_loads_are_refused(key, entry):
     assert caught.value.exit_code == 2
 
 
+def test_rotors_are_refused():
+    """A gear alone is none, and the rotor's damping is that of its joint."""
+    arm = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, motor: {ratio: 5, inertia: %s}}]"
+    with pytest.raises(InputError, match=r"links\[0\] \(a\)\.motor: URDF has no inertia of rotors"):
+        urdf(mechanism(arm % "1e-4"))
+    assert 'damping="0.5"' in urdf(mechanism(arm % "0, damping: 0.02"))
+
+
 def test_the_comment_tells_what_urdf_cannot():
     mech = robodyn.load(ROOT / "robots/2r.yaml")
     text = urdf(mech)

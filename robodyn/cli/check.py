@@ -17,7 +17,7 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.grammar import FORMS
-from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Link, Moment, Point
+from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Link, Moment, Motor, Point
 
 STATES = 200
 PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its damping
@@ -106,6 +106,7 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
         "damping": link.damping,
         "friction": _friction(link),
         "limits": _limits(link),
+        **({} if link.motor is None else {"motor": _motor(link.motor)}),
     }
 
 
@@ -123,6 +124,11 @@ def _limits(link: Link) -> dict[str, float] | None:
         return None
     named = {"min": link.limits.low, "max": link.limits.high, **link.limits._asdict()}
     return {key: x for key, x in named.items() if key not in ("low", "high") and x is not None}
+
+
+def _motor(motor: Motor) -> dict[str, float]:
+    """What its scene says of it."""
+    return {name: value for name, value in motor._asdict().items() if value is not None}
 
 
 def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
@@ -197,6 +203,11 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
             text += f", damping {entry['damping']:g} {unit}" if entry.get("damping") else ""
             text += ", turning with it" if entry.get("frame") == FRAMES[1] else ""
             facts.append([f"{kind} {k}", text])
+    for k, link in enumerate(content["links"], start=1):
+        if motor := link.get("motor"):
+            keys = FORMS["slide_motor" if "axis" in link else "motor"].keys
+            each = (f"{name} {x:g} {keys[name].unit}".rstrip() for name, x in motor.items() if x)
+            facts.append([f"motor {k}", ", ".join(each).replace("_", " ")])
     for k, coupling in enumerate(mechanism.description.couplings, start=1):
         facts.append([f"coupling {k}", _equation(coupling, 6)])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]

@@ -19,6 +19,7 @@ from robodyn.events.watch import EventWatch
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.voltages import voltages
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.simulation import (
     MAX_EVALUATIONS,
@@ -37,6 +38,7 @@ DEFAULT_DURATION = 10.0  # s
 Law = Literal["pd", "pd+g", "computed-torque"]  # what makes torque of the tracking error
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
+_VOLT = "Voltages of the motors of the actuated joints, V: as --tau."
 _TAU_FROM = "CSV with t,tau1,.. (- for stdin), interpolated between its rows."
 _CONTROL = "Makes the torques track a reference."
 _TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."
@@ -53,6 +55,7 @@ class TorqueOptions:
 
     tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
     tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
+    volt: Annotated[Text, Option("--volt", metavar="VOLTS", help=_VOLT)] = None
     control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
     track: Annotated[Text, input_file("--track", _TRACK)] = None
     kp: Annotated[Text, vector("--kp", _KP)] = None
@@ -165,7 +168,7 @@ def torque_source(
     mechanism: Mechanism, options: TorqueOptions, duration: float | None
 ) -> tuple[Actuation, float]:
     """The torques, and the end time: that of the reference where none is given."""
-    sources = options.given("tau", "tau_from", "control")
+    sources = options.given("tau", "tau_from", "volt", "control")
     if len(sources) > 1:
         raise InputError(" and ".join(sources), limit="exclude each other")
     if options.control is not None:
@@ -175,6 +178,8 @@ def torque_source(
     end = DEFAULT_DURATION if duration is None else duration
     if options.tau is not None:
         return actuation.expressions(mechanism, options.tau, "--tau"), end
+    if options.volt is not None:
+        return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end
     names = ["t", *(f"tau{k + 1}" for k in mechanism.actuated)]

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from robodyn.cli.options import Format
 from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_number, parse_vector
@@ -45,14 +46,6 @@ class Source:
     values: list[float]  # from the option
     columns: list[str]  # from the table; zero values where both are empty
     whole: bool  # all joints, or the actuated ones
-
-
-def loop_columns(mechanism: Mechanism) -> list[str]:
-    """The columns of `dynamics.loop_forces`: of closures forces, then moments; of couplings."""
-    described = mechanism.description
-    pins = [f"f{axis}{c + 1}" for c in range(len(described.closures)) for axis in "xy"]
-    kept = [f"mz{c + 1}" for c, x in enumerate(described.closures) if x.aligned is not None]
-    return [*pins, *kept, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:

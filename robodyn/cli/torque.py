@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
@@ -10,6 +11,7 @@ from robodyn.cli.output import row_writer
 from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.pictures.column_units import scene_units
 
 
@@ -29,7 +31,9 @@ def torque(
 
     Columns: tau1.. (N m) of the actuated joints under their own joint number, for each closure
     the pin force fx1,fy1 (N, ground axes) on the side that the scene names first, and tc1 (N m),
-    the torque of each coupling.  Rows of STATES pass through with these columns added.
+    the torque of each coupling.  For each actuated joint with a motor there are its torque motor1
+    (N m), which is tau1/ratio, its speed motor_speed1 (rad/s), and by its constants volt1 (V), amp1
+    (A) and watt1 (W).  Rows of STATES pass through with these columns added.
 
     \b
     Examples:
@@ -41,31 +45,42 @@ def torque(
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
     loops = mechanism.rows or mechanism.passive or mechanism.switches
+    motors = motor_columns(mechanism)
     if states is None and not loops and mechanism.n <= MAX_GENERATED:
-        tau = _single_state(mechanism, quantities)
-        if not all(map(math.isfinite, tau)):
+        tau, rates = _single_state(mechanism, quantities)
+        row = [*tau, *motor_values(mechanism, tau, rates)]
+        if not all(map(math.isfinite, row)):
             raise overflow()
-        with row_writer(format, out, columns, units=scene_units(mechanism)) as writer:
-            writer.write_row(tau)
+        with row_writer(format, out, columns + motors, units=scene_units(mechanism)) as writer:
+            writer.write_row(row)
         return
 
     import numpy as np
 
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, loop_forces
 
-    columns += loop_columns(mechanism)
+    columns += loop_columns(mechanism) + motors
 
     def compute(**motion: np.ndarray) -> np.ndarray:
         solution = inverse_dynamics_and_forces(mechanism, **motion)
         forces = loop_forces(mechanism, solution.multipliers, motion["q"])
         torques = solution.tau[..., list(mechanism.actuated)]
-        return np.concatenate([torques, forces], axis=-1)
+        parts = [torques, forces]
+        if motors:
+            joints = (np.moveaxis(x, -1, 0) for x in (solution.tau, motion["qd"]))
+            parts.append(np.stack(motor_values(mechanism, *map(list, joints)), axis=-1))
+        return np.concatenate(parts, axis=-1)
 
     evaluate(mechanism, states, quantities, columns, compute, format, out)
 
 
-def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[float, ...]:
-    """One state of an open chain in plain floats: starts in half the time without numpy."""
+def _single_state(
+    mechanism: Mechanism, quantities: list[Quantity]
+) -> tuple[Sequence[float], Sequence[float]]:
+    """One state of an open chain in plain floats: starts in half the time without numpy.
+
+    The torques, and qd.
+    """
     from robodyn.engines.formulas import inverse_formula
     from robodyn.engines.straightline import compile_floats
 
@@ -74,10 +89,11 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
     if formula is not None:
         with suppress(ZeroDivisionError):
             try:
-                return compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
+                tau = compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
+                return tau, values[1]
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None
     # the ends of a spring coincide: this says so
     from robodyn.dynamics.dynamics import inverse_dynamics
 
-    return tuple(inverse_dynamics(mechanism, *values).tolist())
+    return inverse_dynamics(mechanism, *values).tolist(), values[1]

@@ -16,7 +16,7 @@ from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_time
@@ -24,6 +24,7 @@ from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, path_through
+from robodyn.trajectories.motion_limits import LimitError, with_motors
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.reference import ReferenceMotion, motion_along
 
@@ -54,6 +55,7 @@ def trajectory(
 
     A limit (--max-qd, --max-qdd, --max-tau) that is exceeded anywhere, between the rows too, is an
     error; --time min takes the shortest duration that keeps the limits, and tells it on stderr.
+    It keeps those of the scene's motors too; in a given time a note says where they are exceeded.
 
     \b
     Examples:
@@ -99,6 +101,7 @@ def _motion(
             return _told(time_scaling.shortest_along(mechanism, path, q, limits, watch=watch))
         motion = motion_along(mechanism, path, q, duration, begin, watch)
         time_scaling.check_limits(motion, limits)
+        _tell_motors(motion)
         return motion
 
     if given.profile == "sweep":
@@ -134,6 +137,16 @@ def _motion(
         begin, duration = float(points.times[0]), float(np.ptp(points.times))
     assert duration is not None
     return along(path, points.q, duration, begin)
+
+
+def _tell_motors(motion: ReferenceMotion) -> None:
+    """A note where the motion asks too much of a motor."""
+    try:
+        time_scaling.check_limits(motion, with_motors(motion.mechanism))
+    except LimitError as error:
+        note(f"Note: {error}")
+    except RobodynError:  # no torque is told
+        pass
 
 
 def _told(found: time_scaling.Shortest) -> ReferenceMotion:

@@ -245,5 +245,6 @@ def named(given: TrajectoryOptions) -> Iterator[None]:
             value = shown(getattr(given, name))
             raise InputError(f"--{name}", value=value, limit=limit) from None
         except LimitError as error:
-            error.add_place(f"--max-{error.quantity}")
+            if not error.of_motor:
+                error.add_place(f"--max-{error.quantity}")
             raise

@@ -28,6 +28,7 @@ from robodyn.engines.straightline import define
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.motors import torque_limits
 from robodyn.mechanics.per_joint import for_each_actuated
 
 LAWS = ("pd", "pd+g", "computed-torque")
@@ -48,8 +49,9 @@ def controller(
 
     The reference is that of the actuated joints, or of all.  control: pd, pd+g or computed-torque.
     kp, kd (>= 0): one value or one an actuated joint; N m/rad and N m s/rad, of computed torque
-    1/s^2 and 1/s.  tau_max, N m: the same, or None.  control_rate: samples a second, or None where
-    the law acts continuously.  control_model: the one in the law; None: the mechanism itself.
+    1/s^2 and 1/s.  tau_max, N m: the same, or None; motors limit torques too.  control_rate:
+    samples a second, or None where the law acts continuously.  control_model: the one in the law;
+    None: the mechanism itself.
     Raises InputError for arguments that do not fit, RobodynError where the law needs torques of a
     closed mechanism that has fewer actuators than freedoms.
     """
@@ -65,9 +67,10 @@ def controller(
         raise InputError("columns", where=reference.where, limit=limit)
     model = mechanism if control_model is None else _agreeing(control_model, mechanism)
     gains = [_values(mechanism, name, x, 0.0) for name, x in (("kp", kp), ("kd", kd))]
-    limits = None
+    limits = torque_limits(mechanism)
     if tau_max is not None:
-        limits = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
+        given = _values(mechanism, "tau_max", tau_max, math.ulp(0.0))
+        limits = [min(pair) for pair in zip(limits, given, strict=True)]
     if rate is not None and not 0.0 < rate < math.inf:
         raise InputError("control_rate", value=f"{rate:g}", limit="must be > 0 and finite")
     pieces = Pieces(reference)
@@ -125,7 +128,7 @@ def _compile_law(
     pieces: Pieces,
     law: str,
     gains: list[list[float]],
-    limits: list[float] | None,
+    limits: list[float],
 ) -> Law:
     """The law as code: torques of the actuated joints from t, q0.., qd0.. (floats)."""
     n, degree = mechanism.n, reference.coefficients.shape[-1] - 1
@@ -157,11 +160,11 @@ def _compile_law(
         rest = [f"g{j}" for j in range(len(asked))]
         lines.append(f"{', '.join(rest)}, = model({', '.join(q)})")
         lines += [f"u{j} += g{j}" for j in range(len(asked))]
-    if limits is not None:
-        lines += [
-            f"u{j} = {most!r} if u{j} > {most!r} else {-most!r} if u{j} < {-most!r} else u{j}"
-            for j, most in enumerate(limits)
-        ]
+    lines += [
+        f"u{j} = {most!r} if u{j} > {most!r} else {-most!r} if u{j} < {-most!r} else u{j}"
+        for j, most in enumerate(limits)
+        if most < math.inf
+    ]
     body = "\n    ".join([*lines, f"return {', '.join(torques)},"])
     source = f"def control(t, {', '.join([*q, *qd])}):\n    {body}\n"
     function: Law = define(source, "control", scope=scope)

@@ -5,13 +5,14 @@ of what turns and s E_d of what slides on link d (E_d = 1 on the ground), T = dX
 
     M = J^T Re(T^H A T) J      C = J^T Re(T^H A T') J      G = -J^T (Re(w T) + moments)
     KE = 1/2 X'^H A X'      PE = -Re(w X) - moments . x + const
+    M += S^T diag(rotors) S      KE += 1/2 (S qd)^T diag(rotors) S qd
     gap = Re(conj(E_line) P X) + angles x + offset      Psi = d gap/dq
     Psidot qd = gap'' without accelerations
 
-where A, J, P, the weights w (conj(gamma) B, but for constant forces) and the moments are the
-constants of `mechanism.py`.  Where nothing slides T = diag(i E), and these are the textbook's sums
-over conj(E_j) A_jk E_k.  This C is the Christoffel one: Mdot - 2C is skew-symmetric.  The
-equation of motion, which every docstring refers to, is
+where A, J, P, the weights w (conj(gamma) B, but for constant forces), the moments, and the rotors
+of motors, which spin with S qd, are the constants of `mechanism.py`.  Where nothing slides
+T = diag(i E), and these are the textbook's sums over conj(E_j) A_jk E_k.  This C is the Christoffel
+one: Mdot - 2C is skew-symmetric.  The equation of motion, which every docstring refers to, is
 
     M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
 
@@ -38,7 +39,7 @@ Complex = NDArray[np.complex128]
 
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:
-    """Re(T^H A T), M in x, (..., n, n); with `rates` Re(T^H A T'), C in x."""
+    """Re(T^H A T), M in x less rotors, (..., n, n); with `rates` Re(T^H A T'), C in x."""
     moved = rates or at
     right = columns(mechanism, mechanism.arrays.A, moved.X[..., None, :], moved.E[..., None, :])
     adjoint = np.swapaxes(right.conj(), -1, -2)
@@ -53,7 +54,14 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     """
     J = mechanism.arrays.J
     M: Array = J.T @ absolute_inertia(mechanism, placed(mechanism, q)) @ J
-    return M
+    return M + rotor_inertia(mechanism) if mechanism.rotors else M
+
+
+def rotor_inertia(mechanism: Mechanism) -> Array:
+    """What rotors add to M, (n, n)."""
+    arrays = mechanism.arrays
+    added: Array = (arrays.spins.T * arrays.rotors) @ arrays.spins
+    return added
 
 
 def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
@@ -113,6 +121,8 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
     arrays, at = mechanism.arrays, placed(mechanism, q)
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
     KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
+    if mechanism.rotors:
+        KE = KE + 0.5 * (as_states(mechanism, "qd", qd) @ arrays.spins.T) ** 2 @ arrays.rotors
     PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
     if any(mechanism.moments):
         PE = PE - at.x @ arrays.moments

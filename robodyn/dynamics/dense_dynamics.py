@@ -22,9 +22,18 @@ from robodyn.dynamics.closed_form import (
     absolute_jacobian,
     bias_at,
     gap_at,
+    rotor_inertia,
     scaled_jacobian,
 )
-from robodyn.dynamics.placed import Placed, absolute_rates, columns, matvec, placed, relative_matrix
+from robodyn.dynamics.placed import (
+    Placed,
+    absolute_rates,
+    as_states,
+    columns,
+    matvec,
+    placed,
+    relative_matrix,
+)
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
@@ -71,6 +80,8 @@ def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Arra
         rates, accelerations = np.broadcast_arrays(rates, accelerations)
     bent = at.accelerations(mechanism, rates, accelerations)
     load: Array = _loads(mechanism, at, bent) @ mechanism.arrays.J
+    if mechanism.rotors:
+        load = load + as_states(mechanism, "qdd", qdd) @ rotor_inertia(mechanism)
     return load + _joint_loads(mechanism, q, qd)
 
 
@@ -88,6 +99,15 @@ def _joint_loads(mechanism: Mechanism, q: Array, qd: Array) -> Array:
     if mechanism.has_state_forces:
         loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd)
     return loads
+
+
+def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
+    """M in x, rotors included."""
+    M = absolute_inertia(mechanism, at)
+    if mechanism.rotors:
+        turned = relative_matrix(mechanism)
+        M = M + turned.T @ rotor_inertia(mechanism) @ turned
+    return M
 
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
@@ -137,7 +157,7 @@ def forward(
     """
     at, rates = placed(mechanism, q), absolute_rates(mechanism, qd)
     units = mechanism.arrays.units
-    M = absolute_inertia(mechanism, at)  # all of this in x, displacements by a length
+    M = _whole_inertia(mechanism, at)  # all of this in x, displacements by a length
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
     force = (tau - _joint_loads(mechanism, q, qd)) @ relative_matrix(mechanism)
     force = force - _loads(mechanism, at, bent)
@@ -173,14 +193,14 @@ def elimination_is_safe(mechanism: Mechanism) -> bool:
     M alone must be positive definite (over a sample of configurations), and, with closures, the
     links' inertias must not spread so far that the multipliers lose their digits.
     """
-    diagonal = mechanism.arrays.A.diagonal().real
-    if not (diagonal > 0.0).all():
+    if len(mechanism.inertias) < mechanism.n:
         return False
+    diagonal = np.array([mechanism.inertias[k] for k in range(mechanism.n)])
     scale = np.sqrt(diagonal)
     diagonal = diagonal * mechanism.arrays.units**2
     sample = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, mechanism.n))
     sample[:, list(mechanism.slides)] *= mechanism.unit
-    M = absolute_inertia(mechanism, placed(mechanism, sample)) / (scale[:, None] * scale)
+    M = _whole_inertia(mechanism, placed(mechanism, sample)) / (scale[:, None] * scale)
     regular = bool(np.linalg.eigvalsh(M)[:, 0].min() > MASS_CUT)
     return regular and (not mechanism.rows or diagonal.max() <= SPREAD * diagonal.min())
 

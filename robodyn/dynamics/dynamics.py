@@ -173,7 +173,7 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
     """The formula over batches; None where there is none.
 
     M must be eliminated at every configuration, so that no state need be asked.  As x^T M x =
-    Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below A's least.
+    Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below A's least; rotors add to it.
     """
 
     def record(parameters: bool) -> Formula | None:
@@ -186,7 +186,7 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
             return None
         A = mechanism.arrays.A
         scale = np.sqrt(A.diagonal().real)
-        if not np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT:
+        if not scale.all() or not np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT:
             return None
     formula = record(False)
     if formula is None:

@@ -232,7 +232,13 @@ def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
     bodies, rates = bodies_of(scene), absolute_rates(scene, qd)
     speeds = np.abs(bodies.points.moved(placed(scene, q).rates(scene, rates)))
     spinning = frame_rates(scene, rates)
-    return np.asarray(0.5 * (speeds**2 @ bodies.mass + spinning**2 @ bodies.inertia))
+    KE = 0.5 * (speeds**2 @ bodies.mass + spinning**2 @ bodies.inertia)
+    for k, link in enumerate(scene.description.links):
+        if link.motor is not None:
+            above = link.hangs_from.link
+            carried = 0.0 if above is None else spinning[:, above]
+            KE = KE + 0.5 * link.motor.inertia * (carried + link.motor.ratio * qd[:, k]) ** 2
+    return np.asarray(KE)
 
 
 def _sharpness(scene: Mechanism, q: Array) -> Array:

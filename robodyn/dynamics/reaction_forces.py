@@ -12,8 +12,9 @@ The ground feels the momentum that changes and the weight, whichever way the for
 
     F = sum_b m_b (gamma - a_b)      M = sum_b s_b x m_b (gamma - a_b) - sum_k I_k alphadd_k   (3)
 
-and the loads besides.  Joint torques, dampers, pins and springs between links are internal; those
-at the ground are in F and M.
+and the loads besides.  A rotor that spins ever faster turns the link that carries it back, and so
+the ground: - sum J (w_carrier + ratio qd)' is in M too.  Joint torques, dampers, pins and springs
+between links are internal; those at the ground are in F and M.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.closed_form import Points, point_motion, points_of, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces
-from robodyn.dynamics.placed import absolute_rates, frame_rates, placed
+from robodyn.dynamics.placed import absolute_rates, as_states, frame_rates, placed
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
@@ -92,6 +93,10 @@ def slide_moments(
         (place[..., b], load[..., b], bodies.below[b]) for b in range(len(bodies.mass))
     ]
     moments = -bodies.inertia * frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
+    for rotor, back in zip(mechanism.rotors, _spun(mechanism, qdd), strict=True):
+        above = mechanism.parent[rotor.joint]
+        if above is not None:
+            moments[..., above] += back
     for entry in mechanism.description.loads:
         if isinstance(entry, Moment):
             moments[..., entry.link] += entry.torque
@@ -141,12 +146,19 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     torques = sum(x.torque for x in mechanism.description.loads if isinstance(x, Moment))
     moment = (place.conj() * load).imag.sum(axis=-1) + torques
     spinning = frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
-    moment = moment - spinning @ bodies_of(mechanism).inertia
+    moment = moment - spinning @ bodies_of(mechanism).inertia + sum(_spun(mechanism, qdd))
     if mechanism.forces:
         F = rows_of(parts.loaded, mechanism).planar("forces", q)
         arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
         force, moment = force + F.sum(axis=-1), moment + (arms.conj() * F).imag.sum(axis=-1)
     return np.stack([force.real, force.imag, moment], axis=-1)
+
+
+def _spun(mechanism: Mechanism, qdd: ArrayLike) -> list[Array]:
+    """The moment of each rotor's spin on what carries it, (...), N m."""
+    arrays = mechanism.arrays
+    spins = as_states(mechanism, "qdd", qdd) @ arrays.spins.T
+    return list(np.moveaxis(-arrays.rotors * spins, -1, 0))
 
 
 def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:

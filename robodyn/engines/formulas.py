@@ -276,7 +276,7 @@ def _forward(
     solution = factors.solve(right)
     series.complete(solution)
     qdd = relative(mechanism, solution[:n])
-    diagonal = {j: value.real for j, k, value in mechanism.A if j == k}
+    diagonal = mechanism.inertias
     sizes = [
         -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
         for row in mechanism.rows

@@ -166,7 +166,7 @@ class Scene:
         """The scene's numbers and limits into a block (items, ...)."""
         place, mechanism = self.place, self.mechanism
         size = loop_size(mechanism) if self.closes else 0.0
-        lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
+        lightest = min(mechanism.inertias.values())
         limits = {
             "rtol": rtol,
             "atol": atol,

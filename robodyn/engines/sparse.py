@@ -6,7 +6,7 @@ sparse factorisation costs close to linearly in the number of loops.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,8 +51,11 @@ class SparseMechanism:
         self.mechanism = mechanism
         self.weight, self.moments = np.array(mechanism.weights), np.array(mechanism.moments)
         self.damping = np.array(mechanism.damping)
-        self.j, self.k = (np.array([entry[i] for entry in mechanism.A]) for i in (0, 1))
-        self.A = np.array([entry[2] for entry in mechanism.A])
+        rotors = _rotors(mechanism)
+        entries_of_A = _with_places(mechanism.A, rotors)
+        self.j, self.k = (np.array([entry[i] for entry in entries_of_A]) for i in (0, 1))
+        self.A = np.array([entry[2] for entry in entries_of_A])
+        self.rotors = np.array([rotors.get(entry[:2], 0.0) for entry in entries_of_A])
         self.off = np.flatnonzero(self.j != self.k)
         entries = [
             (row, k, p, a)
@@ -103,7 +106,8 @@ class SparseMechanism:
             gapd = np.bincount(self.row, slope * rates[self.link], minlength=self.r)
             gap = self.gap(PE, self.J @ y[:n])
             bend = bend - 2 * baumgarte * gapd - baumgarte**2 * gap
-        values = np.concatenate([w.real, w.real[self.off], slope, slope])
+        inertia = w.real + self.rotors if self.mechanism.rotors else w.real
+        values = np.concatenate([inertia, inertia[self.off], slope, slope])
         factors = self._system.factorise(values)
         absolute = factors.solve(np.concatenate([force, bend]))[:n]
         pivots = np.abs(factors.U.diagonal())
@@ -131,6 +135,27 @@ class SparseMechanism:
         gap = self.gap(PE, self.J @ q)
         ratio = float(pivots.min() / pivots.max())
         return gap, Psi, ratio, lambda x: Psi.T @ factors.solve(x)
+
+
+def _rotors(mechanism: Mechanism) -> dict[tuple[int, int], float]:
+    """What rotors add to M in absolute angles, by place, that of the carrying link first."""
+    found: dict[tuple[int, int], float] = {}
+    for rotor in mechanism.rotors:
+        own, *carrier = rotor.spin
+        for place, c in (
+            *(((k, k), c * c) for k, c in rotor.spin),
+            *(((d, own[0]), c * own[1]) for d, c in carrier),
+        ):
+            found[place] = found.get(place, 0.0) + rotor.inertia * c
+    return found
+
+
+def _with_places(
+    A: Sequence[tuple[int, int, complex]], rotors: Iterable[tuple[int, int]]
+) -> list[tuple[int, int, complex]]:
+    """The entries of A, with zeros where rotors alone have some."""
+    known = {(j, k) for j, k, _ in A}
+    return [*A, *((j, k, 0j) for j, k in rotors if (j, k) not in known)]
 
 
 class _Lost(Exception):

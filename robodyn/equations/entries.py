@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 from robodyn.engines.arithmetic import plus, times
@@ -64,6 +65,10 @@ class Entries:
         match name:
             case "M":
                 M = self._in_joints(self._masses(named.A))
+                for rotor in named.rotors:
+                    spins = named.spins(rotor).items()
+                    for (a, x), (c, y) in product(spins, spins):
+                        M[a][c] = plus(M[a][c], times(rotor.inertia, times(x, y)))
                 return [[M[min(a, c)][max(a, c)] for c in joints] for a in joints]
             case "C":
                 return self._in_joints(self._coriolis())

@@ -7,6 +7,7 @@ Letters and meaning of plain numbers come from the grammar: m1, l1, I1, r1 (or r
     a1x, b1x, ..       points that closure 1 joins; ends e1x, h1x of spring 1; c1x of load 1
     n1x, n1y           normal of the line of closure 1
     u2x, u2y           axis of joint 2, which slides
+    N1, J1, b1         ratio of the motor at joint 1, inertia and damping of its rotor
     i1 (or i1_2, ..)   ratio of coupling 1 (to joint 2, of several); its angle psi1, its length R1
     beta1x, beta1y     cosine and sine of the angle that closure 1 keeps; its length L1
 
@@ -48,6 +49,8 @@ ROLES = {  # by unit
     "N s/m": Role.damping,
     "m": Role.length,
     "rad": Role.length,
+    "": Role.length,  # ratios
+    "rad/m": Role.length,
     "m/s²": Role.gravity,
 }
 
@@ -89,6 +92,10 @@ class Parameters:
                 form = "slide_friction" if link.slides else "friction"
                 numbers = self._numbers(form, k, link.friction, link.name)
                 links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
+            if link.motor is not None:
+                form = "slide_motor" if link.slides else "motor"
+                numbers = self._numbers(form, k, link.motor, link.name)
+                links[k] = links[k]._replace(motor=link.motor._replace(**numbers))
         self.scene: Any = description._replace(
             gravity=gravity,
             links=tuple(links),

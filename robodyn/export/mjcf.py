@@ -31,7 +31,7 @@ from robodyn.export.model_xml import (
     vector,
 )
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism, Rotor
 from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
 
 TIMESTEP = 1e-3  # s
@@ -41,8 +41,11 @@ REASONS = {
     "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
     "limits": "MuJoCo's limits are soft constraints of a law of their own",
 }
-SAID = ("closures", "springs", "loads", "couplings")
+SAID = ("closures", "springs", "loads", "couplings", "motor")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
+ROTOR_REMARKS = (
+    "A rotor on a link that turns is the armature of a tendon, which MuJoCo has from 3.3.1 on.",
+)
 SOFT_REMARKS = (
     "Loops and couplings are held by equality constraints, as stiff as the time step allows.  They",
     "are open where all joints are zero: start where they hold, such as from a keyframe.",
@@ -97,6 +100,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     for there, more in (
         (any(link.payload for link in description.links), PAYLOAD_REMARKS),
         (description.loads, LOAD_REMARKS),
+        (any(rotor.carrier is not None for rotor in mechanism.rotors), ROTOR_REMARKS),
         (description.closures or description.couplings, SOFT_REMARKS),
         (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
         (any(x.along and x.second.link is not None for x in description.closures), SLOT_REMARKS),
@@ -132,6 +136,8 @@ class _Elements:
         for p, spring in enumerate(description.springs):
             if isinstance(spring, Spring):
                 self._stretch(f"spring{p + 1}", spring)
+        for rotor in mechanism.rotors:
+            self._spin(rotor)
         for k in mechanism.actuated:
             joint = self.names[k]
             SubElement(self.actuator, "motor", name=joint, joint=joint, gear="1")
@@ -169,8 +175,14 @@ class _Elements:
             self._hang(body, k, level + 1)
 
     def _turning(self, joint: int) -> dict[str, str]:
-        """The dampers and springs of a joint; springs beside one another act as one."""
+        """The dampers and springs of a joint; springs beside one another act as one.
+
+        A rotor on the ground is its armature.
+        """
         found = {}
+        for rotor in self.mechanism.rotors:
+            if rotor.joint == joint and rotor.carrier is None:
+                found["armature"] = number(rotor.inertia * rotor.ratio**2)
         if self.mechanism.damping[joint]:
             found["damping"] = number(self.mechanism.damping[joint])
         springs = [spring for spring in self.mechanism.joint_springs if spring.joint == joint]
@@ -181,6 +193,15 @@ class _Elements:
                 angle = sum(spring.stiffness * spring.angle for spring in springs) / stiffness
             found |= {"stiffness": number(stiffness), "springref": number(angle)}
         return found
+
+    def _spin(self, rotor: Rotor) -> None:
+        """A rotor on a link that turns: the inertia of a tendon as long as the rotor's angle."""
+        if rotor.carrier is None:
+            return
+        tendon = SubElement(self.tendon, "fixed", name=f"rotor{rotor.joint + 1}")
+        tendon.set("armature", number(rotor.inertia))
+        for k, factor in self.mechanism.spins(rotor).items():
+            SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
 
     def _stretch(self, name: str, spring: Spring) -> None:
         """A spring and damper between two points: a tendon."""

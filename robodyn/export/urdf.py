@@ -31,6 +31,7 @@ REASONS = {
     "loads": "URDF has no loads; MJCF has",
     "friction": "URDF has no friction by tanh(qd/speed) or Stribeck's, only the bare torque",
     "limits": "URDF's limits are no stops: what happens there is left to its reader",
+    "motor": "URDF has no inertia of rotors; MJCF has",
 }
 REMARKS = (
     "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an",
@@ -50,9 +51,10 @@ def urdf(mechanism: Mechanism) -> str:
     """The mechanism as URDF text.
 
     Joint i, named after link i, has the coordinate q_i.  Raises InputError for what URDF
-    cannot say: closures, springs, loads, friction, and couplings of more than two joints.
+    cannot say: closures, springs, loads, friction, rotors, and couplings of more than two joints.
     """
-    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings"])
+    plain = [] if mechanism.rotors else ["motor"]  # a gear alone is no matter of dynamics
+    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings", *plain])
     couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}
     for c, coupling in enumerate(mechanism.description.couplings):
         if len(coupling.terms) != 1 or coupling.terms[0][0] in couplings:
@@ -75,8 +77,8 @@ def urdf(mechanism: Mechanism) -> str:
         if link.slides:
             limits = {"lower": -FAR, "upper": FAR, "effort": FAR, "velocity": FAR}
             SubElement(joint, "limit", {name: number(x) for name, x in limits.items()})
-        if link.damping:
-            SubElement(joint, "dynamics", damping=number(link.damping), friction="0.0")
+        if damping := mechanism.damping[k]:
+            SubElement(joint, "dynamics", damping=number(damping), friction="0.0")
         if k in couplings:
             ((other, ratio),) = couplings[k].terms
             mimic = {"multiplier": number(ratio), "offset": number(couplings[k].angle)}

@@ -131,11 +131,16 @@ def constant(mechanism: Mechanism, values: Sequence[float]) -> Actuation:
     return Actuation(tuple(torques))
 
 
-def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
+def expressions(
+    mechanism: Mechanism,
+    text: str,
+    where: str,
+    driving: Callable[[list[ast.expr]], list[ast.expr]] | None = None,
+) -> Actuation:
     """Torques from comma-separated expressions in t, q1.., qd1.., one an actuated joint, N m.
 
-    Raises InputError for anything but arithmetic, comparisons, `a if b else c`, the functions
-    above, pi and e.
+    `driving` makes torques of what the expressions are, if they are none.  Raises InputError for
+    anything but arithmetic, comparisons, `a if b else c`, the functions above, pi and e.
     """
     if len(text) > MAX_LENGTH:
         raise InputError("expression", where=where, limit=f"is longer than {MAX_LENGTH} characters")
@@ -149,6 +154,7 @@ def expressions(mechanism: Mechanism, text: str, where: str) -> Actuation:
             warnings.simplefilter("error")
             tree = ast.parse(line, mode="eval").body
         nodes = tree.elts if isinstance(tree, ast.Tuple) else [tree]
+        nodes = nodes if driving is None else driving(nodes)
         writer = _Writer(mechanism.n, where)
         written = [ast.unparse(writer.write(node)) for node in nodes]
         for code in written:

@@ -12,8 +12,9 @@ With X_k = E_k, the directions of links that turn, and X_k = s_k E_d of those th
 
 A_dd P_d is left out of F_d, as its part is exact so.  On a line of link l, mu conj(R) of the gap
 Re(conj(E_l) sum R X) is mu E_l conj(R), and link l feels the opposite about its own.
-where f are the forces at points with the coefficients c_k, and T the torques at joints, as
-`force_rows.py` has them: the place of a new kind of either.  Every engine then has it.
+A rotor on link d spins with s = w_d + N qd_k and adds J s' to the row of d (where d turns), and
+-N J s' to T_k.  f are the forces at points with the coefficients c_k, and T the torques at joints,
+as `force_rows.py` has them: the place of a new kind of either.  Every engine then has it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from robodyn.mechanics.force_rows import ForceRows, PlanarTerm, Term
+from robodyn.mechanics.planar_model import Rotor
 from robodyn.mechanics.program import (
     Coefficient,
     Derivative,
@@ -76,6 +78,7 @@ class EquationsOfMotion(ForceRows):
         program.named["bends"] = []
         self._scene_forces(work)
         self._joints(torques, work, steady)
+        self._rotors()
         multipliers = self._closures()
         F = [
             program.add(PlanarSum(number(c), tuple(x)))
@@ -119,6 +122,25 @@ class EquationsOfMotion(ForceRows):
         moment = program.number(-mechanism.moments[k])
         return program.sum((1.0, turning), *self.moments[k], constant=moment)
 
+    def spin(self, rotor: Rotor) -> Slot:
+        """The rate of a rotor."""
+        program = self.program
+        terms: list[Term] = [(program.number(rotor.ratio), self.v(rotor.joint))]
+        if rotor.carrier is not None:
+            terms.append((1.0, self.w(rotor.carrier)))
+        return program.sum(*terms)
+
+    def _rotors(self) -> None:
+        """What the rotors do to the joints that they drive, and to the links that carry them."""
+        program = self.program
+        for rotor in self.mechanism.rotors:
+            k, d, bend = rotor.joint, rotor.carrier, program.add(Derivative(self.spin(rotor)))
+            terms: list[Term] = [(program.number(-rotor.inertia * rotor.ratio), bend)]
+            before = self.torques[k]
+            self.torques[k] = program.sum(*([] if before is None else [(1.0, before)]), *terms)
+            if d is not None:
+                self.moments[d].append((program.number(rotor.inertia), bend))
+
     def kinetic(self) -> Slot:
         """1/2 sum of A_jj w_j^2, or A_jj |X_j'|^2, and of Re(conj(X_j') A_jk X_k')."""
         program = self.program
@@ -131,6 +153,9 @@ class EquationsOfMotion(ForceRows):
             one, other = (self._moving(i) for i in (j, k))
             moved = program.planar_sum((program.planar_number(value), other))
             terms.append((1.0 if j != k else 0.5, program.add(Inner(one, moved))))
+        for rotor in self.mechanism.rotors:
+            half, spin = program.number(0.5 * rotor.inertia), self.spin(rotor)
+            terms.append((half, program.add(Product(spin, spin))))
         return program.sum(*terms)
 
     def _moving(self, k: int) -> Slot:

@@ -38,6 +38,7 @@ from robodyn.mechanics.planar_model import Mechanism as Mechanism
 from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
+from robodyn.mechanics.planar_model import Rotor as Rotor
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import (
@@ -77,6 +78,8 @@ def build(description: Description) -> Mechanism:
             mechanism = replace(mechanism, rows=rows)
         numbers = [*mechanism.B, *mechanism.weights, *_largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
+        numbers += mechanism.damping
+        numbers += [x.inertia * x.ratio * x.ratio for x in mechanism.rotors]
     except OverflowError:
         raise too_large(description) from None
     if not all(math.isfinite(x.real) and math.isfinite(x.imag) for x in numbers):
@@ -159,6 +162,7 @@ def constants(description: Description) -> Mechanism:
         slides=tuple(k for k, link in enumerate(links) if link.slides),
         frames=tuple(tree.frames),
         unit=tree.unit,
+        rotors=tuple(_rotors(tree)),
     )
 
 
@@ -228,9 +232,20 @@ def _largest(tree: Tree) -> Iterator[complex]:
             yield complex(max(abs(p.real), abs(p.imag)) * most[k] * 2.0)
 
 
+def _rotors(tree: Tree) -> Iterator[Rotor]:
+    for k, link in enumerate(tree.links):
+        if link.motor is not None and link.motor.inertia:
+            above = tree.parent[k]
+            carrier = None if above is None else tree.frames[above]
+            yield Rotor(k, link.motor.inertia, link.motor.ratio, carrier, link.slides)
+
+
 def joint_damping(description: Description) -> tuple[float, ...]:
-    """Of the joints' own dampers and those of the springs at them."""
+    """Of the joints' own dampers, those of the springs at them, and those of the rotors there."""
     damping = [link.damping for link in description.links]
+    for k, link in enumerate(description.links):
+        if link.motor is not None and link.motor.damping:
+            damping[k] += link.motor.damping * link.motor.ratio * link.motor.ratio
     for spring in description.springs:
         if isinstance(spring, JointSpring):
             damping[spring.joint] += spring.damping

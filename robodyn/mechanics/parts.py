@@ -16,7 +16,7 @@ def bare(mechanism: Mechanism) -> Mechanism:
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
     nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=(), slips=())
-    return replace(nothing, energy_offset=0.0)
+    return replace(nothing, rotors=(), energy_offset=0.0)
 
 
 def stored(mechanism: Mechanism) -> Mechanism:

@@ -115,6 +115,28 @@ class Force(NamedTuple):
     turns: bool
 
 
+class Rotor(NamedTuple):
+    """The rotor of the motor at a joint; it sits on the link that carries the joint.
+
+    It spins with w_carrier + ratio qd, w_carrier the rate of what turns that link, if anything
+    does.  So KE has inertia/2 (w_carrier + ratio qd)^2 more, and M the constant inertia r r^T.
+    """
+
+    joint: int
+    inertia: float  # kg m^2
+    ratio: float  # rad/m where the joint slides
+    carrier: int | None  # the link whose E the carrying link has; None: the ground
+    slides: bool  # whether the joint does
+
+    @property
+    def spin(self) -> tuple[tuple[int, float], ...]:
+        """r in x: its rate is the sum of coefficients times x'."""
+        own = self.joint, self.ratio
+        if self.carrier is None:
+            return (own,)
+        return own, (self.carrier, 1.0 if self.slides else 1.0 - self.ratio)
+
+
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """A planar mechanism as numbers; immutable, compared by identity.
@@ -154,6 +176,7 @@ class Mechanism:
     slides: tuple[int, ...] = ()  # the joints that are prismatic
     frames: tuple[int | None, ...] = ()  # of each link whose E it has; None: the ground's, 1
     unit: float = 1.0  # length that displacements are compared with angles by, m
+    rotors: tuple[Rotor, ...] = ()  # those with inertia
 
     @cached_property
     def above(self) -> tuple[int | None, ...]:
@@ -210,6 +233,20 @@ class Mechanism:
             k = self.above[k]
         return found[::-1]
 
+    @cached_property
+    def inertias(self) -> dict[int, float]:
+        """Of each coordinate what its own acceleration takes, kg m^2, or kg; zeros left out."""
+        found = {j: float(value.real) for j, k, value in self.A if j == k}
+        for rotor in self.rotors:
+            for k, c in rotor.spin:
+                found[k] = found.get(k, 0.0) + rotor.inertia * c * c
+        return {k: value for k, value in found.items() if value > 0.0}
+
+    def spins(self, rotor: Rotor) -> dict[int, float]:
+        """r in joints: a rotor's rate is the sum of coefficients times qd."""
+        carried = [] if rotor.carrier is None else self.turns_by(rotor.carrier)
+        return dict.fromkeys(carried, 1.0) | {rotor.joint: rotor.ratio}
+
     @property
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
@@ -239,7 +276,7 @@ class Mechanism:
         return _arrays(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made = ("arrays", "above", "lines", "held", "has_angles")
+        made = ("arrays", "above", "lines", "held", "has_angles", "inertias")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 
@@ -258,6 +295,8 @@ class Arrays(NamedTuple):
     damping: NDArray[np.float64]  # (n,) N m s/rad
     weights: NDArray[np.complex128]  # (n,) N m
     moments: NDArray[np.float64]  # (n,) N m
+    rotors: NDArray[np.float64]  # (m,) inertias of m rotors, kg m^2
+    spins: NDArray[np.float64]  # (m, n), their rates are spins @ qd
 
 
 def _arrays(mechanism: Mechanism) -> Arrays:
@@ -283,6 +322,10 @@ def _arrays(mechanism: Mechanism) -> Arrays:
             P[row, k] = coefficient
         for k, turn in entry.angles:
             angles[row, k] = turn
+    spins = np.zeros((len(mechanism.rotors), n))
+    for i, rotor in enumerate(mechanism.rotors):
+        for k, c in mechanism.spins(rotor).items():
+            spins[i, k] = c
     arrays = Arrays(
         A=A,
         B=np.array(mechanism.B, complex),
@@ -296,6 +339,8 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         damping=np.array(mechanism.damping, float),
         weights=np.array(mechanism.weights, complex),
         moments=np.array(mechanism.moments, float),
+        rotors=np.array([rotor.inertia for rotor in mechanism.rotors], float),
+        spins=spins,
     )
     for array in arrays:
         array.flags.writeable = False

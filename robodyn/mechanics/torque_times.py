@@ -66,7 +66,7 @@ class Pieces:
 
 def harmless_torque(mechanism: Mechanism, atol: float, t_end: float) -> float:
     """A torque, N m, that moves the lightest link by less than `atol` in the time of a run."""
-    lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0), default=0.0)
+    lightest = min(mechanism.inertias.values(), default=0.0)
     return float(atol * lightest / (abs(t_end) or 1.0))
 
 

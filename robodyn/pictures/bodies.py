@@ -143,6 +143,9 @@ def _link(mechanism: Mechanism, k: int, ways: Sequence[Way], w: float) -> Iterat
         angle = np.linspace(0.0, 4.5 * np.pi, 60)
         spiral: Complex = w * (1.15 + 0.07 * angle) * np.exp(1j * angle)
         yield Shape("spring", spiral, False)
+    if link.motor is not None:
+        ring = circle(1.3 * w)
+        yield Shape("spring", np.append(ring, ring[:2]), False)
     # each pin is drawn once: by the link that hangs there, and by the first side of a closure
     pins = [] if link.slides else [0j]
     for closure in closures:

@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 _COLUMNS = {
     "s": "t flip flip_time",
     "rad": "q e",
-    "rad/s": "qd",
+    "rad/s": "qd motor_speed",
     "rad/s²": "qdd",
-    "N m": "tau tc rm mz shake_m",
+    "N m": "tau tc rm mz shake_m motor",
     "N": "fx fy rx ry shake_fx shake_fy",
     "J": "KE PE energy",
+    "V": "volt",
+    "A": "amp",
+    "W": "watt",
     "m": "gap joint_x joint_y tip_x tip_y centre_x centre_y",
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }

@@ -26,6 +26,7 @@ from robodyn.scene.scene import (
     Link,
     Load,
     Moment,
+    Motor,
     Point,
     Spring,
 )
@@ -164,6 +165,18 @@ class _Reader(ContactReader):
         above = values.pop("from") or (self.tip(i - 1) if i else Point(None, 0j))
         values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
+
+    def motor(self, node: Node, place: str, form: str = "motor") -> Motor:
+        motor = Motor(**self.form(form, node, place))
+        pair = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
+        missing = [name for name, value in pair.items() if value is None]
+        if len(missing) == 1:
+            other = next(name for name in pair if name not in missing)
+            self.fault(f"{place}.{missing[0]}", node, f"is missing: {other} needs it beside itself")
+        return motor
+
+    def slide_motor(self, node: Node, place: str) -> Motor:
+        return self.motor(node, place, "slide_motor")
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""

@@ -49,8 +49,14 @@ class Form(NamedTuple):
         return [name for name, key in self.keys.items() if key.needed == needed]
 
 
-# and their limits
-NUMBERS = {"number": "", "angle": "", "amount": ">= 0", "positive": "> 0", "part": "in [0, 1]"}
+NUMBERS = {  # and their limits
+    "number": "",
+    "angle": "",
+    "amount": ">= 0",
+    "positive": "> 0",
+    "nonzero": "not 0",
+    "part": "in [0, 1]",
+}
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
 # The forms of a mapping of this kind, each with the keys that tell it; the last has none.
@@ -142,6 +148,42 @@ def _dry_friction(name: str, unit: str, speed: str) -> Form:
     )
 
 
+def _motor(ratio: str, joint: str) -> Form:
+    told = f"A motor and its gear at a {joint} joint, with a rotor on the link that carries it."
+    return Form(
+        told,
+        {
+            "ratio": Key(
+                "nonzero",
+                "the rotor's turn over the joint's, seen from the carrying link",
+                ratio,
+                symbol="N: ratio of the gear at the joint of {}",
+            ),
+            "inertia": Key(
+                "amount",
+                "of the rotor; it is not in the I of the carrying link",
+                "kg m²",
+                symbol="J: inertia of the rotor of {}",
+            ),
+            "damping": Key(
+                "amount",
+                "viscous damping of the rotor",
+                "N m s/rad",
+                "0",
+                symbol="b: damping of the rotor of {}",
+            ),
+            "torque_max": Key("positive", "largest torque of the motor", "N m", "none"),
+            "speed_max": Key("positive", "largest speed of the rotor", "rad/s", "none"),
+            "torque_constant": Key(
+                "positive", "torque per current; resistance beside it", "N m/A", "none"
+            ),
+            "resistance": Key(
+                "positive", "of the winding; torque_constant beside it", "ohm", "none"
+            ),
+        },
+    )
+
+
 def _limits(kind: str, unit: str, load: str) -> dict[str, Form]:
     """Compliant stops, hard ones, and limits alone."""
     ends = {
@@ -225,6 +267,7 @@ FORMS = {
             "damping": _damping("N m s/rad"),
             "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
             "limits": Key("limits", "where its own joint ends", default="none"),
+            "motor": Key("motor", "motor and gear at its own joint", default="none"),
         },
     ),
     "prismatic_link": Form(
@@ -238,6 +281,7 @@ FORMS = {
             "damping": _damping("N s/m"),
             "friction": Key("slide_friction", "Coulomb friction at its own joint", default="none"),
             "limits": Key("slide_limits", "where its own joint ends", default="none"),
+            "motor": Key("slide_motor", "motor and gear at its own joint", default="none"),
         },
     ),
     "friction": _friction("torque", "N m", "rad/s"),
@@ -246,6 +290,8 @@ FORMS = {
     "slide_dry_friction": _dry_friction("force", "N", "m/s"),
     **_limits("angle", "rad", "N m"),
     **_limits("number", "m", "N"),
+    "motor": _motor("", JOINTS[0]),
+    "slide_motor": _motor("rad/m", JOINTS[1]),
     "link_point": Form(
         "A point of a link.",
         {

@@ -6,7 +6,6 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
@@ -42,12 +41,6 @@ class DryFriction(NamedTuple):
     static: float
     stribeck: float | None = None
 
-    def slipping(self, speed: float) -> float:
-        """The friction at a speed other than zero."""
-        if self.stribeck is None:
-            return self.torque
-        return self.torque + (self.static - self.torque) * math.exp(-((speed / self.stribeck) ** 2))
-
 
 class Limits(NamedTuple):
     """Where a joint ends, rad or m: at compliant stops, at hard ones, or at no more than a limit.
@@ -69,6 +62,22 @@ class Limits(NamedTuple):
         return [(side, end) for side, end in sides if end is not None]
 
 
+class Motor(NamedTuple):
+    """A motor and its gear at a joint: the rotor turns `ratio` times as far as the joint.
+
+    It sits on the link that carries the joint, and turns relative to it.  Of the rotor: inertia
+    kg m^2, damping N m s/rad, N m, rad/s, N m/A, ohm; the ratio of a prismatic joint is in rad/m.
+    """
+
+    ratio: float
+    inertia: float
+    damping: float = 0.0
+    torque_max: float | None = None
+    speed_max: float | None = None
+    torque_constant: float | None = None
+    resistance: float | None = None
+
+
 class Link(NamedTuple):
     """One link: mass kg, length m, centre of gravity m, inertia kg m^2 about it, where it hangs.
 
@@ -87,6 +96,7 @@ class Link(NamedTuple):
     friction: Friction | DryFriction | None = None
     axis: complex | None = None
     limits: Limits | None = None
+    motor: Motor | None = None
 
     @property
     def slides(self) -> bool:

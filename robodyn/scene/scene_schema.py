@@ -17,8 +17,8 @@ Schema = dict[str, Any]
 
 def scene_schema() -> Schema:
     """The schema of a scene file, as JSON has it."""
-    keyword = {"": {}, ">= 0": {"minimum": 0}, "> 0": {"exclusiveMinimum": 0}}
-    keyword["in [0, 1]"] = {"minimum": 0, "maximum": 1}
+    keyword: dict[str, Schema] = {"": {}, ">= 0": {"minimum": 0}, "> 0": {"exclusiveMinimum": 0}}
+    keyword |= {"not 0": {"not": {"const": 0}}, "in [0, 1]": {"minimum": 0, "maximum": 1}}
     kinds: dict[str, Schema] = {x: {"type": "number", **keyword[y]} for x, y in NUMBERS.items()}
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}

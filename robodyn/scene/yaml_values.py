@@ -123,9 +123,14 @@ class ValueReader:
             self.fault(place, node, reason.replace("is not", "must be"), self.shown(node))
             return 0.0
         limit = NUMBERS[key.kind]
-        too_large = key.kind == "part" and value > 1.0
-        if too_large or (limit and (value < 0.0 or (value == 0.0 and limit == "> 0"))):
-            self.fault(place, node, f"must be {limit}{key.hint}", self.shown(node))
+        low = value < 0.0 and limit not in ("", "not 0")
+        if (
+            low
+            or (value > 1.0 and limit == "in [0, 1]")
+            or (value == 0.0 and limit in ("> 0", "not 0"))
+        ):
+            told = "must not be 0" if limit == "not 0" else f"must be {limit}"
+            self.fault(place, node, f"{told}{key.hint}", self.shown(node))
             return 0.0
         return value
 

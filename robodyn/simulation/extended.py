@@ -144,7 +144,7 @@ class _Series:
         self.torques = actuation.function(mechanism.n)
         self.made: dict[tuple[float, ...] | None, MotionProgram] = {}
         MotionProgram(mechanism, actuation, False)  # every branch must have a series
-        self.lightest = min(a.real for j, k, a in mechanism.A if j == k and a.real > 0.0)
+        self.lightest = min(mechanism.inertias.values())
 
     def __call__(self, t: Any, y: Long, stop: Any) -> tuple[Any, Long] | None:
         """See `_followed`."""

@@ -23,6 +23,7 @@ from robodyn.loops import assembly, loop_rates
 from robodyn.loops.change_points import suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.motors import motor_values
 from robodyn.simulation.recording import Outcome
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
@@ -156,7 +157,9 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
         qdd = loop_rates.loop_accelerations(mechanism, q, qd, given[chosen])
         found = inverse_dynamics_and_forces(mechanism, q, qd, qdd)
         forces = loop_forces(mechanism, found.multipliers, q)
-        return np.concatenate([found.tau[:, list(mechanism.actuated)], forces], axis=1)
+        motors = motor_values(mechanism, list(found.tau.T), list(qd.T))
+        torques = [found.tau[:, list(mechanism.actuated)], forces]
+        return np.concatenate([*torques, *(x[:, None] for x in motors)], axis=1)
 
     first = points.shape[1]
     with warnings.catch_warnings():

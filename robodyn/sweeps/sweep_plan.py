@@ -12,7 +12,9 @@ from robodyn import __version__
 from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
+from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.mechanics.motors import motor_columns
 from robodyn.sweeps.scene_values import numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
@@ -67,10 +69,7 @@ class Plan:
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
             names += [f"tau{k + 1}" for k in mechanism.actuated]
-            described = mechanism.description
-            names += [f"f{x}{c + 1}" for c in range(len(described.closures)) for x in "xy"]
-            names += [f"tc{c + 1}" for c in range(len(described.couplings))]
-            return [*names, "outcome"]
+            return [*names, *loop_columns(mechanism), *motor_columns(mechanism), "outcome"]
         if "final" in self.results:
             names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
         if "extremes" in self.results:

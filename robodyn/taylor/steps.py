@@ -62,7 +62,7 @@ class SteppingEngine:
         self.order, self.work = order, work
         self.tolerances = float(rtol), float(atol)  # numpy scalars would be ten times slower
         self._given = self.tolerances  # near a missed change point they are tighter
-        self.lightest = min((a.real for j, k, a in mechanism.A if j == k and a.real > 0.0))
+        self.lightest = min(mechanism.inertias.values())
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.keeps = False

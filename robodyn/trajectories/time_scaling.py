@@ -24,12 +24,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.dynamics import inverse_dynamics
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.per_joint import for_each_actuated
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.motion_limits import LimitError as LimitError
+from robodyn.trajectories.motion_limits import Limits as Limits
+from robodyn.trajectories.motion_limits import is_of_motor, limit_unit, limited_joint, with_motors
+from robodyn.trajectories.motion_limits import limits_of as limits_of
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
 from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
@@ -37,7 +40,6 @@ from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_a
 Array = NDArray[np.float64]
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
-UNITS = {"qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N m", "N")}
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
 MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
@@ -49,50 +51,11 @@ CREEP = 1e-3  # part of a friction's speed at which it is still no more than a d
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Largest absolute values of the actuated joints, (actuated,) each; None: no limit."""
-
-    qd: Array | None = None  # rad/s
-    qdd: Array | None = None  # rad/s^2
-    tau: Array | None = None  # N m
-
-    @property
-    def given(self) -> list[tuple[str, Array]]:
-        pairs = zip(UNITS, (self.qd, self.qdd, self.tau), strict=True)
-        return [(name, values) for name, values in pairs if values is not None]
-
-
-class LimitError(RobodynError):
-    """A motion exceeds a limit; `quantity` is qd, qdd or tau."""
-
-    def __init__(self, what: str, quantity: str, *, value: object = None, limit: str = "") -> None:
-        self.quantity = quantity
-        super().__init__(what, value=value, limit=limit)
-
-
-@dataclass(frozen=True, slots=True)
 class Shortest:
     """The shortest motion within limits, and which limit bounds it (of which joint, at which t)."""
 
     motion: ReferenceMotion
     bound: str
-
-
-def limits_of(
-    mechanism: Mechanism,
-    qd: ArrayLike | None = None,
-    qdd: ArrayLike | None = None,
-    tau: ArrayLike | None = None,
-) -> Limits:
-    """Limits from one value for all actuated joints, or one for each; InputError if not > 0."""
-    found = {}
-    for name, given in zip(UNITS, (qd, qdd, tau), strict=True):
-        if given is not None:
-            values = np.array(for_each_actuated(mechanism, given, f"max_{name}"))
-            for wrong in values[~(np.isfinite(values) & (values > 0.0))]:
-                raise InputError(f"max_{name}", value=f"{wrong:g}", limit="must be > 0 and finite")
-            found[name] = values
-    return Limits(**found)
 
 
 def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
@@ -118,11 +81,14 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
     place, joint = divmod(column, len(driven))
     name, bound = limits.given[place]
     value = float(values(np.array([u]), np.array([piece]))[0, column])
+    own = is_of_motor(mechanism, name, joint, bound[joint])
+    limit = f"exceeds the limit of {bound[joint]:.9g} {limit_unit(mechanism, name, joint)}"
     raise LimitError(
-        f"{_joint(mechanism, name, joint)} at t = {motion.begin + u * T:.6g} s",
+        f"{limited_joint(mechanism, name, joint)} at t = {motion.begin + u * T:.6g} s",
         name,
-        value=f"{value:.9g} {_unit(mechanism, name, joint)}",
-        limit=f"exceeds the limit of {bound[joint]:.9g} {_unit(mechanism, name, joint)}",
+        value=f"{value:.9g} {limit_unit(mechanism, name, joint)}",
+        limit=limit + own * " of its motor",
+        of_motor=own,
     )
 
 
@@ -140,10 +106,10 @@ def shortest_motion(
 ) -> ReferenceMotion:
     """The shortest `reference_motion` of which no slower one exceeds a limit either.
 
-    Each limit is one value, or one an actuated joint.  `times` give proportions only.  A profile
-    that stops at each point takes the shortest time for each leg, unless there are `times`.
-    Raises what `reference_motion` does, InputError where nothing bounds the duration, and
-    LimitError where a torque is too large however slow the motion.
+    Each limit is one value, or one an actuated joint; those of the scene's motors hold too.
+    `times` give proportions only.  A profile that stops at each point takes the shortest time for
+    each leg, unless there are `times`.  Raises what `reference_motion` does, InputError where
+    nothing bounds the duration, and LimitError where a torque is too large however slow the motion.
     """
     full = all_joints(mechanism, points)
     limits = limits_of(mechanism, max_qd, max_qdd, max_tau)
@@ -194,6 +160,7 @@ def shortest_along(
     """The shortest motion along a path; `points` as for `reference.motion_along`."""
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
+    limits = with_motors(mechanism, limits)
     if not limits.given:
         raise InputError("duration", value="min", limit="needs a limit: a largest qd, qdd or tau")
     whole = whole_path(mechanism, path, points, watch)
@@ -205,7 +172,7 @@ def shortest_along(
         else:
             each = rates / most if name == "qd" else np.sqrt(accelerations / most)
             joint = int(np.argmax(each))
-            found.append((float(each[joint]), _joint(mechanism, name, joint)))
+            found.append((float(each[joint]), limited_joint(mechanism, name, joint)))
     duration, bound = max(found)
     if not (math.isfinite(duration) and duration > 0.0 and rates.any()):
         limit = "is not bounded: nothing moves, or no limit is reached however fast"
@@ -216,7 +183,8 @@ def shortest_along(
 def _shortest_by_torque(
     mechanism: Mechanism, whole: OpenPath | LoopPath, limit: Array, begin: float
 ) -> tuple[float, str]:
-    driven = list(mechanism.actuated)
+    bounded = np.flatnonzero(np.isfinite(limit)).tolist()  # places among the actuated joints
+    driven, limit = [mechanism.actuated[j] for j in bounded], limit[bounded]
 
     def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
         """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""
@@ -251,13 +219,15 @@ def _shortest_by_torque(
         there, of = (np.array([x]) for x in place)
         value = float(parts(there, of, scale)[2][0, joint])
         at = ", ".join(f"{x:.6g}" for x in whole.evaluate(there, of)[0][0])
-        unit = _unit(mechanism, "tau", joint)
+        unit = limit_unit(mechanism, "tau", bounded[joint])
+        own = is_of_motor(mechanism, "tau", bounded[joint], limit[joint])
         raise LimitError(
-            f"{_joint(mechanism, 'tau', joint)} at q = {at}",
+            f"{limited_joint(mechanism, 'tau', bounded[joint])} at q = {at}",
             "tau",
             value=f"{value:.9g} {unit}",
             limit=f"holding this pose takes that, more than the limit of {limit[joint]:.9g} "
-            f"{unit}, however slow the motion",
+            f"{unit}{own * ' of its motor'}, however slow the motion",
+            of_motor=own,
         )
     x, column = scale, 0
     for _ in range(MOST_FITS):
@@ -269,7 +239,7 @@ def _shortest_by_torque(
             break
     duration = (1.0 + MARGIN) / x
     at = f" at t = {begin + u * duration:.6g} s"
-    return duration, _joint(mechanism, "tau", column % len(driven)) + at
+    return duration, limited_joint(mechanism, "tau", bounded[column % len(driven)]) + at
 
 
 def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
@@ -279,16 +249,6 @@ def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
     for joint, friction in mechanism.friction:
         fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * friction.speed))
     return 1.0 / fastest if fastest > 0.0 else 1.0
-
-
-def _unit(mechanism: Mechanism, name: str, place: int) -> str:
-    """That of a limit of an actuated joint, by its place among them."""
-    return UNITS[name][mechanism.actuated[place] in mechanism.slides]
-
-
-def _joint(mechanism: Mechanism, name: str, joint: int) -> str:
-    k = mechanism.actuated[joint]
-    return f"{name}{k + 1} ({mechanism.link_names[k]})"
 
 
 def least_along(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, int, int]:

@@ -70,6 +70,18 @@ loads:
   - {link: d, at: [0.1, 0], force: [3, 1], frame: link}
   - {link: c, torque: 0.4}
 """
+MOTORS = """
+gravity: [1.3, -9.6]
+links:
+  - {name: a, m: 2.0, l: 0.5, r: [0.21, 0.13], I: 0.05,
+     motor: {ratio: 20, inertia: 1e-4, damping: 1e-5}}
+  - {name: b, joint: prismatic, axis: [1, 1], m: 0.7, l: 0.2, r: 0.25, I: 0.02,
+     motor: {ratio: 100, inertia: 2e-5}}
+  - {name: c, m: 0.3, l: 0.4, r: [0.1, 0.02], I: 0.05,
+     motor: {ratio: -30, inertia: 3e-5, damping: 1e-5}}
+  - {name: d, joint: prismatic, axis: [0, 1], from: [0, 0], m: 0.7, l: 0.2, r: 0.25, I: 0.02,
+     motor: {ratio: 100, inertia: 2e-5}}
+"""
 CART = """
 gravity: 9.8
 links:
@@ -103,7 +115,7 @@ def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
     mechanisms["rig"] = build(from_text(RIG, "rig"))
     mechanisms["rig with springs and loads"] = build(from_text(RIG + FORCES, "rig"))
     slides = {"slides": SLIDES, "slides with springs and loads": SLIDES + SLIDE_FORCES}
-    slides["cart and pole"] = CART
+    slides |= {"cart and pole": CART, "motors": MOTORS}
     mechanisms |= {name: build(from_text(text, name)) for name, text in slides.items()}
     mechanisms |= {name: build(from_text(RIG + text, name)) for name, text in GEARS.items()}
     for scene, mechanism in mechanisms.items():

@@ -1,0 +1,62 @@
+"""What motors do at their joints: torque, speed, voltage, current and power, and their limits.
+
+With the ratio N, the torque constant kt and the resistance R, a motor that gives its joint tau has
+the torque tau/N and the speed N qd (its gear is ideal), and
+
+    amp = (tau/N)/kt      volt = R amp + kt N qd      watt = volt amp
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from robodyn.mechanics.planar_model import Mechanism
+from robodyn.scene.scene import Motor
+
+
+def driving_motors(mechanism: Mechanism) -> Iterator[tuple[int, Motor]]:
+    """The actuated joints that have motors."""
+    links = mechanism.description.links
+    return ((k, motor) for k in mechanism.actuated if (motor := links[k].motor) is not None)
+
+
+def motor_columns(mechanism: Mechanism) -> list[str]:
+    """The names of what `motor_values` gives: motor1.., motor_speed1.., volt1.., amp1.., watt1.."""
+    motors = list(driving_motors(mechanism))
+    electric = [(k, motor) for k, motor in motors if motor.torque_constant]
+    kinds = [("motor", motors), ("motor_speed", motors)]
+    kinds += [(name, electric) for name in ("volt", "amp", "watt")]
+    return [f"{name}{k + 1}" for name, those in kinds for k, _ in those]
+
+
+def motor_values(mechanism: Mechanism, tau: Sequence[Any], qd: Sequence[Any]) -> list[Any]:
+    """Torque N m, speed rad/s, voltage V, current A and power W of the motors, column by column.
+
+    tau and qd hold a value for each joint: a float, or an array.
+    """
+    torques, speeds, volts, amps = [], [], [], []
+    for k, motor in driving_motors(mechanism):
+        torques.append(tau[k] / motor.ratio + 0.0)  # no -0.0
+        speeds.append(motor.ratio * qd[k] + 0.0)
+        if motor.torque_constant and motor.resistance:
+            amps.append(torques[-1] / motor.torque_constant)
+            volts.append(motor.resistance * amps[-1] + motor.torque_constant * speeds[-1])
+    watts = [volt * amp + 0.0 for volt, amp in zip(volts, amps, strict=True)]
+    return [*torques, *speeds, *volts, *amps, *watts]
+
+
+def torque_limits(mechanism: Mechanism) -> list[float]:
+    """What motors can put on the actuated joints at most, N m; infinite where nothing limits it."""
+    return _limits(mechanism, lambda x: x.torque_max and x.torque_max * abs(x.ratio))
+
+
+def rate_limits(mechanism: Mechanism) -> list[float]:
+    """How fast motors can turn the actuated joints, rad/s; infinite where nothing limits it."""
+    return _limits(mechanism, lambda x: x.speed_max and x.speed_max / abs(x.ratio))
+
+
+def _limits(mechanism: Mechanism, limit: Callable[[Motor], float | None]) -> list[float]:
+    found = {k: limit(motor) for k, motor in driving_motors(mechanism)}
+    return [found.get(k) or math.inf for k in mechanism.actuated]

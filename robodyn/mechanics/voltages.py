@@ -1,0 +1,69 @@
+"""Voltages that drive motors, as torques of their joints.
+
+With the ratio N, the torque constant kt and the resistance R
+
+    tau = N kt (volt - kt N qd)/R
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from robodyn.errors import InputError
+from robodyn.mechanics import actuation
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.planar_model import Mechanism
+
+
+def voltages(
+    mechanism: Mechanism,
+    volt: str | Sequence[float] | Callable[[float, list[float], list[float]], Sequence[float]],
+    where: str = "volt",
+) -> Actuation:
+    """What `simulate` takes as tau so that voltages drive the motors, one an actuated joint, V.
+
+    They are constants, comma-separated expressions in t, q1.., qd1.., or a function of t, q (n),
+    qd (n).  Raises InputError where an actuated joint has no motor with its constants, and what
+    torques so given do.
+    """
+    links, driven, laws = mechanism.description.links, mechanism.actuated, []
+    for k in driven:
+        motor = links[k].motor
+        if motor is None or not (motor.torque_constant and motor.resistance):
+            limit = f"joint {links[k].name} needs a motor with torque_constant and resistance"
+            raise InputError(where, where=mechanism.source, limit=limit)
+        slope = motor.ratio * motor.torque_constant
+        laws.append((slope / motor.resistance, slope))
+
+    if callable(volt):
+        given = volt
+
+        def torques(t: float, q: list[float], qd: list[float]) -> list[float]:
+            values = _as_many(mechanism, [float(x) for x in given(t, q, qd)], where)
+            each = zip(driven, laws, values, strict=True)
+            return [a * (x - b * qd[k]) for k, (a, b), x in each]
+
+        return actuation.callback(mechanism, torques)
+
+    def driving(nodes: list[ast.expr]) -> list[ast.expr]:
+        """Expressions of torques, of those of voltages."""
+        found: list[ast.expr] = []
+        for k, (a, b), node in zip(driven, laws, _as_many(mechanism, nodes, where), strict=True):
+            back = ast.BinOp(ast.Constant(b), ast.Mult(), ast.Name(f"qd{k + 1}"))
+            found.append(ast.BinOp(ast.Constant(a), ast.Mult(), ast.BinOp(node, ast.Sub(), back)))
+        return found
+
+    text = volt if isinstance(volt, str) else ", ".join(repr(float(x)) for x in volt)
+    return actuation.expressions(mechanism, text, where, driving)
+
+
+def _as_many(mechanism: Mechanism, given: list[Any], where: str) -> list[Any]:
+    """These voltages; InputError unless there is one for each actuated joint."""
+    count = len(mechanism.actuated)
+    if len(given) != count:
+        joints = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+        limit = f"must have {count}, one an actuated joint ({joints})"
+        raise InputError(where, value=f"{len(given)} voltages", limit=limit)
+    return given
