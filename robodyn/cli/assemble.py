@@ -15,6 +15,7 @@ from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.modes import beyond, end_word
 from robodyn.scene.scene import BRANCHES
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
@@ -53,6 +54,14 @@ def assemble(
         except AssemblyError:  # of the scene's own, or where one branch reaches farther
             if not found:
                 raise
+    for name, (q_there, *_) in found:
+        for joint, side, end in beyond(mechanism, q_there.tolist(), turns=True):
+            where = f"q{joint + 1} ({mechanism.link_names[joint]})"
+            limit = f"is beyond the joint's {end_word(side)}, {end:.9g}"
+            if name == found[0][0]:
+                value = float(q_there[joint])
+                raise AssemblyError(where, where=mechanism.source, value=value, limit=limit)
+            note(f"Note: {name}: {where} = {float(q_there[joint]):.9g} {limit}")
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")

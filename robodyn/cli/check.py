@@ -16,6 +16,7 @@ from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Link, Moment, Motor, Point
 
@@ -45,6 +46,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check robots/2r.yaml --format json
     """
     mechanism = load(model)
+    free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:
         count = max(2, min(STATES, ENTRIES // mechanism.n**2))
@@ -56,7 +58,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
         sample = Sample(np.zeros((0, mechanism.n)), np.zeros((0, mechanism.n)), 0.0)
     try:
         with remarks():
-            results = identities(mechanism, sample) if len(sample.q) else []
+            results = identities(free, sample) if len(sample.q) else []
     except InputError:  # a state of ours left the range of numbers
         raise overflow() from None
     singular = next((item.reason for item in results if item.reason), None)

@@ -152,7 +152,7 @@ def simulate(
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome not in (Outcome.FINISHED, Outcome.EVENT):
             stream.flush()
-            where = f"{facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
+            where = f"{facts.ended_by or facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
             raise UnfinishedError(where, limit=outcome.advice)
 
 

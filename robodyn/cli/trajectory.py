@@ -23,6 +23,7 @@ from robodyn.scene.quantities import parse_time
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
+from robodyn.trajectories.joint_ends import check_ends
 from robodyn.trajectories.joint_paths import JointPath, path_through
 from robodyn.trajectories.motion_limits import LimitError, with_motors
 from robodyn.trajectories.profiles import ACCELERATION
@@ -56,6 +57,7 @@ def trajectory(
     A limit (--max-qd, --max-qdd, --max-tau) that is exceeded anywhere, between the rows too, is an
     error; --time min takes the shortest duration that keeps the limits, and tells it on stderr.
     It keeps those of the scene's motors too; in a given time a note says where they are exceeded.
+    Limits of joints that the scene has, and hard stops, are ends that no motion passes.
 
     \b
     Examples:
@@ -81,6 +83,7 @@ def trajectory(
     with remarks(), ways.named(given):
         with progress("following the loops") as watch:
             motion = _motion(mechanism, given, duration, limits, watch)
+        check_ends(motion)
         _write(motion, output_times(motion.duration, step, points), format, out)
 
 

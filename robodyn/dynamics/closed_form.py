@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, matvec, placed
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.mechanics.modes import pressed
 from robodyn.mechanics.planar_model import Arrays
 
 Array = NDArray[np.float64]
@@ -130,7 +131,24 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
         from robodyn.engines.row_values import rows_of
 
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
+    if mechanism.limits:
+        PE = PE + _stop_energy(mechanism, *np.broadcast_arrays(q, qd))
     return KE, PE
+
+
+def _stop_energy(mechanism: Mechanism, q: Array, qd: Array) -> Array:
+    """What compliant stops hold that push in states (..., n), (...), J."""
+    limits = dict(mechanism.limits)
+
+    def held(joint: int, side: int, at: float) -> float:
+        return 0.5 * (limits[joint].stiffness or 0.0) * (at - dict(limits[joint].ends)[side]) ** 2
+
+    states = zip(*(x.reshape(-1, mechanism.n).tolist() for x in (q, qd)), strict=True)
+    each = [
+        sum(held(joint, side, at[joint]) for joint, side in pressed(mechanism, at, rates))
+        for at, rates in states
+    ]
+    return np.array(each, float).reshape(q.shape[:-1])
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:

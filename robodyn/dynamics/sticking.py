@@ -22,14 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode, moving_mode, pressed
+from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
 
 Array = NDArray[np.float64]
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
 TOGETHER = 1e-9  # relative singular value below which joints are not held independently
 SLACK = 1e-12  # part of the forces by which a bound may be missed
-NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touches it
 MOST = 6  # joints at rest of which all choices are tried
 
 

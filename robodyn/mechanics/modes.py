@@ -7,6 +7,7 @@ holds it.  The mechanism in a mode is one like any other, and every engine serve
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -19,6 +20,8 @@ from robodyn.scene.scene import Coupling, JointSpring, Limits
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+
+NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touches it
 
 T = TypeVar("T", float, Any)
 
@@ -75,6 +78,33 @@ def pressed(
             if beyond and pushes(stop, side, q[joint], qd[joint]) > 0.0:
                 found.append((joint, side))
     return tuple(found)
+
+
+def beyond(
+    mechanism: Mechanism, q: Sequence[float], turns: bool = False
+) -> list[tuple[int, int, float]]:
+    """The ends that q is beyond, but for rounding: joint, side, and where the end is.
+
+    Those that no compliant stop makes: nothing passes them.  With `turns` an angle is within its
+    limits of both sides where it is so but for whole turns.
+    """
+    found = []
+    for joint, stop in mechanism.limits:
+        if stop.stiffness is not None:
+            continue
+        for side, end in stop.ends:
+            way = side * (q[joint] - end)
+            if turns and joint not in mechanism.slides and len(stop.ends) == 2 and way > 0.0:
+                range_ = stop.ends[1][1] - stop.ends[0][1]
+                way = -1.0 if -way % math.tau <= range_ + NEAR else way
+            if way > NEAR * max(1.0, abs(end)):
+                found.append((joint, side, end))
+    return found
+
+
+def end_word(side: int) -> str:
+    """Which end of a joint is meant."""
+    return "max" if side > 0 else "min"
 
 
 def resting_friction(mechanism: Mechanism, qd: NDArray[Any], qdd: NDArray[Any]) -> bool:

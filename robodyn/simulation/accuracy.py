@@ -46,6 +46,7 @@ def error_estimate(
     well: by a percent of that, with Radau, the worst, by a quarter.  So a third is added.
     nan where there is no tighter run, or one of the two does not finish.
     """
+    _refuse_jumps(mechanism)
     if tighter(settings) is None:
         return np.nan
     motion = _Motion(mechanism, state, t_end, actuation, settings)
@@ -68,6 +69,7 @@ def settings_for(
     """
     if not (0.0 < accuracy < 1.0):
         raise InputError("accuracy", value=accuracy, limit="must be in (0, 1)")
+    _refuse_jumps(mechanism)
     chooses = settings.method == AUTO
     if chooses:
         over = over_a_run(actuation, state.tolist(), float(t_end))
@@ -100,6 +102,14 @@ def settings_for(
         limit += f"; runs differ by {best:.2g}: this motion forgets its start"
     limit += "; ask for less, or for a shorter time"
     raise AccuracyError("accuracy", where=mechanism.source, value=f"{accuracy:g}", limit=limit)
+
+
+def _refuse_jumps(mechanism: Mechanism) -> None:
+    """Rates that jump differ by the jump, however little later one of two runs has it."""
+    for joint, stop in mechanism.limits:
+        if stop.restitution is not None:
+            limit = "has a hard stop, at which rates jump: no error of theirs is told"
+            raise InputError(f"joint {mechanism.link_names[joint]}", limit=limit)
 
 
 def best_method(mechanism: Mechanism, actuation: Actuation) -> str:

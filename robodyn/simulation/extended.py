@@ -57,6 +57,8 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
 
     Raises RobodynError where the motion cannot be followed.
     """
+    if mechanism.switches:
+        raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
     actuation = over_a_run(actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:

@@ -19,7 +19,6 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
 from robodyn.dynamics.sticking import (
     AT_REST,
-    NEAR,
     bounds,
     held_forces,
     margins,
@@ -32,7 +31,7 @@ from robodyn.events.functions import EventFunction
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode, pressed, pushes
+from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
 from robodyn.scene.scene import Limits
 from robodyn.simulation.impacts import rates_after
 from robodyn.simulation.run_torques import applied_torques
@@ -67,14 +66,13 @@ class Phases:
         self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
         self.found: list[Event] = []
         q, qd = self._split(y)
-        for joint, side, end, stop in self._ends():
-            if stop.stiffness is None and side * (q[joint] - end) > NEAR * max(1.0, abs(end)):
-                raise InputError(
-                    f"q{joint + 1} ({mechanism.link_names[joint]})",
-                    where=mechanism.source,
-                    value=float(q[joint]),
-                    limit=f"is beyond the joint's {_word(side)}, {end:.9g}",
-                )
+        for joint, side, end in beyond(mechanism, q.tolist()):
+            raise InputError(
+                f"q{joint + 1} ({mechanism.link_names[joint]})",
+                where=mechanism.source,
+                value=float(q[joint]),
+                limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
+            )
         hits = [end for end in touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
         self.y = self._impact(0.0, y, hits, set()) if hits else y
         q, qd = self._split(self.y)
@@ -189,10 +187,8 @@ class Phases:
         kind, joint, side = self.guards[place]
         if kind != "inside" or self.limits[joint].restitution is not None:
             return ""
-        end = dict(self.limits[joint].ends)[side]
-        return (
-            f"q{joint + 1} ({self.mechanism.link_names[joint]}) passes its {_word(side)}, {end:.9g}"
-        )
+        name, end = self.mechanism.link_names[joint], dict(self.limits[joint].ends)[side]
+        return f"q{joint + 1} ({name}) passes its {end_word(side)}, {end:.9g},"
 
     def next(self, t: float, y: Array, place: int) -> Array:
         """The phase that follows at the state y at t, where the guard at a place ended one."""
@@ -261,7 +257,7 @@ class Phases:
         y = y.copy()
         y[self.mechanism.n : 2 * self.mechanism.n] = after
         for joint, side in hits:
-            self._tell(t, y, joint, f"hits its {_word(side)}")
+            self._tell(t, y, joint, f"hits its {end_word(side)}")
             if abs(after[joint]) <= AT_REST * float(np.abs(after).max(initial=0.0)):
                 y[self.mechanism.n + joint] = 0.0
         return y
@@ -273,9 +269,9 @@ class Phases:
     def _note(self, t: float, was: Mode, guard: Guard) -> None:
         """Tell what changed."""
         for joint, side in set(self.mode.pressed) - set(was.pressed):
-            self._tell(t, self.y, joint, f"meets its {_word(side)}")
+            self._tell(t, self.y, joint, f"meets its {end_word(side)}")
         for joint, side in set(was.pressed) - set(self.mode.pressed):
-            self._tell(t, self.y, joint, f"leaves its {_word(side)}")
+            self._tell(t, self.y, joint, f"leaves its {end_word(side)}")
         if guard.kind == "holds":
             for joint in sorted(set(was.held) - set(self.mode.held)):
                 self._tell(t, self.y, joint, "starts")
@@ -283,7 +279,3 @@ class Phases:
     def _tell(self, t: float, y: Array, joint: int, what: str) -> None:
         name = f"{self.mechanism.link_names[joint]} {what}"
         self.found.append(Event(name, t, y[: 2 * self.mechanism.n].copy()))
-
-
-def _word(side: int) -> str:
-    return "max" if side > 0 else "min"

@@ -260,6 +260,8 @@ class CompiledEngine:
 @lru_cache(maxsize=64)
 def serves(mechanism: Mechanism) -> bool:
     """Whether code of this length is worth it, and M and Psi are regular but at single states."""
+    if mechanism.switches:  # each of its modes is served for itself
+        return False
     if loop_terms(mechanism) > LARGEST or not elimination_is_safe(mechanism):
         return False
     return not mechanism.rows or regular_rank(mechanism) == len(mechanism.rows)

@@ -233,7 +233,7 @@ def _shortest_by_torque(
     for _ in range(MOST_FITS):
         before = x
         x, u, _, column = least_along(reached(before), whole)
-        if mechanism.friction:  # beyond that the parabola is not its torque
+        if _friction_speeds(mechanism):  # beyond that the parabola is not its torque
             x = min(max(x, 0.5 * before), 2.0 * before)
         if abs(x - before) <= SETTLED * x or math.isinf(x):
             break
@@ -246,9 +246,16 @@ def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
     """x that makes the fastest acceleration or rate of the path about 1; low in any friction."""
     _, q1, q2 = whole.evaluate(*whole.grid())
     fastest = max(float(np.abs(q1).max()), math.sqrt(float(np.abs(q2).max())))
-    for joint, friction in mechanism.friction:
-        fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * friction.speed))
+    for joint, speed in _friction_speeds(mechanism):
+        fastest = max(fastest, float(np.abs(q1[:, joint]).max()) / (CREEP * speed))
     return 1.0 / fastest if fastest > 0.0 else 1.0
+
+
+def _friction_speeds(mechanism: Mechanism) -> list[tuple[int, float]]:
+    """The joints whose friction changes with the rate, and about which rate it does."""
+    smooth = [(joint, friction.speed) for joint, friction in mechanism.friction]
+    falling = [(joint, friction.stribeck) for joint, friction in mechanism.dry]
+    return smooth + [(joint, speed) for joint, speed in falling if speed is not None]
 
 
 def least_along(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, int, int]:
