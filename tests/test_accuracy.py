@@ -27,7 +27,8 @@ from robodyn.simulation.accuracy import (
 )
 from robodyn.simulation.extended import reference
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import METHODS, Settings, run
+from robodyn.simulation.settings import METHODS, Settings
+from robodyn.simulation.simulation import run
 
 REFERENCES = Path(__file__).parent / "references"
 ASKED = (1e-3, 1e-6, 1e-9)

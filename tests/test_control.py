@@ -31,7 +31,7 @@ from robodyn import (
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.accuracy import error_estimate, settings_for
-from robodyn.simulation.simulation import Settings
+from robodyn.simulation.settings import Settings
 from robodyn.taylor.solver import TaylorSolver
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

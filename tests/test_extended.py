@@ -16,7 +16,8 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation import extended
 from robodyn.simulation.extended import EXTRAPOLATED, ORDER, SUBSTEPS, TOLERANCE, reference
-from robodyn.simulation.simulation import Settings, run
+from robodyn.simulation.settings import Settings
+from robodyn.simulation.simulation import run
 
 EPS = float(np.finfo(float).eps)
 REFERENCES = Path(__file__).parent / "references"

@@ -29,7 +29,8 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.recording import Outcome
 from robodyn.simulation.right_hand_side import right_hand_side
-from robodyn.simulation.simulation import Settings, run
+from robodyn.simulation.settings import Settings
+from robodyn.simulation.simulation import run
 from robodyn.simulation.solvers import METHODS, projected
 
 REFERENCES = Path(__file__).parent / "references"

@@ -22,7 +22,8 @@ from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference as longdouble_reference
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import Settings, run
+from robodyn.simulation.settings import Settings
+from robodyn.simulation.simulation import run
 from robodyn.taylor import compiled
 from robodyn.taylor import run as taylor_run
 

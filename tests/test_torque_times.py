@@ -19,7 +19,7 @@ from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.accuracy import AUTO, settings_for
 from robodyn.simulation.extended import reference
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import METHODS, Settings
+from robodyn.simulation.settings import METHODS, Settings
 
 PENDULUM = load(ROOT / "robots/pendulum.yaml")
 ARM = load(ROOT / "robots/2r.yaml")

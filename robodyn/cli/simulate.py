@@ -152,7 +152,8 @@ def simulate(
                 note("error of q and qd: not estimated, as no tighter run finishes")
         if outcome not in (Outcome.FINISHED, Outcome.EVENT):
             stream.flush()
-            where = f"{facts.ended_by or facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
+            what = facts.ended_by or facts.outcome
+            where = f"{what} at t = {facts.t_reached:.6g} s of {duration:g} s"
             raise UnfinishedError(where, limit=outcome.advice)
 
 
@@ -211,7 +212,7 @@ def _tell(mechanism: Mechanism, facts: Report, until: str | None) -> None:
             f"({facts.stabilize})"
         )
     if until is not None:
-        way = "ended by" if facts.ended_by else "not met up to the end:"
+        way = "ended by" if facts.ended_by == UNTIL else "not met up to the end:"
         lines.append(f"{way} --until {until}")
     counts = {name: count for name, count in facts.events.items() if name != UNTIL}
     if counts:

@@ -21,15 +21,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.voltages import voltages
 from robodyn.scene.quantities import parse_vector
-from robodyn.simulation.simulation import (
-    MAX_EVALUATIONS,
-    UNTIL,
-    Engine,
-    Method,
-    Settings,
-    Stabilize,
-    watched_events,
-)
+from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
+from robodyn.simulation.simulation import UNTIL, watched_events
 
 if TYPE_CHECKING:
     from robodyn.control.tracking import ReferenceTable

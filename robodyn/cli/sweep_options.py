@@ -18,7 +18,7 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
 from robodyn.scene.yaml_tree import read_text
 from robodyn.scene.yaml_values import nearest
-from robodyn.simulation.simulation import Engine, Settings
+from robodyn.simulation.settings import Engine, Settings
 from robodyn.sweeps.scene_values import SceneValues, is_angle, numbers_of
 from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import warnings
 from typing import Annotated
 
 import numpy as np
@@ -16,6 +17,7 @@ from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
+from robodyn.dynamics.dynamics import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import scene_units
@@ -80,7 +82,8 @@ def trajectory(
     elif given.amplitude is not None or given.frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else value_from(every, parse_time, "--every", "2, 0.5s, 20ms")
-    with remarks(), ways.named(given):
+    with remarks(), ways.named(given), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=AT_REST_REMARK)  # it starts and ends so
         with progress("following the loops") as watch:
             motion = _motion(mechanism, given, duration, limits, watch)
         check_ends(motion)

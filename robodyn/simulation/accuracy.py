@@ -20,7 +20,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import Settings, run
+from robodyn.simulation.settings import Settings
+from robodyn.simulation.simulation import run
 from robodyn.taylor.run import stepping_engine
 
 Array = NDArray[np.float64]

@@ -19,7 +19,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.extended import Reference, reference
 from robodyn.simulation.recording import Outcome, Report
-from robodyn.simulation.simulation import METHODS, Settings, run
+from robodyn.simulation.settings import METHODS, Settings
+from robodyn.simulation.simulation import run
 from robodyn.taylor.run import compiled_engine, stepping_engine
 
 Array = NDArray[np.float64]

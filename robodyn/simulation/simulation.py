@@ -8,18 +8,16 @@ statistics leave the run in batches, so its memory does not grow with its length
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics import dense_dynamics, dynamics
+from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
-from robodyn.errors import InputError, RobodynError, SingularError
+from robodyn.errors import InputError, SingularError
 from robodyn.events.functions import event_function, event_functions
 from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
@@ -28,28 +26,14 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.recording import Outcome, Recorder, Report, Sink, StopRun
-from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
-
-if TYPE_CHECKING:
-    from robodyn.simulation.phases import Phases
-    from robodyn.taylor.steps import SteppingEngine
+from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
+from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
 
 Array = NDArray[np.float64]
 
-MAX_EVALUATIONS = 2_000_000
-BAUMGARTE = 20.0  # 1/s
-NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
-Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
-Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
-Stabilize = Literal["projection", "baumgarte", "none"]
-METHODS: tuple[str, ...] = get_args(Method)
-ORDERS = (4, 60)  # of the Taylor series
-CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
-MOST_IDLE = 100  # phases in a row that take no time, after which none will
 UNTIL = "until"  # the name of the event that ends a run
-SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
 
 
 @dataclass
@@ -83,52 +67,6 @@ class Motion:
         parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau))
         each = zip(self._phases, *parts, strict=True)
         return np.concatenate([dynamics.forward_dynamics(moving, *x) for (_, moving), *x in each])
-
-
-@dataclass(slots=True)
-class Settings:
-    """How to integrate."""
-
-    method: str = "DOP853"
-    rtol: float = 1e-9
-    atol: float = 1e-9
-    stabilize: str = "projection"
-    baumgarte: float = BAUMGARTE
-    max_evaluations: int = MAX_EVALUATIONS
-    order: int | None = None  # of the Taylor series; None: by the tolerance
-    engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
-    max_step: float = np.inf  # s
-
-    @property
-    def smallest_rtol(self) -> float:
-        """That the method takes."""
-        return 1e-16 if self.method == "taylor" else SCIPY_RTOL
-
-    def check(self) -> None:
-        """Raise InputError for a setting that is none."""
-        for name, words in CHOICES.items():
-            if (value := getattr(self, name)) not in words:
-                raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")
-        if not self.smallest_rtol <= self.rtol < 1.0:
-            limit = f"must be in [{self.smallest_rtol:g}, 1)"
-            raise InputError("rtol", value=self.rtol, limit=limit)
-        for name, value in (("atol", self.atol), ("baumgarte_rate", self.baumgarte)):
-            if not 0.0 < value < np.inf:
-                raise InputError(name, value=value, limit="must be > 0 and finite")
-        if not self.max_step > 0.0:
-            raise InputError("max_step", value=self.max_step, limit="must be > 0")
-        if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
-            limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
-            raise InputError("order", value=self.order, limit=limit)
-        taylor = self.method == "taylor"
-        if not taylor and (self.order is not None or self.engine != "auto"):
-            what = "order" if self.order is not None else "engine"
-            raise InputError(what, limit="is for the method taylor alone")
-        if taylor and self.stabilize == "baumgarte":
-            limit = "the Taylor series goes with projection or none"
-            raise InputError("stabilize", value=self.stabilize, limit=limit)
-        if self.max_evaluations < 1:
-            raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")
 
 
 def simulate(
@@ -265,7 +203,7 @@ def run(
         events = events or EventWatch([], t_end)
         phases = Phases(mechanism, actuation, y, t_end)
         y = phases.y
-    smooth = _Smooth(actuation, settings, t_end, work)
+    smooth = SmoothMotions(actuation, settings, t_end, work)
     moving = mechanism if phases is None else phases.moving
     smooth.check_start(moving, y, report)
     recorder = Recorder(moving, report, sink, times, settings.max_evaluations, watch, actuation)
@@ -276,7 +214,7 @@ def run(
     if t_end != 0.0:
         try:
             if phases is not None:
-                outcome = _in_phases(phases, smooth, y, recorder)
+                outcome = in_phases(phases, smooth, y, recorder)
             else:
                 outcome = smooth.run(mechanism, 0.0, y, recorder)
         except SingularError:
@@ -291,123 +229,6 @@ def run(
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
     return outcome, recorder
-
-
-def _in_phases(phases: Phases, smooth: _Smooth, y: Array, recorder: Recorder) -> Outcome:
-    """From the state y at t = 0, phase by phase."""
-    t, idle = 0.0, 0
-    while True:
-        recorder.begin_phase(phases.moving, phases.functions)
-        outcome = smooth.run(phases.moving, t, y, recorder)
-        place, stopped = recorder.guard, recorder.stopped
-        if outcome is not Outcome.EVENT or place is None or stopped is None:
-            return outcome
-        if why := phases.ends_run(place):
-            recorder.report.ended_by = why
-            recorder.end_row()
-            return Outcome.LIMIT
-        idle = idle + 1 if stopped.t == t else 0
-        if idle == MOST_IDLE:
-            return Outcome.CHATTERING
-        t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
-        if t == smooth.t_end:
-            return Outcome.FINISHED
-
-
-class _Smooth:
-    """Integrates smooth motions of mechanisms, one after the other; what it makes it keeps."""
-
-    def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
-        self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
-        self._sides: dict[Mechanism, RightHandSide] = {}
-        self._engines: dict[Mechanism, SteppingEngine] = {}
-
-    def side(self, mechanism: Mechanism) -> RightHandSide:
-        """The rates of the mechanism."""
-        if mechanism not in self._sides:
-            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
-            self._sides[mechanism] = right_hand_side(
-                mechanism,
-                self.actuation,
-                work=self.work,
-                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
-            )
-        return self._sides[mechanism]
-
-    def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
-        """Raise RobodynError, now, where no motion is defined."""
-        n = mechanism.n
-        if self.settings.method == "taylor":
-            if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
-                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
-            return
-        side = self.side(mechanism)
-        report.evaluator = side.kind
-        if not np.isfinite(side.rates(0.0, y)).all():
-            limit = "the torque or the acceleration is not finite there"
-            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-
-    def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
-        """From (t, y) to the end, or to an event."""
-        settings = self.settings
-        projects = settings.stabilize == "projection" and bool(mechanism.rows)
-        try:
-            if settings.method != "taylor":
-                return self._by_scipy(mechanism, t, y, recorder, projects)
-            from robodyn.taylor.run import taylor_run
-
-            return taylor_run(
-                mechanism,
-                self.actuation,
-                y,
-                self.t_end,
-                recorder,
-                rtol=float(settings.rtol),
-                atol=float(settings.atol),
-                order=settings.order,
-                engine=settings.engine,
-                project=projects,
-                max_step=float(settings.max_step),
-                side=lambda: self.side(mechanism),
-                begin=t,
-                engines=self._engines,
-            )
-        except StopRun as stop:
-            if stop.outcome is not Outcome.EVENT:
-                raise
-            return stop.outcome
-
-    def _by_scipy(
-        self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
-    ) -> Outcome:
-        from robodyn.simulation.solvers import StiffError, solver_of
-
-        tolerances = self.settings.rtol, self.settings.atol
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # LSODA's; the outcome says it
-            solver = solver_of(
-                self.settings.method,
-                self.side(mechanism),
-                (t, y, self.t_end),
-                tolerances,
-                recorder,
-                self.actuation,
-                projects,
-                self.settings.max_step,
-            )
-            try:
-                while solver.status == "running":
-                    solver.step()
-            except StiffError:
-                return Outcome.STIFF
-            finally:
-                recorder.end_solver(solver)
-        if solver.status == "finished":
-            return Outcome.FINISHED
-        recorder.flush_steps()
-        near = recorder.last_singular
-        singular = near is not None and near < NEARLY_SINGULAR
-        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
 
 
 def _check_times(times: Array, t_end: float) -> None:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
 from robodyn.simulation.recording import Outcome
-from robodyn.simulation.simulation import SCIPY_RTOL, Motion, simulate
+from robodyn.simulation.settings import SCIPY_RTOL
+from robodyn.simulation.simulation import Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends, Motions
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, derivative, extremes
 from robodyn.trajectories.splines import hermite

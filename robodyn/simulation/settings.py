@@ -1,0 +1,66 @@
+"""How to integrate: the method, its tolerances, what keeps loops closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from robodyn.errors import InputError
+
+MAX_EVALUATIONS = 2_000_000
+BAUMGARTE = 20.0  # 1/s
+Method = Literal["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
+Engine = Literal["auto", "python", "compiled"]  # of the Taylor series
+Stabilize = Literal["projection", "baumgarte", "none"]
+METHODS: tuple[str, ...] = get_args(Method)
+ORDERS = (4, 60)  # of the Taylor series
+CHOICES = {"method": METHODS, "stabilize": get_args(Stabilize), "engine": get_args(Engine)}
+SCIPY_RTOL = 3e-14  # scipy's methods take nothing smaller
+
+
+@dataclass(slots=True)
+class Settings:
+    """How to integrate."""
+
+    method: str = "DOP853"
+    rtol: float = 1e-9
+    atol: float = 1e-9
+    stabilize: str = "projection"
+    baumgarte: float = BAUMGARTE
+    max_evaluations: int = MAX_EVALUATIONS
+    order: int | None = None  # of the Taylor series; None: by the tolerance
+    engine: str = "auto"  # of the Taylor series; see `taylor/run.py`
+    max_step: float = np.inf  # s
+
+    @property
+    def smallest_rtol(self) -> float:
+        """That the method takes."""
+        return 1e-16 if self.method == "taylor" else SCIPY_RTOL
+
+    def check(self) -> None:
+        """Raise InputError for a setting that is none."""
+        for name, words in CHOICES.items():
+            if (value := getattr(self, name)) not in words:
+                raise InputError(name, value=value, limit=f"must be of {', '.join(words)}")
+        if not self.smallest_rtol <= self.rtol < 1.0:
+            limit = f"must be in [{self.smallest_rtol:g}, 1)"
+            raise InputError("rtol", value=self.rtol, limit=limit)
+        for name, value in (("atol", self.atol), ("baumgarte_rate", self.baumgarte)):
+            if not 0.0 < value < np.inf:
+                raise InputError(name, value=value, limit="must be > 0 and finite")
+        if not self.max_step > 0.0:
+            raise InputError("max_step", value=self.max_step, limit="must be > 0")
+        if self.order is not None and not ORDERS[0] <= self.order <= ORDERS[1]:
+            limit = f"must be in [{ORDERS[0]}, {ORDERS[1]}]"
+            raise InputError("order", value=self.order, limit=limit)
+        taylor = self.method == "taylor"
+        if not taylor and (self.order is not None or self.engine != "auto"):
+            what = "order" if self.order is not None else "engine"
+            raise InputError(what, limit="is for the method taylor alone")
+        if taylor and self.stabilize == "baumgarte":
+            limit = "the Taylor series goes with projection or none"
+            raise InputError("stabilize", value=self.stabilize, limit=limit)
+        if self.max_evaluations < 1:
+            raise InputError("max_evals", value=self.max_evaluations, limit="must be >= 1")

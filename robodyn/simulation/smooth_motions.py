@@ -1,0 +1,143 @@
+"""Integrates smooth motions of a run: by scipy's solvers or the Taylor series, phase by phase."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import dense_dynamics
+from robodyn.errors import RobodynError
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome, Recorder, Report, StopRun
+from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
+from robodyn.simulation.settings import Settings
+
+if TYPE_CHECKING:
+    from robodyn.simulation.phases import Phases
+    from robodyn.taylor.steps import SteppingEngine
+
+Array = NDArray[np.float64]
+
+NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
+MOST_IDLE = 100  # phases in a row that take no time, after which none will
+
+
+class SmoothMotions:
+    """Integrates smooth motions of mechanisms, one after the other; what it makes it keeps."""
+
+    def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
+        self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
+        self._sides: dict[Mechanism, RightHandSide] = {}
+        self._engines: dict[Mechanism, SteppingEngine] = {}
+
+    def side(self, mechanism: Mechanism) -> RightHandSide:
+        """The rates of the mechanism."""
+        if mechanism not in self._sides:
+            baumgarte = self.settings.stabilize == "baumgarte" and mechanism.rows
+            self._sides[mechanism] = right_hand_side(
+                mechanism,
+                self.actuation,
+                work=self.work,
+                baumgarte=self.settings.baumgarte if baumgarte else 0.0,
+            )
+        return self._sides[mechanism]
+
+    def check_start(self, mechanism: Mechanism, y: Array, report: Report) -> None:
+        """Raise RobodynError, now, where no motion is defined."""
+        n = mechanism.n
+        if self.settings.method == "taylor":
+            if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
+                dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], np.zeros(n))
+            return
+        side = self.side(mechanism)
+        report.evaluator = side.kind
+        if not np.isfinite(side.rates(0.0, y)).all():
+            limit = "the torque or the acceleration is not finite there"
+            raise RobodynError("cannot start", where=mechanism.source, limit=limit)
+
+    def run(self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder) -> Outcome:
+        """From (t, y) to the end, or to an event."""
+        settings = self.settings
+        projects = settings.stabilize == "projection" and bool(mechanism.rows)
+        try:
+            if settings.method != "taylor":
+                return self._by_scipy(mechanism, t, y, recorder, projects)
+            from robodyn.taylor.run import taylor_run
+
+            return taylor_run(
+                mechanism,
+                self.actuation,
+                y,
+                self.t_end,
+                recorder,
+                rtol=float(settings.rtol),
+                atol=float(settings.atol),
+                order=settings.order,
+                engine=settings.engine,
+                project=projects,
+                max_step=float(settings.max_step),
+                side=lambda: self.side(mechanism),
+                begin=t,
+                engines=self._engines,
+            )
+        except StopRun as stop:
+            if stop.outcome is not Outcome.EVENT:
+                raise
+            return stop.outcome
+
+    def _by_scipy(
+        self, mechanism: Mechanism, t: float, y: Array, recorder: Recorder, projects: bool
+    ) -> Outcome:
+        from robodyn.simulation.solvers import StiffError, solver_of
+
+        tolerances = self.settings.rtol, self.settings.atol
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # LSODA's; the outcome says it
+            solver = solver_of(
+                self.settings.method,
+                self.side(mechanism),
+                (t, y, self.t_end),
+                tolerances,
+                recorder,
+                self.actuation,
+                projects,
+                self.settings.max_step,
+            )
+            try:
+                while solver.status == "running":
+                    solver.step()
+            except StiffError:
+                return Outcome.STIFF
+            finally:
+                recorder.end_solver(solver)
+        if solver.status == "finished":
+            return Outcome.FINISHED
+        recorder.flush_steps()
+        near = recorder.last_singular
+        singular = near is not None and near < NEARLY_SINGULAR
+        return Outcome.SINGULAR if singular else Outcome.STEP_TOO_SMALL
+
+
+def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
+    """From the state y at t = 0, phase by phase."""
+    t, idle = 0.0, 0
+    while True:
+        recorder.begin_phase(phases.moving, phases.functions)
+        outcome = smooth.run(phases.moving, t, y, recorder)
+        place, stopped = recorder.guard, recorder.stopped
+        if outcome is not Outcome.EVENT or place is None or stopped is None:
+            return outcome
+        if why := phases.ends_run(place):
+            recorder.report.ended_by = why
+            recorder.end_row()
+            return Outcome.LIMIT
+        idle = idle + 1 if stopped.t == t else 0
+        if idle == MOST_IDLE:
+            return Outcome.CHATTERING
+        t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
+        if t == smooth.t_end:
+            return Outcome.FINISHED
