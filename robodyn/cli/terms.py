@@ -35,6 +35,8 @@ def terms(
       robodyn terms robots/four-bar.yaml --q 60deg --qd 5 --format json | python -m json.tool
     """
     mechanism = load(model)
+    if mechanism.switches:
+        note("Note: dry friction and ends of joints are left out of D, G and Q")
     q_, qd_ = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
     np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
