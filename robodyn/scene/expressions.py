@@ -1,0 +1,177 @@
+"""Expressions that people write, "2*sin(3*t)", rewritten as Python that can do nothing else.
+
+They are parsed and written again from a white list of syntax and names, so that nothing but
+arithmetic can run.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import warnings
+from collections.abc import Callable, Sequence
+
+_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
+
+
+def _sign(x: float) -> float:
+    return math.copysign(1.0, x) if x else 0.0
+
+
+def _exp(x: float) -> float:
+    try:
+        return math.exp(x)
+    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
+        return math.inf
+
+
+def _cosh(x: float) -> float:
+    return 0.5 * (_exp(x) + _exp(-x)) if abs(x) > 700.0 else math.cosh(x)
+
+
+def _sinh(x: float) -> float:
+    return 0.5 * (_exp(x) - _exp(-x)) if abs(x) > 700.0 else math.sinh(x)
+
+
+def _floor(x: float) -> float:
+    return float(math.floor(x))
+
+
+FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
+FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
+FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
+# math.pow: a root of a negative number is outside its domain, not complex
+SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
+SCOPE["_pow"] = math.pow
+CONSTANTS = {"pi": math.pi, "e": math.e}
+MAX_LENGTH = 2000  # characters of one expression
+MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
+
+_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
+_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
+_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
+
+
+class NotAllowedError(ValueError):
+    """What an expression must not have."""
+
+
+class Written:
+    """Comma-separated expressions as Python code over variables renamed, and the names used.
+
+    `known` tells which variables there are.  Raises NotAllowedError for anything but arithmetic,
+    comparisons, `a if b else c`, the functions above, pi and e; ValueError for what is no Python.
+    """
+
+    def __init__(self, text: str, rename: Rename, known: str) -> None:
+        self.names: set[str] = set()  # as they are written
+        self._rename, self._known = rename, known
+        if len(text) > MAX_LENGTH:
+            raise NotAllowedError(f"more than {MAX_LENGTH} characters")
+        try:
+            nodes = _parsed(text)
+            self.codes = [ast.unparse(self._write(node)) for node in nodes]
+            for code in self.codes:
+                compile(code, "<expression>", "eval")  # Python has limits of its own
+        except NotAllowedError:
+            raise
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise ValueError(getattr(error, "msg", None) or str(error)) from None
+
+    def _write(self, node: ast.expr) -> ast.expr:
+        match node:
+            case ast.Constant(value=bool()):
+                pass
+            case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
+                return ast.Constant(_float(value))
+            case ast.Name(id=name):
+                return self._name(name)
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                return ast.UnaryOp(op, self._write(operand))
+            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
+                sides = [self._write(left), self._write(right)]
+                if not isinstance(op, ast.Pow):
+                    return ast.BinOp(sides[0], op, sides[1])
+                if _exponent(right) > MAX_POWER:
+                    raise NotAllowedError(f"an exponent above {MAX_POWER:g}")
+                if _exponent(right).is_integer():
+                    return ast.BinOp(sides[0], op, sides[1])
+                return ast.Call(ast.Name("_pow"), sides, [])
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(
+                op, _COMPARISONS
+            ):
+                return ast.Compare(self._write(left), [op], [self._write(right)])
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                return ast.IfExp(self._write(test), self._write(body), self._write(orelse))
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+                least, most = _ARGUMENTS.get(name, (1, 1))
+                if not least <= len(args) <= most:
+                    raise NotAllowedError(f"{len(args)} arguments of {name}")
+                return ast.Call(ast.Name(f"_{name}"), [self._write(x) for x in args], [])
+            case ast.Call(func=ast.Name(id=name)):
+                raise NotAllowedError(f"function {name}; known: {', '.join(FUNCTIONS)}")
+        raise NotAllowedError(f"`{ast.unparse(node)[:80]}`")
+
+    def _name(self, name: str) -> ast.expr:
+        if name in CONSTANTS:
+            return ast.Constant(CONSTANTS[name])
+        own = self._rename(name)
+        if own is None:
+            raise NotAllowedError(f"name {name}; known: {self._known}, pi, e")
+        self.names.add(own)
+        return ast.Name(own)
+
+
+def state_names(n: int) -> tuple[Rename, str]:
+    """t, q1.., qd1.. of n joints as t, q0.., qd0.., and how they are told."""
+
+    def rename(name: str) -> str | None:
+        kind = name.rstrip("0123456789")
+        number = name[len(kind) :]
+        if name == "t":
+            return name
+        known = kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= n
+        return f"{kind}{int(number) - 1}" if known else None
+
+    return rename, f"t, q1..q{n}, qd1..qd{n}"
+
+
+def value_of(code: str) -> float:
+    """The number that code without variables is; ArithmeticError or ValueError for none."""
+    scope: dict[str, object] = {"__builtins__": {}}
+    scope |= SCOPE
+    try:
+        return float(eval(code, scope))
+    except TypeError as error:
+        raise ValueError(error) from None
+
+
+def _parsed(text: str) -> Sequence[ast.expr]:
+    line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
+    if line.endswith(","):
+        raise SyntaxError("an expression is missing at the end")
+    if not line.isascii():  # Python would take other scripts' letters for our own
+        raise SyntaxError("a character is not ASCII")
+    with warnings.catch_warnings():  # what Python warns of it will not take one day
+        warnings.simplefilter("error")
+        tree = ast.parse(line, mode="eval").body
+    return tree.elts if isinstance(tree, ast.Tuple) else [tree]
+
+
+def _float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _exponent(node: ast.expr) -> float:
+    while isinstance(node, ast.UnaryOp):
+        node = node.operand
+    return (
+        _float(node.value)
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+        else 0.5  # may be any: no whole number
+    )
