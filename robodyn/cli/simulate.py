@@ -149,7 +149,7 @@ def _rows(mechanism: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
     n = mechanism.n
     q, qd = y[:, :n], y[:, n:]
     tau = applied_torques(mechanism, torques, t, y)
-    solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
+    solution = forward_dynamics_and_forces(mechanism, q, qd, tau, t)
     forces = loop_forces(mechanism, solution.multipliers, q)
     energy = closed_form.kinetic_energy(mechanism, q, qd)
     energy = energy + closed_form.potential_energy(mechanism, q)

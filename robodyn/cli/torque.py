@@ -74,7 +74,9 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
     if formula is not None:
         with suppress(ZeroDivisionError):
             try:
-                return compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
+                at = [0.0] if mechanism.timed else []
+                function = compile_floats(formula, "torque")
+                return function(*values[0], *values[1], *values[2], *at)
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None
     # the ends of a spring coincide: this says so

@@ -82,16 +82,17 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     return G
 
 
-def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> Array:
     """Q of equation (1), (..., n), N m: of what has no potential, but for dampers of joints.
 
-    Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
+    Dampers of springs, forces that turn with a link, loads that vary (at times t (...), s), and
+    friction.  Raises InputError where q or qd is
     not finite or not n wide, SingularError where the ends of a damped spring coincide.
     """
     from robodyn.engines.row_values import rows_of
 
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
-    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states)  # of nothing no -0.0
+    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states, t)  # of nothing no -0.0
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:

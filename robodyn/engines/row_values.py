@@ -47,7 +47,8 @@ class RowValues:
 
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
     (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
-    "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
+    "moments" are the torques on links that vary, N m; "power" (1) W, of all without a potential;
+    "gap" (r) m; "PE" (1) J.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -55,10 +56,13 @@ class RowValues:
         self._recorded = Recorded(mechanism, ("qd",), by_direction=True)
         self._codes: dict[str, _Code] = {}
 
-    def __call__(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Array:
+    def __call__(
+        self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
+    ) -> Array:
         """The values (..., k) at q and qd (..., n), which broadcast; at rest unless qd is given.
 
-        Raises SingularError where the ends of a spring that needs a direction coincide.
+        The time t (...) is that of loads.  Raises SingularError where the ends of a spring that
+        needs a direction coincide, InputError where a table has ended.
         """
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
@@ -67,13 +71,15 @@ class RowValues:
         q, qd = np.broadcast_arrays(np.asarray(q, float), rates)
         widths = len(code.formula.outputs), len(code.formula.pivots)
         shape = (*q.shape[:-1], widths[0])
+        states = [x.reshape(-1, n) for x in (q, qd)]
+        if self._recorded.timed:
+            states.append(np.broadcast_to(np.asarray(t, float), q.shape[:-1]).reshape(-1, 1))
         if q.size == n:
             try:
-                found = code.floats(*q.ravel().tolist(), *qd.ravel().tolist())
+                found = code.floats(*(x for state in states for x in state.ravel().tolist()))
                 return np.array(found).reshape(shape)
-            except ZeroDivisionError:
+            except (ArithmeticError, ValueError):
                 pass  # arrays say where
-        states = [x.reshape(-1, n) for x in (q, qd)]
         values, squares = (np.empty((len(states[0]), k)) for k in widths)
         array_blocks.evaluate(*code.arrays, states, (values, squares))
         lost = np.argwhere(squares == 0.0)
@@ -81,15 +87,17 @@ class RowValues:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
         return values.reshape(shape)
 
-    def planar(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Complex:
+    def planar(
+        self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
+    ) -> Complex:
         """What comes as x and y, as complex numbers (..., k/2)."""
-        found = self(name, q, qd)
+        found = self(name, q, qd, t)
         return found[..., ::2] + 1j * found[..., 1::2]
 
     def _formula(self, name: str) -> Formula:
         rows = tuple(self._values(name))
         squares = tuple(self._squares().values()) if name in DIRECTED else ()
-        return Formula(self._recorded.inputs, rows, squares)
+        return Formula(self._recorded.inputs + self._recorded.timed, rows, squares)
 
     def _values(self, name: str) -> Sequence[Value]:
         match name:
@@ -99,6 +107,9 @@ class RowValues:
                 return [x for force in self._forces() for x in force]
             case "on links":
                 return [x for force in self._on_links() for x in force]
+            case "moments":
+                real = self._series.real  # which has them written
+                return [real[slot][0] for slot in self._recorded.moments]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from robodyn.errors import SingularError
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.planar_model import Mechanism, conserves
 
 
 def bare(mechanism: Mechanism) -> Mechanism:
@@ -16,24 +16,35 @@ def bare(mechanism: Mechanism) -> Mechanism:
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
     nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=())
+    nothing = replace(nothing, varying_moments=())
     return replace(nothing, energy_offset=0.0)
 
 
 def stored(mechanism: Mechanism) -> Mechanism:
-    """The springs, whose torques are part of G."""
-    springs = tuple(x._replace(damping=0.0) for x in mechanism.springs)
-    return replace(bare(mechanism), springs=springs, joint_springs=mechanism.joint_springs)
+    """The springs with a potential, whose torques are part of G."""
+    springs = tuple(
+        x._replace(damping=0.0) for x in mechanism.springs if x.law is None or conserves(x.law)
+    )
+    turned = tuple(x for x in mechanism.joint_springs if x.law is None or conserves(x.law))
+    return replace(bare(mechanism), springs=springs, joint_springs=turned)
 
 
 def loaded(mechanism: Mechanism) -> Mechanism:
     """The loads at points: without weights only those act that turn with a link."""
-    return replace(bare(mechanism), forces=mechanism.forces)
+    moments = mechanism.varying_moments
+    return replace(bare(mechanism), forces=mechanism.forces, varying_moments=moments)
 
 
 def spent(mechanism: Mechanism) -> Mechanism:
-    """What makes Q: dampers of springs, forces that turn with a link, friction."""
-    springs = tuple(x._replace(stiffness=0.0) for x in mechanism.springs)
-    return replace(loaded(mechanism), springs=springs, friction=mechanism.friction)
+    """What makes Q: dampers of springs, forces that turn with a link or vary, friction."""
+    springs = tuple(
+        x._replace(stiffness=0.0, law=None) if x.law is None or conserves(x.law) else x
+        for x in mechanism.springs
+    )
+    laws = ((x, x.law) for x in mechanism.joint_springs)
+    turned = tuple(x for x, law in laws if law is not None and not conserves(law))
+    friction = mechanism.friction
+    return replace(loaded(mechanism), springs=springs, joint_springs=turned, friction=friction)
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

@@ -43,6 +43,9 @@ FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 # math.pow: a root of a negative number is outside its domain, not complex
 SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 SCOPE["_pow"] = math.pow
+# what no power series in time expands where it bends or jumps
+BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
+SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall

@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
 
+ONE = "one of the three"  # what stands for a key of several that exclude one another
+
 
 class Key(NamedTuple):
     """A key of a mapping: the kind of its value, what it is, its unit, and what stands for it."""
@@ -35,7 +37,7 @@ class Key(NamedTuple):
     @property
     def absent(self) -> bool:
         """Whether there is nothing where a file leaves it out."""
-        return self.default in ("none", "the ground")
+        return self.default in ("none", "the ground", ONE)
 
 
 class Form(NamedTuple):
@@ -43,6 +45,7 @@ class Form(NamedTuple):
 
     help: str
     keys: dict[str, Key]
+    one: tuple[str, ...] = ()  # keys of which a file must have exactly one
 
     def named(self, needed: bool) -> list[str]:
         """The keys that a file must have, or the others."""
@@ -60,8 +63,10 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
     "closure": {"slider": ()},
     "point": {"link_point": ()},
     "moving_point": {"link_point": ()},
+    "varying": {"load_table": ()},
 }
 DAMPER = "of a damper beside it"
+PULLS = ("stiffness", "law", "table")
 STIFFNESS, DAMPING = "k: stiffness of {}", "ds: damping of {}"
 
 _LINK = {
@@ -121,6 +126,25 @@ def _friction(name: str, unit: str, speed: str) -> Form:
     )
 
 
+def _pulls(stiffness: str, load: str, way: str, unit: str) -> dict[str, Key]:
+    """What tells the pull of a spring, one of three."""
+    return {
+        "stiffness": Key("amount", "0 for a damper alone", stiffness, ONE, symbol=STIFFNESS),
+        "law": Key(
+            "law",
+            f"its pull as an expression in x, {way} ({unit}), and its rate v",
+            load,
+            ONE,
+        ),
+        "table": Key(
+            "spring_table",
+            "a CSV file of that, columns x and F, linear between rows; it must not leave them",
+            load,
+            ONE,
+        ),
+    }
+
+
 def _joint_spring(free: str, kind: str, unit: str, load: str) -> Form:
     turns = f"; its {free} counts from turn to turn" if kind == "angle" else ""
     place = "angle" if kind == "angle" else "displacement"
@@ -128,12 +152,13 @@ def _joint_spring(free: str, kind: str, unit: str, load: str) -> Form:
         f"A spring and damper at a {JOINTS[kind != 'angle']} joint.",
         {
             "joint": Key("link_name", f"the link whose own joint it is{turns}"),
-            "stiffness": Key("amount", "0 for a damper alone", f"{load}/{unit}", symbol=STIFFNESS),
+            **_pulls(f"{load}/{unit}", load, "q less its free " + place, unit),
             "damping": Key("amount", DAMPER, f"{load} s/{unit}", "0", symbol=DAMPING),
             free: Key(
                 kind, f"free {place} of the joint", unit, symbol=f"phi: free {place} of {{}}"
             ),
         },
+        PULLS,
     )
 
 
@@ -172,7 +197,7 @@ FORMS = {
                 default="none",
                 listed=True,
             ),
-            "loads": Key("load", "list of constant forces and torques on links", "", "none", True),
+            "loads": Key("load", "list of forces and torques on links", "", "none", True),
         },
     ),
     "revolute_link": Form(
@@ -232,19 +257,25 @@ FORMS = {
         "A spring and damper between two points.",
         {
             "between": Key("pair", "its ends, [POINT, POINT], not both of one link or the ground"),
-            "stiffness": Key("amount", "0 for a damper alone", "N/m", symbol=STIFFNESS),
+            **_pulls("N/m", "N", "its length less the free one", "m"),
             "damping": Key("amount", DAMPER, "N s/m", "0", symbol=DAMPING),
             "length": Key("amount", "free length", "m", symbol="S0: free length of {}"),
         },
+        PULLS,
     ),
     "joint_spring": _joint_spring("angle", "angle", "rad", "N m"),
     "slide_spring": _joint_spring("length", "number", "m", "N"),
     "force": Form(
-        "A constant force at a point of a link.",
+        "A force at a point of a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
             "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-            "force": Key("vector", "[Fx, Fy]", "N", symbol="F: force of {}"),
+            "force": Key(
+                "varying_vector",
+                "[Fx, Fy], each a number, an expression or a table",
+                "N",
+                symbol="F: force of {}",
+            ),
             "frame": Key(
                 "frame",
                 "ground: it keeps its direction; link: it turns with the link",
@@ -253,15 +284,24 @@ FORMS = {
         },
     ),
     "torque": Form(
-        "A constant torque on a link.",
+        "A torque on a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
             "torque": Key(
-                "number",
-                "from the ground on the link, counter-clockwise",
+                "varying",
+                "from the ground on the link, counter-clockwise: a number, an expression or a "
+                "table",
                 "N m",
                 symbol="T: torque of {}",
             ),
+        },
+    ),
+    "load_table": Form(
+        "A force or torque by a table, linear between its rows.",
+        {
+            "table": Key("name", "the CSV file, from the scene file's folder"),
+            "over": Key("name", "t, or a joint q1, ..: its column tells where the rows are"),
+            "column": Key("name", "the column of the force or torque"),
         },
     ),
 }

@@ -54,41 +54,83 @@ class Link(NamedTuple):
         return self.axis is not None
 
 
+class Law(NamedTuple):
+    """A smooth expression: as its file has it, as code over `names`, and these."""
+
+    text: str
+    code: str
+    names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
+
+
+class Table(NamedTuple):
+    """A function of one variable that is linear between its rows, x increasing."""
+
+    file: str
+    column: str
+    over: str  # t or q0..; of a spring x
+    x: tuple[float, ...]
+    F: tuple[float, ...]
+    repeats: bool = False  # after its span; else it ends there
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variable, as a law has its own."""
+        return frozenset((self.over,))
+
+
+Signal = Law | Table
+
+
 class Spring(NamedTuple):
-    """A spring (N/m, free length m) and damper (N s/m) between two points."""
+    """A spring (N/m, free length m) and damper (N s/m) between two points.
+
+    A `law` in place of the stiffness gives its pull, N, by the extension, m, and its rate.
+    """
 
     first: Point
     second: Point
     stiffness: float
     length: float
     damping: float = 0.0
+    law: Signal | None = None
 
 
 class JointSpring(NamedTuple):
     """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
 
-    At a prismatic one N/m, its free displacement m, and N s/m.
+    At a prismatic one N/m, its free displacement m, and N s/m.  For a `law` see `Spring`.
     """
 
     joint: int
     stiffness: float
     angle: float
     damping: float = 0.0
+    law: Signal | None = None
 
 
 class Load(NamedTuple):
-    """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
+    """A force, N, at a point of a link, in the ground's frame or turning with the link.
+
+    Where x or y is a signal it is in `varying`, and zero in `force`.
+    """
 
     point: Point
     force: complex
     turns: bool = False
+    varying: tuple[Signal | None, Signal | None] = (None, None)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it is not constant."""
+        return self.varying != (None, None)
 
 
 class Moment(NamedTuple):
-    """A constant torque on a link, N m."""
+    """A torque on a link, N m; where it varies zero, and `varying`."""
 
     link: int
     torque: float
+    varying: Signal | None = None
 
 
 class Closure(NamedTuple):

@@ -178,9 +178,9 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
-        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
+        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
         if work and forced:
-            tau = tau + other_forces(mechanism, q, qd)
+            tau = tau + other_forces(mechanism, q, qd, t)
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

@@ -67,7 +67,7 @@ class Motion:
     @cached_property
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
-        return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
+        return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau, self.t)
 
 
 @dataclass(slots=True)
