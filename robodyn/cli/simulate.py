@@ -132,7 +132,7 @@ def simulate(
         if outcome is not Outcome.FINISHED:
             stream.flush()
             where = f"{facts.outcome} at t = {facts.t_reached:.6g} s of {duration:g} s"
-            raise UnfinishedError(where, limit=outcome.advice)
+            raise UnfinishedError(where, limit=facts.advice)
 
 
 def _columns(mechanism: Mechanism, torques: Actuation) -> list[str]:

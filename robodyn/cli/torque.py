@@ -76,10 +76,12 @@ def _single_state(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[flo
             try:
                 at = [0.0] if mechanism.timed else []
                 function = compile_floats(formula, "torque")
-                return function(*values[0], *values[1], *values[2], *at)
+                found = function(*values[0], *values[1], *values[2], *at)
+                if not mechanism.has_tables or all(map(math.isfinite, found)):
+                    return found
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None
-    # the ends of a spring coincide: this says so
+    # the ends of a spring coincide, or a table ends: this says so
     from robodyn.dynamics.dynamics import inverse_dynamics
 
     return tuple(inverse_dynamics(mechanism, *values).tolist())

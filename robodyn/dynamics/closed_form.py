@@ -97,7 +97,13 @@ def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """KE = 1/2 qd^T M qd, (...), J."""
-    return energies(mechanism, q, qd)[0]
+    return _kinetic(mechanism, placed(mechanism, q), qd)
+
+
+def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
+    v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
+    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
+    return KE
 
 
 def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -112,8 +118,7 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
     arrays, at = mechanism.arrays, placed(mechanism, q)
-    v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
-    KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
+    KE = _kinetic(mechanism, at, qd)
     PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
     if any(mechanism.moments):
         PE = PE - at.x @ arrays.moments

@@ -22,6 +22,7 @@ from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.force_rows import PointForce
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program, Slot
+from robodyn.scene.scene import Table
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
 
@@ -68,6 +69,7 @@ class Recorded:
         self.torques: list[Slot | None] = []
         self.forces: list[PointForce] = []
         self.moments: list[Slot] = []  # those that vary
+        self.tables: list[tuple[Table, Slot]] = []
         n = mechanism.n
         names = ("q", *rates)
         self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
@@ -115,15 +117,16 @@ class Recorded:
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         self.torques, self.forces = equations.torques, equations.forces
-        self.moments = equations.varying_moments
+        self.moments, self.tables = equations.varying_moments, equations.tables
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
+        slots += [*self.moments, *(x for _, x in self.tables)]
         return Series(
             program,
             self.arithmetic,
             self.numbers(program),
             orders,
             state,
-            slots=[*slots, *self.moments, *(x.force for x in self.forces if x.force is not None)],
+            slots=[*slots, *(x.force for x in self.forces if x.force is not None)],
             grounded=self.by_direction,
         )
 

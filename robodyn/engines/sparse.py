@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.dynamics.closed_form import other_forces
-from robodyn.engines.row_values import rows_of
+from robodyn.engines.row_values import TableLeftError, rows_of
 from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics import parts
@@ -160,6 +160,8 @@ def rates(
             qdd, ratio = system.accelerations(y, tau, baumgarte, t)
         except RuntimeError:  # splu: exactly singular
             ratio = 0.0
+        except TableLeftError:
+            return np.full(len(y), np.nan)
         if not ratio > SINGULAR:
             result: Array = fallback(t, y)
             return result

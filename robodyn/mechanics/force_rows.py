@@ -23,6 +23,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from robodyn.mechanics.expression_rows import variable
 from robodyn.mechanics.planar_model import (
     Force,
     Mechanism,
@@ -53,7 +54,7 @@ from robodyn.mechanics.program import (
     Turn,
 )
 from robodyn.mechanics.signal_rows import signal_rows, stored_energy
-from robodyn.scene.scene import JointSpring, Signal
+from robodyn.scene.scene import JointSpring, Signal, Table
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -147,6 +148,7 @@ class ForceRows(LinkRows):
         self.torques: list[Slot | None] = [None] * self.mechanism.n
         self.forces: list[PointForce] = []
         self.varying_moments: list[Slot] = []
+        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in self.mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
@@ -187,6 +189,9 @@ class ForceRows(LinkRows):
 
     def _signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
         """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+        if isinstance(signal, Table):
+            at = x if x is not None else variable(self, signal.over)
+            self.tables.append((signal, at))
         own = {} if x is None else {"x": x, "v": self.program.add(Derivative(x))}
         slot, watched = signal_rows(self, signal, own)
         for each, scale in watched:

@@ -236,7 +236,7 @@ class Mechanism:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
         acting = any(not force.constant for force in self.forces) or self.varying_moments
         dampers = any(self.damping) or any(spring.damping for spring in self.springs)
-        dampers = dampers or any(not conserves(law) for law in self._laws)
+        dampers = dampers or any(not conserves(law) for law in self.laws)
         return bool(dampers or self.friction or acting)
 
     @cached_property
@@ -244,10 +244,11 @@ class Mechanism:
         """All laws, expressions and tables of springs and loads."""
         acting = (x for force in self.forces for x in force.signals or ())
         loads = [x for x in acting if not isinstance(x, float)]
-        return (*self._laws, *loads, *(moment.signal for moment in self.varying_moments))
+        return (*self.laws, *loads, *(moment.signal for moment in self.varying_moments))
 
     @property
-    def _laws(self) -> list[Signal]:
+    def laws(self) -> list[Signal]:
+        """Those of springs."""
         laws = [*(x.law for x in self.springs), *(x.law for x in self.joint_springs)]
         return [law for law in laws if law is not None]
 
@@ -255,6 +256,11 @@ class Mechanism:
     def has_tables(self) -> bool:
         """Whether anything follows a table, whose rows a step of a series must not pass."""
         return any(isinstance(signal, Table) for signal in self.signals)
+
+    @property
+    def bends_inside(self) -> bool:
+        """Whether what acts may bend and bend back within a step of a series."""
+        return bool(self.friction) or self.has_tables
 
     @property
     def timed(self) -> bool:

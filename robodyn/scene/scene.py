@@ -6,6 +6,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
@@ -174,3 +175,27 @@ class Description(NamedTuple):
     springs: tuple[Spring | JointSpring, ...] = ()
     loads: tuple[Load | Moment, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+
+
+def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:
+    """Everything that varies, each with its place in the file."""
+    for i, spring in enumerate(description.springs):
+        if spring.law is not None:
+            key = "table" if isinstance(spring.law, Table) else "law"
+            yield f"springs[{i}].{key}", spring.law
+    for i, load in enumerate(description.loads):
+        if isinstance(load, Moment):
+            places = {f"loads[{i}].torque": load.varying}
+        else:
+            places = {f"loads[{i}].force[{k}]": part for k, part in enumerate(load.varying)}
+        yield from ((place, part) for place, part in places.items() if part is not None)
+
+
+def signal_place(description: Description, signal: Signal) -> str:
+    """Where the file has a signal, by its identity."""
+    return next(place for place, other in signals_of(description) if other is signal)
+
+
+def told(signal: Signal) -> str:
+    """An expression as its file has it, or the file of a table."""
+    return signal.text if isinstance(signal, Law) else signal.file

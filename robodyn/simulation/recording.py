@@ -138,6 +138,7 @@ class Recorder:
     begun: bool = False  # whether the energy at the start is known
     unseen: UnseenWork | None = None
     missed: float = 0.0  # J
+    last: tuple[float, Array] | None = None  # t and y of the last step
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
 
     def begin(self, y: Array) -> None:
@@ -161,6 +162,7 @@ class Recorder:
             between = cache(solver.dense_output)  # made where a row asks for it
             self._due(t, y, lambda times: between()(times).T)
         self.steps.append((np.array([t]), y[None]))
+        self.last = t, y
         self.held += 1
         self._stepped(t, solver.status == "running")
 
@@ -203,6 +205,7 @@ class Recorder:
                 self._row(chunk.row_t, chunk.row_y)
             self._due(t, chunk.y[-1], within)
         self.steps.append((chunk.t, chunk.y))
+        self.last = t, chunk.y[-1]
         self.held += count
         self._stepped(t, t != t_end)
 

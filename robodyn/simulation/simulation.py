@@ -19,9 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import dense_dynamics, dynamics
 from robodyn.dynamics.placed import as_states
+from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
@@ -223,6 +225,8 @@ def run(
         y0 = Projection(mechanism, best_closing(mechanism))(y0)
     if actuation.told is not None:
         actuation.told.begin(y0.tolist(), float(t_end))
+    if mechanism.has_tables:
+        rows_of(parts.acting, mechanism).check_tables(y0[:n], y0[n : 2 * n])
     if taylor:  # tell now where no motion is defined
         if mechanism.springs or not dense_dynamics.elimination_is_safe(mechanism):
             dense_dynamics.forward(mechanism, y0[:n], y0[n : 2 * n], np.zeros(n))
@@ -265,6 +269,9 @@ def run(
         recorder.settle()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
+    if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
+        t, y = recorder.last
+        report.advice = near_table_end(mechanism, y[:n], y[n : 2 * n], t) or report.advice
     return outcome, recorder
 
 

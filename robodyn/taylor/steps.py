@@ -190,7 +190,7 @@ class SteppingEngine:
     ) -> tuple[float, list[float]]:
         """The step halved until the torque at its end is that of the series.
 
-        And in its middle, where friction may turn over and back.
+        And in its middle, where friction or a table may turn over and back.
         """
         n, (rtol, atol) = self.mechanism.n, self.tolerances
         relative = max(math.sqrt(rtol), KINK)
@@ -199,7 +199,9 @@ class SteppingEngine:
         while h >= 4.0 * math.ulp(t):
             x = h * direction
             if self._agrees(series, x, t + x, new, relative, miss / h):
-                if not self.mechanism.friction:  # far above its speed all its derivatives vanish
+                if (
+                    not self.mechanism.bends_inside
+                ):  # far above its speed all its derivatives vanish
                     break
                 middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
                 if self._agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):
