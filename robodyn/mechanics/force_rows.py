@@ -229,13 +229,12 @@ class ForceRows(LinkRows):
     ) -> None:
         program, number, point = self.program, self.program.planar_number, load.point
         frame = self.mechanism.frames[load.link] if load.turns else None
-        reach = abs(point.constant) + sum(abs(c) for _, c in point.terms)
         force: list[PlanarTerm] = []
         for unit, signal in zip((load.turned, 1j * load.turned), signals, strict=True):
             if isinstance(signal, float):
                 slot = program.add(Sum(program.number(signal), ()))
             else:
-                slot = self._signal(signal, reach)
+                slot = self._signal(signal, _reach(point))
             if frame is not None:
                 slot = program.add(Scaled(slot, self.x[frame]))
             force.append((number(unit), slot))
@@ -257,10 +256,9 @@ class ForceRows(LinkRows):
         program, number, place = self.program, self.program.number, spring.between
         d = self.point(place)
         pull: list[Term] = []
-        reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
         if spring.law is not None:
             longer = self._longer(spring)
-            tension = self._signal(spring.law, reach, longer)
+            tension = self._signal(spring.law, _reach(place), longer)
             distance = program.add(Power(program.add(Inner(d, d)), 0.5))
             pull.append((-1.0, program.add(Quotient(tension, distance))))
             if work and place.terms and not conserves(spring.law):
@@ -284,7 +282,7 @@ class ForceRows(LinkRows):
         if pull and place.terms:
             for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
                 part = program.add(RealPart(program.planar_sum((along, force))))
-                self._bends(part, reach)
+                self._bends(part, _reach(place))
 
     def _joints(self, torques: Sequence[Slot | None], work: bool, steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
@@ -329,3 +327,8 @@ class ForceRows(LinkRows):
         """A slot whose series may hold only in part of a step, and what makes a torque of it."""
         self.program.named["bends"].append(slot)
         self.program.arms[slot] = arm
+
+
+def _reach(point: PlanarPoint) -> float:
+    """How far a point may be from the origin at most, m: the arm of a force there."""
+    return abs(point.constant) + sum(abs(c) for _, c in point.terms)
