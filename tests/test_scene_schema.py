@@ -189,7 +189,8 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["scene", "revolute_link", "point_spring", "joint_spring", "force", "torque"]
+    "form",
+    ["scene", "revolute_link", "point_spring", "joint_spring", "force", "torque", "load_table"],
 )
 def test_the_tables_of_the_readme_are_the_grammar(form: str) -> None:
     named = {"scene": "scene key", "revolute_link": "link key"}

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from robodyn.errors import SingularError
 from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.scene.scene import Signal
 
 
 def bare(mechanism: Mechanism) -> Mechanism:
@@ -45,6 +46,24 @@ def spent(mechanism: Mechanism) -> Mechanism:
     turned = tuple(x for x, law in laws if law is not None and not conserves(law))
     friction = mechanism.friction
     return replace(loaded(mechanism), springs=springs, joint_springs=turned, friction=friction)
+
+
+def untimed(mechanism: Mechanism) -> Mechanism:
+    """All but loads that depend on the time, which a model of a controller does not know."""
+    if not mechanism.timed:
+        return mechanism
+    forces = tuple(
+        x
+        if x.signals is None
+        else x._replace(signals=(_without_time(x.signals[0]), _without_time(x.signals[1])))
+        for x in mechanism.forces
+    )
+    moments = tuple(x for x in mechanism.varying_moments if "t" not in x.signal.names)
+    return replace(mechanism, forces=forces, varying_moments=moments)
+
+
+def _without_time(signal: Signal | float) -> Signal | float:
+    return 0.0 if not isinstance(signal, float) and "t" in signal.names else signal
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

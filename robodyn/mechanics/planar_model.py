@@ -263,6 +263,11 @@ class Mechanism:
         return bool(self.friction) or self.has_tables
 
     @property
+    def rated(self) -> bool:
+        """Whether laws or loads depend on rates."""
+        return any(name.startswith(("v", "qd")) for x in self.signals for name in x.names)
+
+    @property
     def timed(self) -> bool:
         """Whether what acts depends on the time too."""
         return any("t" in signal.names for signal in self.signals)

@@ -132,13 +132,13 @@ def _pulls(stiffness: str, load: str, way: str, unit: str) -> dict[str, Key]:
         "stiffness": Key("amount", "0 for a damper alone", stiffness, ONE, symbol=STIFFNESS),
         "law": Key(
             "law",
-            f"its pull as an expression in x, {way} ({unit}), and its rate v",
+            f"its pull in x, {way} ({unit}), and its rate v",
             load,
             ONE,
         ),
         "table": Key(
             "spring_table",
-            "a CSV file of that, columns x and F, linear between rows; it must not leave them",
+            "a CSV file of its pull: columns x and F, linear between rows",
             load,
             ONE,
         ),
@@ -289,8 +289,7 @@ FORMS = {
             "link": Key("link_name", "the link that it acts on"),
             "torque": Key(
                 "varying",
-                "from the ground on the link, counter-clockwise: a number, an expression or a "
-                "table",
+                "from the ground, counter-clockwise: a number, an expression or a table",
                 "N m",
                 symbol="T: torque of {}",
             ),
