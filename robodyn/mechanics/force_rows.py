@@ -23,7 +23,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from robodyn.mechanics.expression_rows import variable
 from robodyn.mechanics.planar_model import (
     Force,
     Mechanism,
@@ -53,7 +52,6 @@ from robodyn.mechanics.program import (
     Sum,
     Turn,
 )
-from robodyn.mechanics.signal_rows import signal_rows, stored_energy
 from robodyn.scene.scene import JointSpring, Signal, Table
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
@@ -159,7 +157,7 @@ class ForceRows(LinkRows):
         program, number = self.program, self.program.number
         for spring in self.mechanism.springs:
             if spring.law is not None and conserves(spring.law):
-                yield 1.0, stored_energy(self, spring.law, self._longer(spring))
+                yield 1.0, self._stored(spring.law, self._longer(spring))
             if spring.stiffness:
                 d = self.point(spring.between)
                 square = program.add(Inner(d, d))
@@ -170,7 +168,7 @@ class ForceRows(LinkRows):
                 yield number(0.5 * spring.stiffness), square
         for turned in self.mechanism.joint_springs:
             if turned.law is not None and conserves(turned.law):
-                yield 1.0, stored_energy(self, turned.law, self._turned(turned))
+                yield 1.0, self._stored(turned.law, self._turned(turned))
             if not turned.stiffness:
                 continue
             way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
@@ -187,11 +185,18 @@ class ForceRows(LinkRows):
         free = self.program.number(-spring.angle)
         return self.program.sum((1.0, self.q(spring.joint)), constant=free)
 
+    def _stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
+        from robodyn.mechanics.signal_rows import stored_energy  # only scenes with laws import it
+
+        return stored_energy(self, law, x)
+
     def _signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
         """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+        from robodyn.mechanics.signal_rows import signal_rows, table_place
+
         if isinstance(signal, Table):
-            at = x if x is not None else variable(self, signal.over)
-            self.tables.append((signal, at))
+            self.tables.append((signal, table_place(self, signal) if x is None else x))
         own = {} if x is None else {"x": x, "v": self.program.add(Derivative(x))}
         slot, watched = signal_rows(self, signal, own)
         for each, scale in watched:

@@ -49,6 +49,11 @@ def signal_rows(
     return slot, [] if smooth else [(slot, 1.0)]
 
 
+def table_place(rows: ProgramRows, table: Table) -> Slot:
+    """What a load's table is over."""
+    return variable(rows, table.over)
+
+
 def stored_energy(rows: ProgramRows, signal: Signal, x: Slot) -> Slot:
     """The integral of a spring's pull from where it is free to its extension x."""
     if isinstance(signal, Table):

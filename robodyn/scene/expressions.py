@@ -45,6 +45,7 @@ SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS
 SCOPE["_pow"] = math.pow
 # what no power series in time expands where it bends or jumps
 BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
+NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
 SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
@@ -139,6 +140,22 @@ def state_names(n: int) -> tuple[Rename, str]:
         return f"{kind}{int(number) - 1}" if known else None
 
     return rename, f"t, q1..q{n}, qd1..qd{n}"
+
+
+def check_smooth(codes: Sequence[str]) -> None:
+    """Raise NotAllowedError unless this is one expression, which neither bends nor jumps."""
+    if len(codes) != 1:
+        raise NotAllowedError("a comma: it is one expression")
+    for node in ast.walk(ast.parse(codes[0], mode="eval")):
+        match node:
+            case ast.Call(func=ast.Name(id=name)) if name[1:] in BENDS:
+                raise NotAllowedError(f"{name[1:]}(), {NO_BENDS}")
+            case ast.Compare():
+                raise NotAllowedError(f"a comparison, {NO_BENDS}")
+            case ast.IfExp():
+                raise NotAllowedError(f"`if`, {NO_BENDS}")
+            case ast.Mod():
+                raise NotAllowedError(f"%, {NO_BENDS}")
 
 
 def value_of(code: str) -> float:

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import ast
 import math
 
-from robodyn.scene.expressions import (
-    BENDS,
-    NotAllowedError,
-    Rename,
-    Written,
-    state_names,
-    value_of,
-)
 from robodyn.scene.grammar import Key
 from robodyn.scene.quantities import parse_number
 from robodyn.scene.scene import Law, Signal, Table
-from robodyn.scene.table_files import read_table
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
 
 SPRING = {"x": "x", "v": "v"}.get
-NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
 
 
 class SignalReader(ValueReader):
@@ -38,7 +27,7 @@ class SignalReader(ValueReader):
         if not isinstance(node, Scalar) or not node.text.strip():
             self.fault(place, node, "must be an expression in x and v", self.shown(node))
             return None
-        return self.expression(node, place, SPRING, "x, v")
+        return self.expression(node, place, of_spring=True)
 
     def spring_table(self, node: Node, place: str) -> Table | None:
         """The pull of a spring by the columns x and F of a file."""
@@ -51,9 +40,11 @@ class SignalReader(ValueReader):
             return self.load_table(node, place) or 0.0
         if not isinstance(node, Scalar) or _plain(node):
             return self.number(node, place, Key("number", ""))
-        law = self.expression(node, place, *state_names(self.count))
+        law = self.expression(node, place)
         if law is None or law.names:
             return law or 0.0
+        from robodyn.scene.expressions import value_of
+
         try:
             value = value_of(law.code)
         except (ArithmeticError, ValueError):
@@ -72,6 +63,8 @@ class SignalReader(ValueReader):
 
     def load_table(self, node: Node, place: str) -> Table | None:
         """A table over t or a joint."""
+        from robodyn.scene.expressions import state_names
+
         faults, values = len(self.faults), self.form("load_table", node, place)
         if len(self.faults) > faults:
             return None
@@ -90,20 +83,26 @@ class SignalReader(ValueReader):
         self, node: Node, place: str, file: str, over: str, x: str, column: str, turns: bool
     ) -> Table | None:
         """What a file holds; None, and a fault, where it is no table."""
+        from robodyn.scene.table_files import read_table
+
         try:
             return read_table(self.source, file, over, x, column, turns)
         except ValueError as error:
             self.fault(place, node, str(error), file)
         return None
 
-    def expression(self, node: Scalar, place: str, rename: Rename, known: str) -> Law | None:
-        """A smooth expression; None, and a fault, where it is none."""
+    def expression(self, node: Scalar, place: str, of_spring: bool = False) -> Law | None:
+        """A smooth expression in the state, or of a spring in x and v; None, and a fault, for none.
+
+        Scenes without expressions start without what reads them.
+        """
+        from robodyn.scene import expressions
+
+        rename, known = (SPRING, "x, v") if of_spring else expressions.state_names(self.count)
         try:
-            written = Written(node.text, rename, known)
-            if len(written.codes) != 1:
-                raise NotAllowedError("a comma: it is one expression")
-            _check_smooth(written.codes[0])
-        except NotAllowedError as error:
+            written = expressions.Written(node.text, rename, known)
+            expressions.check_smooth(written.codes)
+        except expressions.NotAllowedError as error:
             self.fault(place, node, f"has {error}", self.shown(node))
             return None
         except ValueError as error:
@@ -120,16 +119,3 @@ def _plain(node: Scalar) -> bool:
         truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
         return truth or str(error) != "is not a number"
     return True
-
-
-def _check_smooth(code: str) -> None:
-    for node in ast.walk(ast.parse(code, mode="eval")):
-        match node:
-            case ast.Call(func=ast.Name(id=name)) if name[1:] in BENDS:
-                raise NotAllowedError(f"{name[1:]}(), {NO_BENDS}")
-            case ast.Compare():
-                raise NotAllowedError(f"a comparison, {NO_BENDS}")
-            case ast.IfExp():
-                raise NotAllowedError(f"`if`, {NO_BENDS}")
-            case ast.Mod():
-                raise NotAllowedError(f"%, {NO_BENDS}")
