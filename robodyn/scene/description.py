@@ -30,7 +30,7 @@ from robodyn.scene.scene import (
     Point,
     Spring,
 )
-from robodyn.scene.signals import SignalReader
+from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults, ValueReader
 
