@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from conftest import Outcome
+from json_schema import accepts
 from mpmath import mp, mpf
 
 from random_mechanisms import mechanism
@@ -26,6 +28,7 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import load
 from robodyn.scene.description import from_text
+from robodyn.scene.scene_schema import scene_schema
 from robodyn.simulation.extended import reference
 from robodyn.sweeps.lanes import Aims, Motions, integrate
 from robodyn.taylor import Status
@@ -442,3 +445,28 @@ def test_a_hundred_slips_are_refused(tmp_path):
         assert all(fault.line is not None for fault in error.value.faults), (word, slip)
         refused += 1
     assert refused >= 100
+
+
+def test_the_schema_takes_such_scenes_and_no_others(tables):
+    schema = scene_schema()
+    assert accepts(schema, yaml.safe_load(GOOD))
+    told_by_it = [text for text, *_ in FAULTS if not accepts(schema, yaml.safe_load(ARM + text))]
+    assert len(told_by_it) >= 20  # files, names and signs are told by robodyn alone
+
+
+@EVERY
+def test_backwards_is_the_way_back(method, engine, tmp_path):
+    """Across the rows of tables over time and over a spring's extension."""
+    file = table(tmp_path, "pulse.csv", "t,M", [(-1.0, 0.0), (0.2, 1.0), (0.7, -2.0), (2.0, 3.0)])
+    rope = table(tmp_path, "rope.csv", "x,F", [(-9.0, -3.0), (0.0, 0.0), (9.0, 90.0)])
+    text = f"springs: [{{joint: arm, table: {rope}, angle: 0.3}}]\n"
+    text += f"loads: [{{link: arm, torque: {{table: {file}, over: t, column: M}}}}]"
+    mech = arm(text)
+    back = run(mech, 0.5, 1.0, -0.8, method, engine)
+    assert back.outcome.label == "finished"
+    # the same forwards, in the mirrored time: the rates change their signs
+    rows = [(-2.0, 3.0), (-0.7, -2.0), (-0.2, 1.0), (1.0, 0.0)]
+    table(tmp_path, "pulse.csv", "t,M", rows)
+    forth = run(arm(text), 0.5, -1.0, 0.8, method, engine)
+    assert back.q[-1] == pytest.approx(forth.q[-1], abs=1e-7)
+    assert back.qd[-1] == pytest.approx(-forth.qd[-1], abs=1e-6)
