@@ -9,6 +9,7 @@ import numpy as np
 from conftest import ROOT
 from known_terms import DIGITS, Known
 from mpmath import mp
+from varied_scenes import AT, varied
 
 from random_mechanisms import (
     LOOPS,
@@ -71,6 +72,8 @@ def plain_scene(name, seed):
         return motored(seed, seeded_scene(seed, LOOPS["six-bar with a piston"]))
     if name == "geared five-bar":
         return geared(seed, seeded_scene(seed, LOOPS["five-bar"]), 2, 0, [0])
+    if name in VARIED:
+        return plain_scene(VARIED[name], seed)
     return seeded_scene(seed, (LOOPS | SLIDERS)[name])
 
 
@@ -80,7 +83,13 @@ MOTORED = (
     "geared five-bar with motors",
     "six-bar with motors",
 )
-KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED)
+# with laws of springs and loads that vary; see `varied_scenes.py`
+VARIED = {
+    "varied tree": "tree",
+    "varied four-bar": "four-bar",
+    "varied slider": "two sliders on a crank",
+}
+KINDS = ("tree", *LOOPS, *SLIDERS, "geared tree", "geared five-bar", *MOTORED, *VARIED)
 # of the cart-pole the torque of one joint alone makes no motion that is asked for
 ROBOTS = sorted(x for x in (ROOT / "robots").glob("*.yaml") if x.stem != "cart-pole")
 
@@ -95,6 +104,7 @@ class Case:
     qdd: np.ndarray
     tau: np.ndarray
     at: Known
+    t: float = 0.0  # of loads
 
     @cached_property
     def rounding(self) -> float:
@@ -159,19 +169,19 @@ class Case:
         )
 
 
-def case(mech, q, qd, seed, qdd=None):
+def case(mech, q, qd, seed, qdd=None, t=0.0):
     """Rates and accelerations that keep the closures, torques at the actuated joints."""
     rng = np.random.default_rng(seed)
-    Psi = Known(mech, q, qd).Psi.astype(float)
+    Psi = Known(mech, q, qd, t).Psi.astype(float)
     inverse = np.linalg.pinv(Psi)
     qd = qd - inverse @ (Psi @ qd)
-    at = Known(mech, q, qd)
+    at = Known(mech, q, qd, t)
     assert np.abs(at.gap).max(initial=0.0) < 1e-11
     qdd = rng.uniform(-15.0, 15.0, len(q)) if qdd is None else qdd
     qdd = qdd - inverse @ (Psi @ qdd + at.bias.astype(float))
     tau = np.zeros(len(q))
     tau[list(mech.actuated)] = rng.uniform(-5.0, 5.0, len(mech.actuated))
-    return Case(mech, q, qd, qdd, tau, at)
+    return Case(mech, q, qd, qdd, tau, at, t)
 
 
 @functools.cache
@@ -181,7 +191,9 @@ def random_case(name, seed, acted):
         scene = forced(seed, scene)
         more = "{joint: link0, stiffness: 2.5, angle: 0.7}, {joint: link0, stiffness: 3, angle: 2}"
         scene = replace(scene, text=scene.text.replace("springs: [", f"springs: [{more}, "))
-    return case(scene.mechanism, scene.q, scene.qd, seed)
+    if name in VARIED:
+        scene = replace(scene, text=varied(seed, scene.text, scene.n))
+    return case(scene.mechanism, scene.q, scene.qd, seed, t=AT if name in VARIED else 0.0)
 
 
 @functools.cache

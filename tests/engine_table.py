@@ -68,27 +68,27 @@ def by_closed_form(one):
     cf, mech, q, qd = closed_form, one.mech, one.q, one.qd
     found = {"M": cf.mass_matrix(mech, q), "G": cf.gravity_vector(mech, q)}
     found["C"] = cf.coriolis_matrix(mech, q, qd)
-    found["Q"] = other_forces(mech, q, qd) - np.array(mech.damping) * qd
+    found["Q"] = other_forces(mech, q, qd, one.t) - np.array(mech.damping) * qd
     found |= {"KE": cf.kinetic_energy(mech, q, qd), "PE": cf.potential_energy(mech, q)}
     found |= {"gap": cf.closure_gap(mech, q), "Psi": cf.closure_jacobian(mech, q)}
-    on_links = rows_of(parts.acting, mech).planar("on links", q, qd)
+    on_links = rows_of(parts.acting, mech).planar("on links", q, qd, one.t)
     found["on links"] = np.column_stack([on_links.real, on_links.imag])
     return found | {"bias": cf.closure_bias(mech, q, qd)}
 
 
 def by_dense_algebra(one):
-    qdd, outer, _ = dense_dynamics.forward(one.mech, one.q, one.qd, one.tau)
-    tau, inner, _ = dense_dynamics.inverse(one.mech, one.q, one.qd, one.qdd)
+    qdd, outer, _ = dense_dynamics.forward(one.mech, one.q, one.qd, one.tau, t=one.t)
+    tau, inner, _ = dense_dynamics.inverse(one.mech, one.q, one.qd, one.qdd, one.t)
     return {"qdd": qdd, "outer": outer, "tau": tau, "inner": inner}
 
 
 def by_calls(one):
     """As users ask for one state; pin forces are the multipliers along their directions."""
     mech, state = one.mech, (one.q, one.qd)
-    qdd, outer, _ = dyn.forward_dynamics_and_forces(mech, *state, one.tau)
-    tau, inner, _ = dyn.inverse_dynamics_and_forces(mech, *state, one.qdd)
-    assert np.array_equal(qdd, dyn.forward_dynamics(mech, *state, one.tau))
-    assert np.array_equal(tau, dyn.inverse_dynamics(mech, *state, one.qdd))
+    qdd, outer, _ = dyn.forward_dynamics_and_forces(mech, *state, one.tau, one.t)
+    tau, inner, _ = dyn.inverse_dynamics_and_forces(mech, *state, one.qdd, one.t)
+    assert np.array_equal(qdd, dyn.forward_dynamics(mech, *state, one.tau, one.t))
+    assert np.array_equal(tau, dyn.inverse_dynamics(mech, *state, one.qdd, one.t))
     assert not tau[list(mech.passive)].any()
     multipliers = iter(inner)
     for closure, (x, y) in zip(
@@ -97,7 +97,7 @@ def by_calls(one):
         F = sum(direction * next(multipliers) for direction in one.at.directions(closure))
         assert abs(complex(x, y) - F) <= 1e-14 * abs(F)
     found = {"qdd": qdd, "outer": outer, "tau": tau, "inner": inner}
-    return found | {"reactions": reactions(mech, *state, one.qdd, inner)}
+    return found | {"reactions": reactions(mech, *state, one.qdd, inner, one.t)}
 
 
 def by_batches(one, count=dyn.BATCH + 1, alone=True):
@@ -109,9 +109,9 @@ def by_batches(one, count=dyn.BATCH + 1, alone=True):
         ("inverse", "qdd", ("tau", "inner")),
     ):
         states = many["q"], many["qd"], many[given]
-        joints, forces, _ = getattr(dyn, f"{kind}_dynamics_and_forces")(mech, *states)
+        joints, forces, _ = getattr(dyn, f"{kind}_dynamics_and_forces")(mech, *states, one.t)
         if alone:
-            only = getattr(dyn, f"{kind}_dynamics")(mech, *states)
+            only = getattr(dyn, f"{kind}_dynamics")(mech, *states, one.t)
             assert np.abs(only - joints).max() <= 1e-12 * max(1.0, np.abs(joints).max())
         for name, values in zip(names, (joints, forces), strict=True):
             assert np.ptp(values, axis=0).max(initial=0.0) <= 1e-13 * np.abs(values).max(initial=0)
@@ -147,7 +147,9 @@ def by_rates(one, kind):
     """The right-hand sides of solvers."""
     mech, y = one.mech, np.concatenate([one.q, one.qd, [0.0]])
     actuation = Actuation(tuple(one.tau.tolist()))
-    rates = np.asarray(right_hand_side(mech, actuation, work=True, kind=kind).rates(0.0, y), float)
+    rates = np.asarray(
+        right_hand_side(mech, actuation, work=True, kind=kind).rates(one.t, y), float
+    )
     assert np.abs(rates[: mech.n] - one.qd).max() <= 1e-12 * (1.0 + np.abs(one.qd).max())
     return {"qdd": rates[mech.n : -1], "power": rates[-1]}
 
@@ -172,7 +174,7 @@ def by_series(one, kind, grounded=False):
     with mp.workdps(DIGITS):
         motion = MotionProgram(mech, Actuation(tuple(one.tau.tolist())), False)
         start = motion.state(
-            arithmetic, number(0.0), [number(x) for x in (*one.q, *one.qd)], ((), ())
+            arithmetic, number(one.t), [number(x) for x in (*one.q, *one.qd)], ((), ())
         )
         program = motion.program
         wanted = program.named["gap"]
@@ -233,7 +235,8 @@ def run_blocks(formula, arrays):
 
 def run_machine(formula, arrays):
     """By machine code on rows; of equal states the last."""
-    inputs = np.reshape(formula.inputs, (-1, len(arrays[0]))).tolist()
+    names = iter(formula.inputs)
+    inputs = [[next(names) for _ in array] for array in arrays]
     evaluate = Rows(inputs, [formula.outputs], formula.pivots, 1e-12).compile()
     output = np.empty((LANES, len(formula.outputs)))
     assert not evaluate([np.tile(x, (LANES, 1)) for x in arrays], [output]).size
@@ -244,6 +247,8 @@ def by_formulas(one, by_direction, *ways):
     """By each formula, in each of several ways to run it."""
     given = {"forward": (one.q, one.qd, one.tau), "inverse": (one.q, one.qd, one.qdd)}
     given["kinematics"] = one.q, one.qd
+    for kind in ("forward", "inverse") if one.mech.timed else ():
+        given[kind] = *given[kind], np.array([one.t])
     each = recorded(one.mech, by_direction).items()
     return [
         parted(one, **{kind: run(formula, given[kind]) for kind, formula in each}) for run in ways

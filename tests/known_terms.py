@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from mpmath import mp, mpf
+from varied_scenes import conserves, stored, value
 
 import oracles
 from random_mechanisms import Pose, oracle_tree
@@ -27,8 +28,11 @@ def real(values):
 class Forces:
     """What acts on a description at a pose and rates, force by force, in numbers of any kind."""
 
-    def __init__(self, description: Description, pose: Pose, qd: np.ndarray, tanh=math.tanh):
+    def __init__(
+        self, description: Description, pose: Pose, qd: np.ndarray, tanh=math.tanh, t: float = 0.0
+    ):
         self.description, self.pose, self.qd, self.tanh = description, pose, qd, tanh
+        self.state = {"t": t, "q": pose.q, "qd": qd}
 
     def place(self, point: Point) -> tuple[int | None, complex]:
         return point.link, point.at
@@ -42,7 +46,16 @@ class Forces:
 
     def turned(self, item):
         """The force of a load along the axes of the ground."""
-        return item.force * (self.pose.turn(self.pose.alpha[item.point.link]) if item.turns else 1)
+        force = item.force
+        for unit, signal in zip((1, 1j), item.varying, strict=True):
+            force += 0 if signal is None else unit * value(signal, **self.state)
+        return force * (self.pose.turn(self.pose.alpha[item.point.link]) if item.turns else 1)
+
+    def tension(self, spring, longer, rate):
+        """What pulls the ends of a spring together."""
+        if spring.law is None:
+            return spring.stiffness * longer + spring.damping * rate
+        return value(spring.law, x=longer, v=rate) + spring.damping * rate
 
     def torques(self):
         """-dPE/dq of springs and constant loads, Q of the others, PE of the former."""
@@ -51,22 +64,32 @@ class Forces:
         for spring in self.description.springs:
             if isinstance(spring, JointSpring):
                 stretched = pose.q[spring.joint] - spring.angle
-                potential[spring.joint] -= spring.stiffness * stretched
-                other[spring.joint] -= spring.damping * qd[spring.joint]
+                growth = 0 * qd
+                growth[spring.joint] += 1
             else:
                 _, d, growth = self.pull(spring)
                 stretched = abs(d) - spring.length
+            other = other - spring.damping * (growth @ qd) * growth
+            if spring.law is None:
                 potential = potential - spring.stiffness * stretched * growth
-                other = other - spring.damping * (growth @ qd) * growth
-            PE += spring.stiffness * stretched**2 / 2
+                PE += spring.stiffness * stretched**2 / 2
+                continue
+            pull = value(spring.law, x=stretched, v=growth @ qd) * growth
+            if conserves(spring.law):
+                potential = potential - pull
+                PE += stored(spring.law, stretched)
+            else:
+                other = other - pull
         for item in self.description.loads:
             if isinstance(item, Moment):
                 potential[pose.turning(item.link)] += item.torque
                 PE -= item.torque * pose.alpha[item.link]
+                if item.varying is not None:
+                    other[pose.turning(item.link)] += value(item.varying, **self.state)
                 continue
             place = self.place(item.point)
             torque = real(np.conj(pose.slope(place)) * self.turned(item))
-            if item.turns:
+            if item.turns or item.varies:
                 other = other + torque
             else:
                 potential = potential + torque
@@ -83,7 +106,7 @@ class Forces:
             if isinstance(spring, JointSpring):
                 continue
             ends, d, growth = self.pull(spring)
-            F = spring.stiffness * (abs(d) - spring.length) + spring.damping * (growth @ self.qd)
+            F = self.tension(spring, abs(d) - spring.length, growth @ self.qd)
             for (link, _), sign in zip(ends, (-1, 1), strict=True):
                 if link is not None:
                     total[link] += sign * F * d / abs(d)
@@ -111,7 +134,7 @@ class Known:
     M qdd + C qd + D qd + G - Q = tau + Psi^T lambda, Psi qdd + bias = 0, and the gap.
     """
 
-    def __init__(self, mech: Mechanism, q, qd) -> None:
+    def __init__(self, mech: Mechanism, q, qd, t: float = 0.0) -> None:
         description = self.description = mech.description
         self.mech, n = mech, len(q)
         with mp.workdps(DIGITS):
@@ -120,7 +143,7 @@ class Known:
             tree = self.tree = oracle_tree(description)
             pose = self.pose = Pose(tree, q, mp.expj)
             self.M, self.C, G = oracles.mp_terms(tree, description.gravity, q, qd, DIGITS)
-            self.forces = Forces(description, pose, qd, mp.tanh)
+            self.forces = Forces(description, pose, qd, mp.tanh, mpf(t))
             potential, other, PE = self.forces.torques()
             self.G = G - potential
             damping = [mpf(link.damping) for link in description.links]

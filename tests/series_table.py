@@ -98,7 +98,7 @@ def by_program(one, actuation, kind, grounded=False):
     with mp.workdps(DIGITS):
         motion = MotionProgram(one.mech, actuation, True)
         y = [number(x) for x in (*one.q, *one.qd)]
-        start = motion.state(arithmetic, number(0.0), y, ((), ()))
+        start = motion.state(arithmetic, number(one.t), y, ((), ()))
         numbers = [number(x) for x in motion.program.numbers]
         found = motion.expand(arithmetic, numbers, ORDER, start, grounded)
         turns = np.array([[longs(c) for c in part] for part in (found.rho, found.theta)])
@@ -119,7 +119,7 @@ def by_steps(name, which, kind):
     """By the engines that make steps in Python."""
     one, made = known(name, which)[0], engine(kind, name, which)
     n, y = one.mech.n, [*one.q.tolist(), *one.qd.tolist(), 0.0]
-    longest, _, series = made.expand(0.0, y, np.inf, 1.0)
+    longest, _, series = made.expand(one.t, y, np.inf, 1.0)
     series = [longs(x) for x in series]
     turns, rest = np.reshape(series[: 2 * n], (2, n, -1)), series[2 * n :]
     power = rest.pop(0) if made._now.works else longs(())
@@ -136,6 +136,7 @@ def by_machine_code(name, which, lanes=1):
         code = machine_motion.compile(made, Observer(), lanes)
     block = np.zeros((code.items, lanes))
     made.fill(block, TOLERANCE, TOLERANCE)
+    block[made.place["t"]] = one.t
     block[: 2 * one.mech.n + 1] = np.concatenate([one.q, one.qd, [0.25]])[:, None]
     code.code.function("expand", ctypes.c_void_p, result=None)(block.ctypes.data)
     assert (block == block[:, :1]).all()

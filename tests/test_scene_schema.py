@@ -205,6 +205,7 @@ def test_the_schema_knows_the_keys_of_the_grammar() -> None:
         "joint_spring",
         "force",
         "torque",
+        "load_table",
         "dry_friction",
         "stops",
         "hard_stops",

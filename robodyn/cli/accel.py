@@ -35,9 +35,9 @@ def accel(
     mechanism = load(model)
     columns = [f"qdd{k + 1}" for k in range(mechanism.n)] + loop_columns(mechanism)
 
-    def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray, **t: np.ndarray) -> np.ndarray:
         check_way_on(mechanism, q, qd)
-        solution = forward_dynamics_and_forces(mechanism, q, qd, tau)
+        solution = forward_dynamics_and_forces(mechanism, q, qd, tau, **t)
         forces = loop_forces(mechanism, solution.multipliers, q)
         return np.concatenate([solution.qdd, forces], axis=-1)
 

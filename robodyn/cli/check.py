@@ -18,15 +18,27 @@ from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.grammar import FORMS
-from robodyn.scene.scene import FRAMES, JOINTS, Coupling, JointSpring, Link, Moment, Motor, Point
+from robodyn.scene.scene import (
+    FRAMES,
+    JOINTS,
+    Coupling,
+    JointSpring,
+    Link,
+    Moment,
+    Motor,
+    Point,
+    Signal,
+    Table,
+    told,
+)
 
 STATES = 200
-PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its damping
-    "joint": ("joint {joint}: {stiffness:g} N m/rad from {angle:g} rad", "N m s/rad"),
-    "slide": ("joint {joint}: {stiffness:g} N/m from {length:g} m", "N s/m"),
-    "between": ("{between[0]} to {between[1]}: {stiffness:g} N/m, length {length:g} m", "N s/m"),
-    "link": ("{torque:g} N m on {link}", ""),
-    "at": ("({force[0]:g}, {force[1]:g}) N at {at}", ""),
+PHRASES = {  # what a spring or a load is in words, by the first of its keys; of its stiffness
+    "joint": ("joint {joint}: {pull} from {angle:g} rad", "N m/rad"),
+    "slide": ("joint {joint}: {pull} from {length:g} m", "N/m"),
+    "between": ("{between[0]} to {between[1]}: {pull}, length {length:g} m", "N/m"),
+    "link": ("{acting} N m on {link}", ""),
+    "at": ("({acting}) N at {at}", ""),
 }
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
 
@@ -133,12 +145,23 @@ def _motor(motor: Motor) -> dict[str, float]:
     return {name: value for name, value in motor._asdict().items() if value is not None}
 
 
+def _shown(number: float, signal: Signal | None) -> Any:
+    """A load as the scene writes it."""
+    if not isinstance(signal, Table):
+        return number if signal is None else signal.text
+    over = signal.over if signal.over == "t" else f"q{int(signal.over[1:]) + 1}"
+    return {"table": signal.file, "over": over, "column": signal.column}
+
+
 def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
     """Springs, loads and couplings as the scene writes them; nothing where it has none."""
     names, found = mechanism.link_names, mechanism.description
     lists: dict[str, list[Any]] = {"springs": [], "loads": []}
     for spring in found.springs:
         values: dict[str, Any] = {"stiffness": spring.stiffness, "damping": spring.damping}
+        if spring.law is not None:
+            key = "table" if isinstance(spring.law, Table) else "law"
+            values = {key: told(spring.law), "damping": spring.damping}
         if isinstance(spring, JointSpring):
             free = "length" if spring.joint in mechanism.slides else "angle"
             values = {"joint": names[spring.joint], free: spring.angle} | values
@@ -148,9 +171,11 @@ def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
         lists["springs"].append(values)
     for item in found.loads:
         if isinstance(item, Moment):
-            lists["loads"].append({"link": names[item.link], "torque": item.torque})
+            torque = _shown(item.torque, item.varying)
+            lists["loads"].append({"link": names[item.link], "torque": torque})
         else:
-            place, force = _place(mechanism, item.point), [item.force.real, item.force.imag]
+            parts = zip((item.force.real, item.force.imag), item.varying, strict=True)
+            place, force = _place(mechanism, item.point), [_shown(*part) for part in parts]
             frame = FRAMES[1] if item.turns else FRAMES[0]
             lists["loads"].append({"at": place, "force": force, "frame": frame})
     lists["couplings"] = [_equation(coupling) for coupling in found.couplings]
@@ -201,8 +226,9 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
         for k, entry in enumerate(content.get(f"{kind}s", []), start=1):
             first = next(iter(entry))
             phrase, unit = PHRASES["slide" if first == "joint" and "length" in entry else first]
-            text = phrase.format(**entry)
-            text += f", damping {entry['damping']:g} {unit}" if entry.get("damping") else ""
+            text = phrase.format(**entry, **_amounts(entry, unit))
+            per, of = unit.split("/") if unit else ("", "")
+            text += f", damping {entry['damping']:g} {per} s/{of}" if entry.get("damping") else ""
             text += ", turning with it" if entry.get("frame") == FRAMES[1] else ""
             facts.append([f"{kind} {k}", text])
     for k, link in enumerate(content["links"], start=1):
@@ -246,6 +272,16 @@ def _told_friction(
     static, stribeck = others
     falls = "" if stribeck is None else f" within {stribeck:g} {rate}"
     return f"{own}, {static:g} at rest{falls}"
+
+
+def _amounts(entry: dict[str, Any], unit: str) -> dict[str, str]:
+    """What a spring pulls with, or a load acts with, in words."""
+    if unit:
+        pull = f"{entry['stiffness']:g} {unit}" if "stiffness" in entry else ""
+        return {"pull": pull or f"pulls {entry.get('law') or 'by ' + entry['table']}"}
+    acting = entry["force"] if "force" in entry else [entry["torque"]]
+    words = [f"{x['column']} of {x['table']}" if isinstance(x, dict) else x for x in acting]
+    return {"acting": ", ".join(x if isinstance(x, str) else f"{x:g}" for x in words)}
 
 
 def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:

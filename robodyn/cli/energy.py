@@ -29,7 +29,7 @@ def energy(
     """
     mechanism = load(model)
 
-    def compute(q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def compute(q: np.ndarray, qd: np.ndarray, **_: np.ndarray) -> np.ndarray:
         KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)
         return np.stack([KE, PE, KE + PE], axis=-1)
 

@@ -62,14 +62,15 @@ def reactions(
 
     def compute(q: np.ndarray, qd: np.ndarray, **given: np.ndarray) -> np.ndarray:
         nonlocal named
+        t = given.pop("t", 0.0)
         with warnings.catch_warnings(record=True) as told:
             if "tau" in given:
                 check_way_on(mechanism, q, qd)
-                solution = dynamics.forward_dynamics_and_forces(mechanism, q, qd, given["tau"])
+                solution = dynamics.forward_dynamics_and_forces(mechanism, q, qd, given["tau"], t)
                 qdd, multipliers = solution.qdd, solution.multipliers
             else:
                 qdd = given["qdd"]
-                inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd)
+                inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
                 multipliers = inverse.multipliers
         if not np.isfinite(qdd).all():
             raise overflow()
@@ -82,10 +83,10 @@ def reactions(
                 _name(mechanism, q[np.argmax(dependent > 0)])
         if len(given) == 2:
             _check_agreement(qd, given["qdd"], qdd)
-        joints = reaction_forces.reactions(mechanism, q, qd, qdd, multipliers)
-        held = reaction_forces.slide_moments(mechanism, q, qd, qdd, multipliers)
+        joints = reaction_forces.reactions(mechanism, q, qd, qdd, multipliers, t)
+        held = reaction_forces.slide_moments(mechanism, q, qd, qdd, multipliers, t)
         loops = dynamics.loop_forces(mechanism, multipliers, q)
-        shake = reaction_forces.shaking_force(mechanism, q, qd, qdd)
+        shake = reaction_forces.shaking_force(mechanism, q, qd, qdd, t)
         return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]

@@ -154,7 +154,7 @@ def simulate(
             stream.flush()
             what = facts.ended_by or facts.outcome
             where = f"{what} at t = {facts.t_reached:.6g} s of {duration:g} s"
-            raise UnfinishedError(where, limit=outcome.advice)
+            raise UnfinishedError(where, limit=facts.advice)
 
 
 def _columns(mechanism: Mechanism, torques: Actuation) -> list[str]:
@@ -173,7 +173,7 @@ def _rows(
     n = mechanism.n
     q, qd = y[:, :n], y[:, n:]
     tau = applied_torques(mechanism, torques, t, y)
-    solution = forward_dynamics_and_forces(moving, q, qd, tau)
+    solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
     forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
     energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
     parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]

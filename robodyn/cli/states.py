@@ -198,7 +198,8 @@ def evaluate(
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
 
-    `compute` takes the quantities (T, n) by name.  Of those in `either` it takes those that are
+    `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
+    (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.
     """
     import numpy as np
@@ -210,9 +211,12 @@ def evaluate(
         given = [x for x in either if x.option is not None or there & set(x.columns(joints))]
         return [*quantities, *(given or either[:1])]
 
-    def results(used: Sequence[Quantity], motion: list[Array]) -> Array:
+    def results(used: Sequence[Quantity], motion: list[Array], t: Array) -> Array:
+        given = {x.name: vector for x, vector in zip(used, motion, strict=True)}
+        if mechanism.timed:
+            given["t"] = t
         with np.errstate(all="ignore"):
-            values = compute(**{x.name: vector for x, vector in zip(used, motion, strict=True)})
+            values = compute(**given)
         if not np.isfinite(values).all():
             raise overflow()
         return values
@@ -223,12 +227,14 @@ def evaluate(
             part = values[:, begin : begin + len(source.columns)]
             given.append(part if source.columns else np.tile(source.values, (len(values), 1)))
             begin += len(source.columns)
-        return results(used, complete(mechanism, sources, given))
+        t = values[:, begin] if times else np.zeros(len(values))
+        return results(used, complete(mechanism, sources, given), t)
 
     if states is None:
         with remarks():
             used = wanted([])
-            row = results(used, [x[None] for x in single_state(mechanism, used)])[0].tolist()
+            state = [x[None] for x in single_state(mechanism, used)]
+            row = results(used, state, np.zeros(1))[0].tolist()
         with row_writer(format, out, columns, units=units) as writer:
             writer.write_row(row)
         return
@@ -239,7 +245,8 @@ def evaluate(
         reader = Reader(stream, name)
         used = wanted(reader.header)
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
-        chunks = reader.chunks([column for source in sources for column in source.columns])
+        times = ["t"] if mechanism.timed and "t" in reader.header else []
+        chunks = reader.chunks([*(x for source in sources for x in source.columns), *times])
         with remarks(), row_writer(format, out, columns, reader.header, units) as writer:
             for chunk in chunks:
                 try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
-from robodyn.cli.output import Grid, write_structure
+from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.states import Quantity, overflow, single_state
 from robodyn.dynamics import closed_form
 from robodyn.mechanics.mechanism import Mechanism, load

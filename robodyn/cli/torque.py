@@ -89,11 +89,14 @@ def _single_state(
     if formula is not None:
         with suppress(ZeroDivisionError):
             try:
-                tau = compile_floats(formula, "torque")(*values[0], *values[1], *values[2])
-                return tau, values[1]
+                at = [0.0] if mechanism.timed else []
+                function = compile_floats(formula, "torque")
+                found = function(*values[0], *values[1], *values[2], *at)
+                if not mechanism.has_tables or all(map(math.isfinite, found)):
+                    return found, values[1]
             except ValueError:  # the sine of infinity: sums of angles that are too large
                 raise overflow() from None
-    # the ends of a spring coincide: this says so
+    # the ends of a spring coincide, or a table ends: this says so
     from robodyn.dynamics.dynamics import inverse_dynamics
 
     return inverse_dynamics(mechanism, *values).tolist(), values[1]

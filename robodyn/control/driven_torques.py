@@ -22,6 +22,7 @@ from robodyn.engines.formulas import Formula, Recorded
 from robodyn.errors import InputError
 from robodyn.loops import loop_rates
 from robodyn.loops.closing import regular_rank
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
 
 Floats = Callable[..., Sequence[float]]
@@ -33,6 +34,7 @@ def rest_torques(mechanism: Mechanism) -> Floats:
     Of an open chain with passive joints, those of the actuated joints alone.  Raises RobodynError
     where a closed mechanism has fewer actuators than freedoms; the function, SingularError.
     """
+    mechanism = parts.untimed(mechanism)
     if mechanism.rows:
         check_actuators(mechanism, np.zeros(mechanism.n))
     n, driven = mechanism.n, list(mechanism.actuated)
@@ -57,6 +59,7 @@ def driving_torques(mechanism: Mechanism) -> Floats:
     mechanism has fewer actuators than freedoms, InputError where it has more, as then v would
     contradict the closures; the function raises SingularError at a dead centre.
     """
+    mechanism = parts.untimed(mechanism)
     check_actuators(mechanism, np.zeros(mechanism.n))
     n, driven = mechanism.n, list(mechanism.actuated)
     freedoms = n - (regular_rank(mechanism) if mechanism.rows else 0)

@@ -91,21 +91,28 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
     return G
 
 
-def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
+def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> Array:
     """Q of equation (1), (..., n), N m: of what has no potential, but for dampers of joints.
 
-    Dampers of springs, forces that turn with a link, friction.  Raises InputError where q or qd is
+    Dampers of springs, forces that turn with a link, loads that vary (at times t (...), s), and
+    friction.  Raises InputError where q or qd is
     not finite or not n wide, SingularError where the ends of a damped spring coincide.
     """
     from robodyn.engines.row_values import rows_of
 
     states = as_states(mechanism, "q", q), as_states(mechanism, "qd", qd)
-    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states)  # of nothing no -0.0
+    return 0.0 - rows_of(parts.spent, mechanism)("torques", *states, t)  # of nothing no -0.0
 
 
 def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
     """KE = 1/2 qd^T M qd, (...), J."""
-    return energies(mechanism, q, qd)[0]
+    return _kinetic(mechanism, placed(mechanism, q), qd)
+
+
+def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
+    v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
+    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
+    return KE
 
 
 def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
@@ -120,10 +127,7 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
     arrays, at = mechanism.arrays, placed(mechanism, q)
-    v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
-    KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
-    if mechanism.rotors:
-        KE = KE + 0.5 * (as_states(mechanism, "qd", qd) @ arrays.spins.T) ** 2 @ arrays.rotors
+    KE = _kinetic(mechanism, at, qd)
     PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
     if any(mechanism.moments):
         PE = PE - at.x @ arrays.moments

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import (
     absolute_inertia,
@@ -69,7 +69,9 @@ class Accelerations(NamedTuple):
     remark: str = ""
 
 
-def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
+def required_load(
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0
+) -> Array:
     """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
     rates, accelerations = (
         absolute_rates(mechanism, qd),
@@ -82,7 +84,7 @@ def required_load(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Arra
     load: Array = _loads(mechanism, at, bent) @ mechanism.arrays.J
     if mechanism.rotors:
         load = load + as_states(mechanism, "qdd", qdd) @ rotor_inertia(mechanism)
-    return load + _joint_loads(mechanism, q, qd)
+    return load + _joint_loads(mechanism, q, qd, t)
 
 
 def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
@@ -93,11 +95,11 @@ def _loads(mechanism: Mechanism, at: Placed, bent: Placed) -> Array:
     return loads
 
 
-def _joint_loads(mechanism: Mechanism, q: Array, qd: Array) -> Array:
+def _joint_loads(mechanism: Mechanism, q: Array, qd: Array, t: ArrayLike) -> Array:
     """What acts at joints there."""
     loads: Array = mechanism.arrays.damping * qd
     if mechanism.has_state_forces:
-        loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd)
+        loads = loads + rows_of(parts.acting, mechanism)("torques", q, qd, t)
     return loads
 
 
@@ -110,9 +112,9 @@ def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
     return M
 
 
-def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
+def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0) -> Torques:
     """Torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
-    load = required_load(mechanism, q, qd, qdd)
+    load = required_load(mechanism, q, qd, qdd, t)
     if not mechanism.rows and not mechanism.passive:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
     n, actuated, units = mechanism.n, list(mechanism.actuated), mechanism.arrays.units
@@ -149,7 +151,12 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
 
 
 def forward(
-    mechanism: Mechanism, q: Array, qd: Array, tau: Array, baumgarte: float = 0.0
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    tau: Array,
+    baumgarte: float = 0.0,
+    t: ArrayLike = 0.0,
 ) -> Accelerations:
     """Accelerations and multipliers for states (..., n); see `dynamics.forward_dynamics`.
 
@@ -159,7 +166,7 @@ def forward(
     units = mechanism.arrays.units
     M = _whole_inertia(mechanism, at)  # all of this in x, displacements by a length
     bent = at.accelerations(mechanism, rates, np.zeros_like(rates))
-    force = (tau - _joint_loads(mechanism, q, qd)) @ relative_matrix(mechanism)
+    force = (tau - _joint_loads(mechanism, q, qd, t)) @ relative_matrix(mechanism)
     force = force - _loads(mechanism, at, bent)
     Psi = absolute_jacobian(mechanism, at)
     bend = bias_at(mechanism, at, rates, bent)

@@ -55,43 +55,48 @@ class RobodynWarning(UserWarning):
     """A result that is right but not the only one, or near a limit."""
 
 
-def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+def inverse_dynamics(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
+) -> Array:
     """The joint torques tau of equation (1) that the motion needs, (..., n), N m.
 
     q, qd, qdd are (..., n) and broadcast; a closed mechanism's must keep its closures (see
-    `assembly`).  Passive joints get zero.  With more actuators than freedoms tau is the one of
-    least norm, with a RobodynWarning.  Raises InputError for arrays that do not fit, RobodynError
-    where the mechanism has fewer actuators than freedoms, SingularError where no torque at the
-    actuated joints can make the motion.
+    `assembly`).  Loads that vary are those at the times t (...), s.  Passive joints get zero.  With
+    more actuators than freedoms tau is the one of least norm, with a RobodynWarning.  Raises
+    InputError for arrays that do not fit, RobodynError where the mechanism has fewer actuators than
+    freedoms, SingularError where no torque at the actuated joints can make the motion.
     """
-    return _batch(mechanism, "inverse", 1, q=q, qd=qd, qdd=qdd)[0]
+    return _batch(mechanism, "inverse", 1, t, q=q, qd=qd, qdd=qdd)[0]
 
 
 def inverse_dynamics_and_forces(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
 ) -> Torques:
     """`inverse_dynamics` and the multipliers of the closures; see there."""
-    return Torques(*_batch(mechanism, "inverse", 2, q=q, qd=qd, qdd=qdd))
+    return Torques(*_batch(mechanism, "inverse", 2, t, q=q, qd=qd, qdd=qdd))
 
 
-def forward_dynamics(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike) -> Array:
+def forward_dynamics(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
+) -> Array:
     """The accelerations qdd of equation (1) that the joint torques tau cause, (..., n), rad/s^2.
 
     q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
-    Raises InputError for arrays that do not fit, SingularError where a freedom has no inertia.
+    Loads that vary are those at the times t (...), s.  Raises InputError for arrays that do
+    not fit, SingularError where a freedom has no inertia.
     """
-    return _batch(mechanism, "forward", 1, q=q, qd=qd, tau=tau)[0]
+    return _batch(mechanism, "forward", 1, t, q=q, qd=qd, tau=tau)[0]
 
 
 def forward_dynamics_and_forces(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Accelerations:
     """`forward_dynamics` and the multipliers of the closures; see there."""
-    return Accelerations(*_batch(mechanism, "forward", 2, q=q, qd=qd, tau=tau))
+    return Accelerations(*_batch(mechanism, "forward", 2, t, q=q, qd=qd, tau=tau))
 
 
 def _batch(
-    mechanism: Mechanism, kind: str, wanted: int, **given: ArrayLike
+    mechanism: Mechanism, kind: str, wanted: int, t: ArrayLike, **given: ArrayLike
 ) -> tuple[Array, Array, str]:
     """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
     each = [n_wide(mechanism, name, value) for name, value in given.items()]
@@ -101,17 +106,18 @@ def _batch(
         shapes = ", ".join(str(array.shape) for array in each)
         raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
 
+    times = _times(t, states["q"]) if mechanism.timed else np.zeros(())
     if mechanism.switches:
-        joints, forces, remark = _switching(mechanism, kind, states)
+        joints, forces, remark = _switching(mechanism, kind, states, times)
     else:
-        joints, forces, remark = _smooth(mechanism, kind, wanted, states)
+        joints, forces, remark = _smooth(mechanism, kind, wanted, states, times)
     if remark:
         warnings.warn(remark, RobodynWarning, stacklevel=3)
     return joints, forces, remark
 
 
 def _switching(
-    mechanism: Mechanism, kind: str, states: dict[str, Array]
+    mechanism: Mechanism, kind: str, states: dict[str, Array], times: Array
 ) -> tuple[Array, Array, str]:
     """`_smooth` of states that go on in modes of their own."""
     from robodyn.dynamics.sticking import modes_of  # which asks for accelerations itself
@@ -121,11 +127,12 @@ def _switching(
     shape, n, r = states["q"].shape, mechanism.n, len(mechanism.rows)
     flat = {name: array.reshape(-1, n) for name, array in states.items()}
     joints, forces = np.empty((len(flat["q"]), n)), np.empty((len(flat["q"]), r))
+    every = np.broadcast_to(times.ravel(), len(joints))
     remarks: dict[str, None] = {}
-    for mode, which in modes_of(mechanism, kind, flat).items():
+    for mode, which in modes_of(mechanism, kind, flat, every).items():
         part = {name: array[which] for name, array in flat.items()}
         moving = in_mode(mechanism, mode)
-        joints[which], found, remark = _smooth(moving, kind, 2, part)
+        joints[which], found, remark = _smooth(moving, kind, 2, part, every[which])
         forces[which] = found[:, :r]
         remarks |= {remark: None}
     if kind == "inverse" and resting_friction(mechanism, flat["qd"], flat["qdd"]):
@@ -135,7 +142,7 @@ def _switching(
 
 
 def _smooth(
-    mechanism: Mechanism, kind: str, wanted: int, states: dict[str, Array]
+    mechanism: Mechanism, kind: str, wanted: int, states: dict[str, Array], times: Array
 ) -> tuple[Array, Array, str]:
     """`_batch` of a mechanism whose equations are the same at all states."""
 
@@ -152,12 +159,16 @@ def _smooth(
         rows = _generated(kind, mechanism)
     if rows is None:
         check()
-        joints, forces, remark = dense(mechanism, *states.values())
+        motion = states["q"], states["qd"], list(states.values())[2]
+        joints, forces, remark = dense(mechanism, *motion, times)
     else:
         flat, remark = [state.reshape(-1, mechanism.n) for state in states.values()], ""
-        found, doubtful = rows.run(flat, wanted, check)
+        every = [*flat, np.reshape(times, (-1, 1))] if mechanism.timed else flat
+        found, doubtful = rows.run(every, wanted, check)
         if doubtful.size:
-            solution = dense(mechanism, *(state[doubtful] for state in flat))
+            at = np.ravel(times)[doubtful] if mechanism.timed else 0.0
+            some = flat[0][doubtful], flat[1][doubtful], flat[2][doubtful]
+            solution = dense(mechanism, *some, at)
             for array, values in zip(found, solution[:2], strict=False):
                 array[doubtful] = values
             remark = solution.remark
@@ -166,6 +177,16 @@ def _smooth(
         if wanted > 1:
             forces = forces.reshape(*q.shape[:-1], forces.shape[1])
     return joints, forces, remark
+
+
+def _times(t: ArrayLike, q: Array) -> Array:
+    """The times of states q (..., n), (...)."""
+    try:
+        times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])
+    except ValueError:
+        limit = f"must broadcast to {q.shape[:-1]}, one a state"
+        raise InputError("t.shape", value=np.shape(t), limit=limit) from None
+    return np.array(times)
 
 
 @lru_cache(maxsize=64)
@@ -197,34 +218,35 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
 # -- few states, or near singular ones -------------------------------------------------------------
 
 
-def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> Accelerations:
+def _forward(mechanism: Mechanism, q: Array, qd: Array, tau: Array, t: ArrayLike) -> Accelerations:
     """`dense_dynamics.forward`; next to a change point that of the motion which leads across."""
     if not mechanism.rows or not q.size:
-        return dense_dynamics.forward(mechanism, q, qd, tau)
+        return dense_dynamics.forward(mechanism, q, qd, tau, t=t)
     near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
     close = near < NEAR_SINGULAR
     if close.any():  # there a state must keep the closures to its last digit
         q = q.copy()
         q[close] = close_positions(mechanism, q[close])
-    found = dense_dynamics.forward(mechanism, q, qd, tau)
+    found = dense_dynamics.forward(mechanism, q, qd, tau, t=t)
     suspect = near**2 < change_points.SUSPECT
     for state in map(tuple, np.argwhere(suspect)):
+        now = np.broadcast_to(np.asarray(t, float), q.shape[:-1])[state]
 
-        def beside(q: Array, qd: Array, tau: Array = tau[state]) -> Array:
-            return dense_dynamics.forward(mechanism, q, qd, tau).qdd
+        def beside(q: Array, qd: Array, tau: Array = tau[state], now: Array = now) -> Array:
+            return dense_dynamics.forward(mechanism, q, qd, tau, t=now).qdd
 
         led = projection.state_led_across(mechanism, q[state], qd[state], beside)
         if led is not None:
             found.qdd[state] = led
-            load = required_load(mechanism, q[state], qd[state], led) - tau[state]
+            load = required_load(mechanism, q[state], qd[state], led, now) - tau[state]
             found.multipliers[state] = _multipliers(mechanism, q[state], load)
     return _missed(mechanism, found, q[suspect])
 
 
-def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
+def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike) -> Torques:
     """`dense_dynamics.inverse`; at a change point the limit along the motion that leads across."""
     try:
-        found = dense_dynamics.inverse(mechanism, q, qd, qdd)
+        found = dense_dynamics.inverse(mechanism, q, qd, qdd, t)
         if not mechanism.rows or not q.size:
             return found
         near = change_points.nearness(mechanism, closed_form.scaled_jacobian(mechanism, q))
@@ -233,10 +255,11 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
         if not mechanism.rows:
             raise
         if mechanism.springs:  # one without a direction is no change point: it raises here again
-            required_load(mechanism, q, qd, qdd)
+            required_load(mechanism, q, qd, qdd, t)
         if q.ndim > 1:
             states = [x.reshape(-1, mechanism.n) for x in (q, qd, qdd)]
-            each = [_inverse(mechanism, *state) for state in zip(*states, strict=True)]
+            now = np.broadcast_to(np.asarray(t, float), q.shape[:-1]).ravel()
+            each = [_inverse(mechanism, *state) for state in zip(*states, now, strict=True)]
             tau = np.reshape([x.tau for x in each], q.shape)
             multipliers = np.reshape([x.multipliers for x in each], (*q.shape[:-1], -1))
             return Torques(tau, multipliers, max((x.remark for x in each), key=len))
@@ -247,12 +270,12 @@ def _inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Torques:
             units = mechanism.arrays.units
             opening = Psi @ (qdd / units) + closed_form.closure_bias(mechanism, q, qd)
             closing = units * matvec(np.linalg.pinv(Psi, rcond=RANK_CUT), opening)
-            return dense_dynamics.inverse(mechanism, q, qd, qdd - closing).tau
+            return dense_dynamics.inverse(mechanism, q, qd, qdd - closing, t).tau
 
         led = projection.state_led_across(mechanism, q, qd, beside)
         if led is None:
             raise
-    multipliers = _multipliers(mechanism, q, required_load(mechanism, q, qd, qdd) - led)
+    multipliers = _multipliers(mechanism, q, required_load(mechanism, q, qd, qdd, t) - led)
     remark = "change point: torques of the motion straight across; pin forces are not unique there"
     return Torques(led, multipliers, remark)
 

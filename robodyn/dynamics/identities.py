@@ -17,11 +17,13 @@ from robodyn.dynamics import closed_form, dynamics
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.dynamics.placed import absolute_rates, frame_rates, matvec, placed
 from robodyn.dynamics.reaction_forces import bodies_of
-from robodyn.engines.row_values import RowValues
+from robodyn.engines.row_values import RowValues, TableLeftError, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import random_states
+from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.scene.scene import Table
 
 Array = NDArray[np.float64]
 
@@ -31,6 +33,7 @@ ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton'
 # of closing a state from random angles, in entries of Psi times its rank
 SEARCH, MOST_WORK = 2_000_000, 4_000_000
 STILL = 1e-9  # rad/s, of rates drawn near 1: below it they are rounding
+TABLED = 30.0  # how much finer differences are beside the rows of a table
 STEP = 3e-2  # rad, of the fastest link
 # f'(0) h = sum_k w_k (f(k h) - f(-k h)) + O(h^9)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -73,7 +76,8 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
     driven = len(mechanism.actuated)
     if not mechanism.rows:
         q = random_states(mechanism, rng, count)
-        return Sample(q, rng.normal(size=(count, n)), 1.0)
+        q = q[within_tables(mechanism, q)]
+        return Sample(q, rng.normal(size=(len(q), n)), 1.0)
     if driven > n - len(mechanism.rows):  # their angles depend on one another
         work = n * len(mechanism.rows) * min(n, len(mechanism.rows))
         if work > MOST_WORK:
@@ -93,6 +97,7 @@ def sample_states(mechanism: Mechanism, count: int, seed: int = 1) -> Sample:
         if len(keep) < count and not loop_rates.singular_kind(mechanism, q[k]):
             keep.append(int(k))
     closed = q[keep]
+    closed = closed[within_tables(mechanism, closed)]
     qd = loop_rates.nearest_velocities(mechanism, closed, rng.normal(size=closed.shape))
     qd[np.abs(qd).max(axis=-1, initial=0.0) < STILL] = 0.0  # what cannot move
     return Sample(closed, qd, len(closes) / len(q))
@@ -135,9 +140,12 @@ def _energy_identities(
     bend = along(lambda s: closed_form.kinetic_energy(mechanism, q + s * directions, qd), ways)
     heights = rows("PE", q)[..., 0]
     sharp = ways * _sharpness(rows.mechanism, q)
-    slope = along(lambda s: rows("PE", q + s * directions)[..., 0], sharp)
+    slope = along(lambda s: _potential(rows, q + s * directions), sharp)
+    bends = _bends(rows, lambda s: q + s * directions, sharp)
     G = closed_form.gravity_vector(mechanism, q)
-    largest = max(_top(slope), _top(G), *map(abs, mechanism.weights))  # G's terms may balance
+    largest = max(
+        _top(slope[~bends]), _top(G), *map(abs, mechanism.weights)
+    )  # G's terms may balance
     PE = closed_form.potential_energy(mechanism, q)
     found = [
         Identity("KE = 1/2 qd^T M qd", max(_relative(KE - half, KE), _relative(KE - bodies, KE))),
@@ -150,7 +158,7 @@ def _energy_identities(
             _relative(convective - (shown - bend), max(_top(M) * _top(qd) ** 2, _top(bend))),
         ),
         Identity("PE = sum of m g h", _relative(PE - heights, heights)),
-        Identity("G = dPE/dq", _relative(slope - _dot(G, directions), largest)),
+        Identity("G = dPE/dq", _relative((slope - _dot(G, directions))[~bends], largest)),
     ]
     if rows.mechanism.has_state_forces:  # of what has no potential, at any velocities
         Q = closed_form.other_forces(mechanism, q, directions)
@@ -213,18 +221,21 @@ def _motion_identities(
     found.insert(0, Identity(BALANCE, _relative(np.sum(terms, axis=0), scale)))
 
     # a path with this q, qd, qdd: its energy grows by the power of torques less dampers
+    def path(s: Array) -> Array:
+        return q + s * qd + 0.5 * s**2 * qdd
+
     def energy(s: Array) -> Array:
-        path, rate = q + s * qd + 0.5 * s**2 * qdd, qd + s * qdd
-        KE = closed_form.kinetic_energy(mechanism, path, rate)
-        return KE + rows("PE", path)[..., 0]
+        return closed_form.kinetic_energy(mechanism, path(s), qd + s * qdd) + _potential(
+            rows, path(s)
+        )
 
     turning, bending = (np.abs(absolute_rates(mechanism, x)) for x in (qd, qdd))
     speed = _sharpness(rows.mechanism, q) * np.maximum(turning, np.sqrt(bending))
-    growth = along(energy, speed)
+    growth, bends = along(energy, speed), _bends(rows, path, speed)
     power = _dot(tau + Q - damping * qd, qd)
     rounding = 1e-3 * _top(energy(np.zeros((len(q), 1)))) * _top(speed)  # of such a difference
     size = max(scale * _top(qd), rounding)
-    return [*found, Identity(POWER, _relative(growth - power, size))]
+    return [*found, Identity(POWER, _relative((growth - power)[~bends], size))]
 
 
 def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
@@ -241,22 +252,65 @@ def _kinetic_energy(scene: Mechanism, q: Array, qd: Array) -> Array:
     return np.asarray(KE)
 
 
+def _potential(rows: RowValues, q: Array) -> Array:
+    """PE; nan beyond the rows of tables."""
+    try:
+        return np.asarray(rows("PE", q)[..., 0])
+    except TableLeftError:
+        known = within_tables(rows.mechanism, q)
+        found = np.full(len(q), np.nan)
+        found[known] = rows("PE", q[known])[..., 0]
+        return found
+
+
+def _bends(rows: RowValues, path: Callable[[Array], Array], speed: Array) -> NDArray[np.bool_]:
+    """Whether a row of a spring's table lies where differences are taken, (T,)."""
+    found = np.zeros(len(speed), bool)
+    if not rows.mechanism.has_tables:
+        return found
+    reach = len(WEIGHTS) * _step(speed)
+    ends = [rows("tables", path(s)) for s in (-reach, reach)]
+    for k, (table, _) in enumerate(rows.tables):
+        if table.over == "x":
+            below, above = (np.searchsorted(table.x, x[..., k]) for x in ends)
+            found |= (below != above) | (below == 0) | (below == len(table.x))
+    return found
+
+
+def within_tables(mechanism: Mechanism, q: Array) -> NDArray[np.bool_]:
+    """Which of the states q (T, n) no table of the scene ends before."""
+    found = np.ones(len(q), bool)
+    if mechanism.has_tables:
+        rows = rows_of(parts.acting, mechanism)
+        places = rows("tables", q)
+        for k, (table, _) in enumerate(rows.tables):
+            inside = (table.x[0] <= places[:, k]) & (places[:, k] <= table.x[-1])
+            found &= inside | table.repeats
+    return found
+
+
 def _sharpness(scene: Mechanism, q: Array) -> Array:
     """How much shorter steps must be where the ends of a spring are near, (T, 1)."""
     ends, reach = [x.between for x in scene.springs], sum(x.l for x in scene.description.links)
     lengths = np.linalg.norm(point_motion(scene, ends, q)[0], axis=-1)
     sharp = 2.0 * reach / np.maximum(lengths, 1e-300)
-    return np.asarray(sharp.max(axis=-1, initial=1.0)[:, None])
+    least = TABLED if any(isinstance(law, Table) for law in scene.laws) else 1.0
+    return np.asarray(sharp.max(axis=-1, initial=least)[:, None])
 
 
 def along(function: Callable[[Array], Any], speed: Array) -> Any:
     """d function(s)/ds at s = 0 for each state; steps shrink with the largest speed."""
-    fastest = np.abs(speed).max(axis=-1, keepdims=True)
-    step = STEP / np.where(fastest > 0.0, fastest, 1.0)
+    step = _step(speed)
     total: Any = 0.0
     for k, weight in enumerate(WEIGHTS, start=1):
         total = total + weight * (function(k * step) - function(-k * step))
     return total / step.reshape(step.shape[:1] + (1,) * (np.ndim(total) - 1))
+
+
+def _step(speed: Array) -> Array:
+    """That of differences, (T, 1)."""
+    fastest = np.abs(speed).max(axis=-1, keepdims=True)
+    return np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))
 
 
 def _negative_part(M: Array) -> float:

@@ -54,7 +54,12 @@ class Bodies(NamedTuple):
 
 
 def reactions(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, multipliers: ArrayLike
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    multipliers: ArrayLike,
+    t: ArrayLike = 0.0,
 ) -> Array:
     """The force on each link at its own joint, equation (2), (..., n, 2), N, ground axes.
 
@@ -70,7 +75,7 @@ def reactions(
     _, load = _motion(mechanism, q, qd, qdd)
     forces: Complex = -(load @ bodies_of(mechanism).below)
     if mechanism.springs or mechanism.forces:
-        on_links = rows_of(parts.acting, mechanism).planar("on links", q, qd)
+        on_links = rows_of(parts.acting, mechanism).planar("on links", q, qd, t)
         forces = forces - on_links @ mechanism.arrays.carried
     if mechanism.description.closures:
         forces = forces - pin_forces(mechanism, lam, q) @ [1, 1j] @ _sides(mechanism)
@@ -78,7 +83,12 @@ def reactions(
 
 
 def slide_moments(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, multipliers: ArrayLike
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    multipliers: ArrayLike,
+    t: ArrayLike = 0.0,
 ) -> Array:
     """The moment on each link that slides, about its origin, (..., slides), N m.
 
@@ -100,8 +110,12 @@ def slide_moments(
     for entry in mechanism.description.loads:
         if isinstance(entry, Moment):
             moments[..., entry.link] += entry.torque
+    if mechanism.varying_moments:
+        values = rows_of(parts.loaded, mechanism)("moments", q, qd, t)
+        for k, varying in enumerate(mechanism.varying_moments):
+            moments[..., varying.link] += values[..., k]
     if mechanism.springs or mechanism.forces:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd)
+        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, t)
         for k, spring in enumerate(mechanism.springs):
             ends = zip(spring.ends, (spring.first, spring.second), (1.0, -1.0), strict=True)
             for point, link, sign in ends:
@@ -132,13 +146,15 @@ def slide_moments(
     return np.stack(found, axis=-1) if found else np.zeros((*place.shape[:-1], 0))
 
 
-def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+def shaking_force(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
+) -> Array:
     """What the mechanism does to the ground, equation (3), (..., 3): Fx, Fy N, M N m.
 
     M is about the origin, counter-clockwise.  All joints that hang from the ground, closures to
     ground points, sliders, springs to the ground, and torques and dampers of ground joints are in
-    it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s.  Raises InputError for
-    arrays that do not fit.
+    it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s, at times t.
+    Raises InputError for arrays that do not fit.
     """
     place, load = _motion(mechanism, q, qd, qdd)
     force = load.sum(axis=-1)
@@ -147,8 +163,10 @@ def shaking_force(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayL
     moment = (place.conj() * load).imag.sum(axis=-1) + torques
     spinning = frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
     moment = moment - spinning @ bodies_of(mechanism).inertia + sum(_spun(mechanism, qdd))
+    if mechanism.varying_moments:
+        moment = moment + rows_of(parts.loaded, mechanism)("moments", q, qd, t).sum(axis=-1)
     if mechanism.forces:
-        F = rows_of(parts.loaded, mechanism).planar("forces", q)
+        F = rows_of(parts.loaded, mechanism).planar("forces", q, qd, t)
         arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
         force, moment = force + F.sum(axis=-1), moment + (arms.conj() * F).imag.sum(axis=-1)
     return np.stack([force.real, force.imag, moment], axis=-1)

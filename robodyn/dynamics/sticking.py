@@ -74,16 +74,18 @@ def touching(mechanism: Mechanism, q: Array, qd: Array) -> list[tuple[int, int]]
     ]
 
 
-def modes_of(mechanism: Mechanism, kind: str, states: Mapping[str, Array]) -> dict[Mode, list[int]]:
-    """The modes of states (k, n), and which of them have each."""
+def modes_of(
+    mechanism: Mechanism, kind: str, states: Mapping[str, Array], times: Array
+) -> dict[Mode, list[int]]:
+    """The modes of states (k, n) at times (k,), and which of them have each."""
     found: dict[Mode, list[int]] = {}
-    for k, (q, qd, third) in enumerate(zip(*states.values(), strict=True)):
+    for k, (q, qd, third, t) in enumerate(zip(*states.values(), times.tolist(), strict=True)):
         if kind == "inverse":
             mode = moving_mode(mechanism, q.tolist(), qd.tolist(), third.tolist())
         else:
             rests, least = resting(mechanism, qd), AT_REST * float(np.abs(qd).max(initial=0.0))
             touches = [x for x in touching(mechanism, q, qd) if abs(qd[x[0]]) <= least]
-            mode = mode_at(mechanism, q, qd, third, rests, touches).mode
+            mode = mode_at(mechanism, q, qd, third, rests, touches, t=t).mode
         found.setdefault(mode, []).append(k)
     return found
 
@@ -97,8 +99,9 @@ def mode_at(
     touches: Sequence[tuple[int, int]] = (),
     pushing: tuple[tuple[int, int], ...] | None = None,
     starting: tuple[int, int] | None = None,
+    t: float = 0.0,
 ) -> Standing:
-    """The mode in which a state goes on under the torques tau (n), and what stands still in it.
+    """The mode in which a state goes on under the torques tau (n) at t, and what stands still.
 
     The joints of `rests` stand still so far; `touches` are hard stops, joints and sides, at which
     joints stand still as well; `pushing` compliant ones that push, None: as the state tells.
@@ -118,7 +121,7 @@ def mode_at(
         ways = slips | {j: way for j, way in starts.items() if j in dry}
         own = tuple(j for j in still if j not in starts)
         mode = Mode(own, tuple(sorted(ways.items())), pushing)
-        missed = _missed(mechanism, mode, q, qd, tau, limits, starts)
+        missed = _missed(mechanism, mode, (q, qd, tau, t), limits, starts)
         if best is None or missed < best[0]:
             best = missed, Standing(_independent(mechanism, mode, q), own)
         if missed <= 0.0:
@@ -145,16 +148,18 @@ def _choices(
 def _missed(
     mechanism: Mechanism,
     mode: Mode,
-    q: Array,
-    qd: Array,
-    tau: Array,
+    state: tuple[Array, Array, Array, float],
     limits: dict[int, Bounds],
     starts: dict[int, int],
 ) -> float:
-    """By how much a choice contradicts itself, as a part of the forces; 0 where it does not."""
+    """By how much a choice contradicts itself, as a part of the forces; 0 where it does not.
+
+    `state` is q, qd, tau (n each) and t.
+    """
+    q, _, tau, _ = state
     choice = _independent(mechanism, mode, q)
     moving = in_mode(mechanism, choice)
-    solution = dynamics.forward_dynamics_and_forces(moving, q, qd, tau)
+    solution = dynamics.forward_dynamics_and_forces(moving, *state)
     scale = float(np.abs(solution.qdd).max(initial=0.0))
     worst = max(
         (-way * float(solution.qdd[j]) / (scale or 1.0) for j, way in starts.items()), default=0.0

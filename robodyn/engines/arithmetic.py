@@ -7,6 +7,7 @@ products and sums with them cost nothing.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,6 +16,11 @@ Value = Any
 Planar = tuple[Value, Value]
 
 ZERO: Planar = (0.0, 0.0)
+
+
+def chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
+    """One of the values, by the interval between increasing knots in which a number x is."""
+    return values[bisect_right(knots, x)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +35,11 @@ class Arithmetic:
     convolve: Callable[[Any, Any, int, int, int], Value] | None = None
     weigh: Callable[[Any, Any, int, int, int, float, Value], Value] | None = None
     room: Callable[[int], Any] = lambda orders: [0.0] * orders
+    chosen: Callable[[Value, Sequence[float], Sequence[float]], Value] = chosen
     keep: Callable[[Value], Value] = lambda value: value  # marks what is used again and again
 
 
-_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos")
+_FUNCTIONS = ("exp", "tanh", "sin", "cos", "sinh", "cosh", "log", "atan", "asin", "acos", "floor")
 FLOATS = Arithmetic(
     cos=math.cos,
     sin=math.sin,

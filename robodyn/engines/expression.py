@@ -20,7 +20,7 @@ Value = Union["Expression", float]
 # Cost of an operation in additions, for choosing between two ways to write a formula.
 COST = {"+": 1.0, "-": 1.0, "*": 1.0, "/": 1.5, "neg": 0.5}
 FUNCTIONS: tuple[str, ...] = ("sin", "cos", "tan", "sqrt", "exp", "log", "tanh", "sinh", "cosh")
-FUNCTIONS += ("atan", "asin", "acos")
+FUNCTIONS += ("atan", "asin", "acos", "floor")
 COST |= dict.fromkeys((*FUNCTIONS, "pow"), 4.0)
 COST |= {"abs": 0.5, "choose": 1.0, "atan2": 8.0, "rough": 2.0}
 INPUTS = ("var", "par")

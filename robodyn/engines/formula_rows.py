@@ -65,7 +65,9 @@ class FormulaRows:
         if wanted not in self._machine:
             formula = self.record(True)
             assert formula is not None
-            inputs = np.reshape(formula.inputs, (3, -1)).tolist()
+            wide = len(formula.inputs) // 3  # q, qd, and accelerations or torques; and the time
+            inputs = [list(formula.inputs[i : i + wide]) for i in range(0, 3 * wide, wide)]
+            inputs += [[name] for name in formula.inputs[3 * wide :]]
             ends = np.cumsum((0, *self.widths[:wanted]))
             pairs = pairwise(ends)
             outputs = [formula.outputs[a:b] for a, b in pairs]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 from robodyn.engines import expression
@@ -17,30 +16,15 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.frames import absolute as absolute
 from robodyn.engines.frames import relative, start
+from robodyn.engines.recorded_numbers import RECORDED as RECORDED
 from robodyn.engines.series import Arithmetic, Planar, Series, conjugate_times
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.force_rows import PointForce
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Given, Program, Slot
+from robodyn.scene.scene import Table
 
 MAX_GENERATED = 12  # links; beyond, dense algebra costs less than recording and running code
-
-
-def _power(a: Value, exponent: float) -> Value:
-    """a to a constant exponent, by a square root where that serves."""
-    if abs(exponent) != 0.5:
-        return expression.power(a, exponent)
-    root = expression.call("sqrt", a)
-    return root if exponent > 0.0 else 1.0 / root
-
-
-RECORDED = Arithmetic(
-    cos=expression.cos,
-    sin=expression.sin,
-    power=_power,
-    keep=expression.keep,
-    functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},
-)
 
 
 def anything(i: int) -> float:
@@ -84,9 +68,12 @@ class Recorded:
         self.graph, self.arithmetic = graph or Graph(), arithmetic
         self.torques: list[Slot | None] = []
         self.forces: list[PointForce] = []
+        self.moments: list[Slot] = []  # those that vary
+        self.tables: list[tuple[Table, Slot]] = []
         n = mechanism.n
         names = ("q", *rates)
         self.inputs = tuple(f"{name}{k}" for name in names for k in range(n))
+        self.timed = ("t",) if mechanism.timed else ()  # an input more, where loads ask for it
         self.relative: dict[str, list[Value]] = {
             name: [self.graph.variable(f"{name}{k}") for k in range(n)] for name in names
         }
@@ -122,20 +109,24 @@ class Recorded:
         links = self.absolute("q"), self.absolute("qd")
         state = start(mechanism, self.arithmetic, joints, links, turn, accelerations)
         self.E, driven = state.E, []
+        if self.timed:
+            state.given["t"] = self.graph.variable("t"), 1.0
         for j in range(mechanism.n):
             tau = self.relative["tau"][j] if torques is None else torques[j]
             state.given[f"tau{j}"] = (tau,)
             driven.append(program.add(Given(f"tau{j}")) if some(tau) else None)
         equations.write(driven, power, chained=chained)
         self.torques, self.forces = equations.torques, equations.forces
+        self.moments, self.tables = equations.varying_moments, equations.tables
         slots = [x for name in ("gap", "load", "power") for x in program.named.get(name, [])]
+        slots += [*self.moments, *(x for _, x in self.tables)]
         return Series(
             program,
             self.arithmetic,
             self.numbers(program),
             orders,
             state,
-            slots=slots + [x.force for x in self.forces if x.force is not None],
+            slots=[*slots, *(x.force for x in self.forces if x.force is not None)],
             grounded=self.by_direction,
         )
 
@@ -200,7 +191,7 @@ def inverse_of(state: Recorded) -> Formula:
     series.residuals(0)
     load, Psi = balance(state, series), joint_jacobian(state, series)
     if not mechanism.rows:
-        return Formula(state.inputs, tuple(load), ())
+        return Formula(state.inputs + state.timed, tuple(load), ())
     # passive joints: load_p = Psi_p^T lambda; then tau_a = load_a - Psi_a^T lambda
     columns = [[row[p] for row in Psi] for p in mechanism.passive]
     right = [load[p] for p in mechanism.passive]
@@ -219,7 +210,7 @@ def inverse_of(state: Recorded) -> Formula:
         tau[k] = load[k]
         for row, multiplier in zip(Psi, multipliers, strict=True):
             tau[k] = tau[k] - row[k] * multiplier
-    return Formula(state.inputs, (*tau, *multipliers), pivots)
+    return Formula(state.inputs + state.timed, (*tau, *multipliers), pivots)
 
 
 def balance(state: Recorded, series: Series) -> list[Value]:
@@ -246,6 +237,8 @@ def forward_formula(
     parameters: bool = False,
 ) -> Formula | None:
     """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
+
+    The time t is an input more where loads depend on it.
 
     With `power` that of torques and of what else has no potential follows.  Constant `torques` (n)
     are folded in.  A `baumgarte` rate b (1/s) makes the closures obey gapdd + 2 b gapd + b^2 gap
@@ -288,7 +281,8 @@ def _forward(
     own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
     if power and not own_power:
         own_power = [0.0]
-    return Formula(state.inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+    inputs = state.inputs + state.timed
+    return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
 
 
 def projection_formula(mechanism: Mechanism, generic: bool = False) -> Formula | None:

@@ -274,7 +274,7 @@ class _Step(Items):
     def _shorten(self, go: Word, h: Word, small: Word) -> None:
         """Halve the step until the torque at its end is that of the series.
 
-        And in its middle, where friction may turn over and back.
+        And in its middle, where friction or a table may turn over and back.
         """
         k, scene = self.k, self.scene
         fast = self._fastest(k.number(0.0))
@@ -285,7 +285,7 @@ class _Step(Items):
             self.put("miss", k.divide(miss, now))
             self.call("compare")
             agrees = self.get("agrees")
-            if scene.mechanism.rubs:
+            if scene.mechanism.bends_inside:
                 self.reach(k.multiply(now, k.number(0.5)))
                 self.call("compare")
                 agrees = k.multiply(agrees, self.get("agrees"))

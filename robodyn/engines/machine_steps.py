@@ -84,7 +84,7 @@ class Scene:
         self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
         self.values |= kept or {}
         shapes = [program.shape, mechanism.above, mechanism.order, order, work, self.closes]
-        shapes += [bool(mechanism.rubs), self.linear, rate_series, link, list(kept or ())]
+        shapes += [mechanism.bends_inside, self.linear, rate_series, link, list(kept or ())]
         shapes.append([bool(x) for x in actuation.constants or ()])
         if self.closes:
             closing = EquationsOfMotion(mechanism)

@@ -16,15 +16,31 @@ from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, 
 from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
+from robodyn.errors import RobodynError
+from robodyn.mechanics import parts
 from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.program import finite
+from robodyn.scene.scene import Table, signal_place
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 LONGEST = 300  # characters of a statement
+NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end
 DIRECTED = ("torques", "forces", "on links")  # they are lost where a spring has no direction
+
+
+class TableLeftError(RobodynError):
+    """A state lies beyond the rows of a table."""
+
+    def __init__(self, mechanism: Mechanism, table: Table, x: float) -> None:
+        name = table.over if table.over in ("t", "x") else f"q{int(table.over[1:]) + 1}"
+        place = signal_place(mechanism.description, table)
+        limit = f"the rows of {table.file} end: they go from {table.x[0]:g} to {table.x[-1]:g}"
+        what = f"{place}: {name}"
+        super().__init__(what, where=mechanism.source, value=f"{x:.9g}", limit=limit)
 
 
 class _Code:
@@ -47,6 +63,7 @@ class RowValues:
 
     "torques" (n) are what joints must carry, N m; "forces" (2p) those of springs between points
     (on the first end), then of loads, and "on links" (2n) their sums, x and y side by side, N;
+    "tables" are what they are over, "moments" the torques on links that vary, N m;
     "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
     """
 
@@ -54,11 +71,15 @@ class RowValues:
         self.mechanism = mechanism
         self._recorded = Recorded(mechanism, ("qd",), by_direction=True)
         self._codes: dict[str, _Code] = {}
+        self._has_tables = mechanism.has_tables
 
-    def __call__(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Array:
+    def __call__(
+        self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
+    ) -> Array:
         """The values (..., k) at q and qd (..., n), which broadcast; at rest unless qd is given.
 
-        Raises SingularError where the ends of a spring that needs a direction coincide.
+        The time t (...) is that of loads.  Raises SingularError where the ends of a spring that
+        needs a direction coincide, InputError where a table has ended.
         """
         if name not in self._codes:
             self._codes[name] = _Code(self._formula(name))
@@ -67,29 +88,45 @@ class RowValues:
         q, qd = np.broadcast_arrays(np.asarray(q, float), rates)
         widths = len(code.formula.outputs), len(code.formula.pivots)
         shape = (*q.shape[:-1], widths[0])
+        states = [x.reshape(-1, n) for x in (q, qd)]
+        if self._recorded.timed:
+            states.append(np.broadcast_to(np.asarray(t, float), q.shape[:-1]).reshape(-1, 1))
         if q.size == n:
             try:
-                found = code.floats(*q.ravel().tolist(), *qd.ravel().tolist())
-                return np.array(found).reshape(shape)
-            except ZeroDivisionError:
+                found = code.floats(*(x for state in states for x in state.ravel().tolist()))
+                if not self._has_tables or finite(list(found)):
+                    return np.array(found).reshape(shape)
+            except (ArithmeticError, ValueError):
                 pass  # arrays say where
-        states = [x.reshape(-1, n) for x in (q, qd)]
         values, squares = (np.empty((len(states[0]), k)) for k in widths)
         array_blocks.evaluate(*code.arrays, states, (values, squares))
         lost = np.argwhere(squares == 0.0)
         if lost.size:
             raise no_direction(self.mechanism, list(self._squares())[lost[0, -1]])
+        if self._has_tables and name != "tables" and not np.isfinite(values).all():
+            self.check_tables(q, qd, t)
         return values.reshape(shape)
 
-    def planar(self, name: str, q: ArrayLike, qd: ArrayLike | None = None) -> Complex:
+    def check_tables(self, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> None:
+        """Raise TableLeftError where a table does not reach to one of the states."""
+        places = self("tables", q, qd, t)
+        for k, (table, _) in enumerate(self._recorded.tables):
+            x = places[..., k][np.isfinite(places[..., k])]
+            out = x[(x < table.x[0]) | (x > table.x[-1])]
+            if out.size and not table.repeats:
+                raise TableLeftError(self.mechanism, table, float(out.flat[0]))
+
+    def planar(
+        self, name: str, q: ArrayLike, qd: ArrayLike | None = None, t: ArrayLike = 0.0
+    ) -> Complex:
         """What comes as x and y, as complex numbers (..., k/2)."""
-        found = self(name, q, qd)
+        found = self(name, q, qd, t)
         return found[..., ::2] + 1j * found[..., 1::2]
 
     def _formula(self, name: str) -> Formula:
         rows = tuple(self._values(name))
         squares = tuple(self._squares().values()) if name in DIRECTED else ()
-        return Formula(self._recorded.inputs, rows, squares)
+        return Formula(self._recorded.inputs + self._recorded.timed, rows, squares)
 
     def _values(self, name: str) -> Sequence[Value]:
         match name:
@@ -99,11 +136,22 @@ class RowValues:
                 return [x for force in self._forces() for x in force]
             case "on links":
                 return [x for force in self._on_links() for x in force]
+            case "tables":
+                real = self._series.real
+                return [real[slot][0] for _, slot in self._recorded.tables]
+            case "moments":
+                real = self._series.real  # which has them written
+                return [real[slot][0] for slot in self._recorded.moments]
             case "PE":
                 q, qd = (self._recorded.relative[x] for x in ("q", "qd"))
                 return [energies(self.mechanism, float, q, qd)[1] + self.mechanism.energy_offset]
         real, named = self._series.real, self._series.program.named
         return [real[slot][0] for slot in named[name]] or [0.0]  # without power where none acts
+
+    @property
+    def tables(self) -> list[tuple[Table, int]]:
+        """Those that are asked for what they are over."""
+        return self._recorded.tables
 
     @cached_property
     def _series(self) -> Series:
@@ -132,6 +180,18 @@ class RowValues:
         """|d|^2 of each spring that needs a direction, by its place."""
         real, forces = self._series.real, enumerate(self._recorded.forces)
         return {k: real[x.square][0] for k, x in forces if x.square is not None}
+
+
+def near_table_end(mechanism: Mechanism, q: Array, qd: Array, t: float) -> str:
+    """Which table ends next to a state (n,), where one does, in words; else nothing."""
+    rows = rows_of(parts.acting, mechanism)
+    places = rows("tables", q, qd, t)
+    for (table, _), x in zip(rows.tables, places.tolist(), strict=True):
+        first, last = table.x[0], table.x[-1]
+        left = min(abs(x - first), abs(x - last)) / (last - first)
+        if not table.repeats and left <= NEAR_END:
+            return f"it leaves the table: {TableLeftError(mechanism, table, x)}"
+    return ""
 
 
 @lru_cache(maxsize=64)

@@ -42,6 +42,7 @@ from robodyn.mechanics.program import (
     Scaled,
     Slide,
     Slot,
+    Step,
     Sum,
     Turn,
     Unknown,
@@ -110,12 +111,23 @@ class Rules(Frames):
                 return over(known, m) / real[x][0]
             case Function(name=name, x=x):
                 return self._function(slot, name, real[x], m)
+            case Step(x=x):
+                return self._stepped(row, real[x][0]) if m == 0 else 0.0
             case Primitive(name=name, x=x, density=y):
                 if m == 0:
                     return self.arithmetic.functions[name](real[x][0])
                 known = self.weigh(real[slot], real[y], m, 1, m - 1, 1.0, 0.0)
                 return difference(real[x][m], over(known, m)) / real[y][0]
         raise AssertionError(row)
+
+    def _stepped(self, row: Step, x: Value) -> Value:
+        """The value of x's interval."""
+        arithmetic = self.arithmetic
+        if not row.period:
+            return arithmetic.chosen(x, row.knots, row.values)
+        periods = arithmetic.functions["floor"]((x - row.first) / row.period)
+        value = arithmetic.chosen(x - row.period * periods, row.knots, row.values)
+        return plus(value, times(row.rise, periods))
 
     def _accumulate(self, total: Value, c: Coefficient, value: Value) -> Value:
         """total + c value, with the sign of a coefficient 1 or -1 free."""

@@ -71,6 +71,8 @@ class Segment:
                 return k.intrinsic("sqrt", a)
             case "abs":
                 return k.intrinsic("fabs", a)
+            case "floor":
+                return k.intrinsic("floor", a)
             case "keep":
                 return a
             case "choose":

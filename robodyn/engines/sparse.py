@@ -15,7 +15,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
 from robodyn.dynamics.closed_form import other_forces
-from robodyn.engines.row_values import rows_of
+from robodyn.engines.row_values import TableLeftError, rows_of
 from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics import parts
@@ -82,7 +82,9 @@ class SparseMechanism:
         direction: NDArray[np.complex128] = np.exp(1j * (self.J @ q))
         return direction
 
-    def accelerations(self, y: Array, tau: Array, baumgarte: float) -> tuple[Array, float]:
+    def accelerations(
+        self, y: Array, tau: Array, baumgarte: float, t: float
+    ) -> tuple[Array, float]:
         """qdd (n) and the ratio of the factorisation's pivots, small where it is near singular."""
         n = self.n
         E = self.directions(y[:n])
@@ -91,7 +93,7 @@ class SparseMechanism:
         w = E[self.j].conj() * self.A * E[self.k]
         joint = tau - self.damping * y[n : 2 * n]
         if self.mechanism.has_state_forces:
-            joint -= rows_of(parts.acting, self.mechanism)("torques", y[:n], y[n : 2 * n])
+            joint -= rows_of(parts.acting, self.mechanism)("torques", y[:n], y[n : 2 * n], t)
         force: Array = joint - (self.weight * E).imag + self.moments
         force = force - np.bincount(self.above, joint[self.child], minlength=n)
         j, k, turning = self.j[self.off], self.k[self.off], w.imag[self.off]
@@ -182,15 +184,17 @@ def rates(
         if not np.isfinite(tau).all():
             return np.full(len(y), np.nan)
         try:
-            qdd, ratio = system.accelerations(y, tau, baumgarte)
+            qdd, ratio = system.accelerations(y, tau, baumgarte, t)
         except RuntimeError:  # splu: exactly singular
             ratio = 0.0
+        except TableLeftError:
+            return np.full(len(y), np.nan)
         if not ratio > SINGULAR:
             result: Array = fallback(t, y)
             return result
         qd = y[n : 2 * n]
         if work and forced:
-            tau = tau + other_forces(system.mechanism, y[:n], qd)
+            tau = tau + other_forces(system.mechanism, y[:n], qd, t)
         power = [tau @ qd - system.damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

@@ -23,7 +23,7 @@ from functools import cached_property
 from typing import Any
 
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of
-from robodyn.errors import printable
+from robodyn.errors import InputError, printable
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.grammar import FORMS, NUMBERS
 from robodyn.scene.scene import (
@@ -36,6 +36,8 @@ from robodyn.scene.scene import (
     Moment,
     Point,
     Spring,
+    signals_of,
+    told,
 )
 
 ATTRIBUTES = {  # of a scene's entries, where the keys of the file are called otherwise
@@ -76,6 +78,9 @@ class Parameters:
 
     def __init__(self, mechanism: Mechanism) -> None:
         description = self.description = mechanism.description
+        for place, signal in signals_of(description):
+            limit = "equations have springs that are linear and loads that are constant alone"
+            raise InputError(place, where=description.source, value=told(signal), limit=limit)
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
         self._points: dict[Point, Planar] = {}
@@ -259,7 +264,7 @@ class Parameters:
         letters, _, meaning = key.symbol.partition(": ")
         named, place = f"{letters}{k + 1}", (k if link is None else link, letters)
         meaning = meaning.replace("{}", told)
-        if key.kind in NUMBERS:
+        if key.kind in NUMBERS or key.kind == "varying":
             optional = key.default == "0" and not value
             return ZERO if optional else self._symbol(named, place, value, key.unit, meaning)
         if key.kind == "centre" and value.imag == 0.0:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from robodyn import __version__
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Description, Link
+from robodyn.scene.scene import Description, Link, signals_of, told
 
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})
@@ -116,6 +116,9 @@ def refuse_unsaid(
                 raise InputError(
                     f"{place}{key}", where=description.source, value=shown, limit=limit
                 )
+    for place, signal in signals_of(description):
+        limit = f"{format} cannot say it: its springs are linear and its loads constant"
+        raise InputError(place, where=description.source, value=told(signal), limit=limit)
 
 
 def document(root: ElementTree.Element, lines: Iterable[str]) -> str:

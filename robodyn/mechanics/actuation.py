@@ -1,15 +1,12 @@
 """Where a simulation's torque comes from: constants, expressions of t, q, qd, or a table.
 
 Each source becomes lines of Python that the generated right-hand side contains; constants are
-folded into it.  Expressions are parsed and rewritten from a white list of syntax and names, so
-that nothing but arithmetic can run.
+folded into it.  How expressions are read is told in `scene/expressions.py`.
 """
 
 from __future__ import annotations
 
-import ast
 import math
-import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,49 +16,19 @@ from typing import TYPE_CHECKING
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import Control, Steps
+from robodyn.scene.expressions import FUNCTIONS as FUNCTIONS
+from robodyn.scene.expressions import (
+    MAX_LENGTH,
+    SCOPE,
+    Change,
+    NotAllowedError,
+    Written,
+    state_names,
+    value_of,
+)
 
 if TYPE_CHECKING:
     from robodyn.mechanics.torque_times import Pieces
-
-_NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
-
-
-def _sign(x: float) -> float:
-    return math.copysign(1.0, x) if x else 0.0
-
-
-def _exp(x: float) -> float:
-    try:
-        return math.exp(x)
-    except OverflowError:  # so that 1/(1 + exp(x)) goes on to 0
-        return math.inf
-
-
-def _cosh(x: float) -> float:
-    return 0.5 * (_exp(x) + _exp(-x)) if abs(x) > 700.0 else math.cosh(x)
-
-
-def _sinh(x: float) -> float:
-    return 0.5 * (_exp(x) - _exp(-x)) if abs(x) > 700.0 else math.sinh(x)
-
-
-def _floor(x: float) -> float:
-    return float(math.floor(x))
-
-
-FUNCTIONS: dict[str, Callable[..., float]] = {name: getattr(math, name) for name in _NAMES.split()}
-FUNCTIONS |= {"abs": abs, "min": min, "max": max, "sign": _sign, "floor": _floor, "exp": _exp}
-FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
-# math.pow: a root of a negative number is outside its domain, not complex
-_SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
-_SCOPE["_pow"] = math.pow
-CONSTANTS = {"pi": math.pi, "e": math.e}
-MAX_LENGTH = 2000  # characters of one expression
-MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
-
-_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod)
-_ARGUMENTS = {"atan2": (2, 2), "hypot": (1, 9), "log": (1, 2), "min": (2, 99), "max": (2, 99)}
-_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 
 
 @dataclass(frozen=True)
@@ -135,33 +102,24 @@ def expressions(
     mechanism: Mechanism,
     text: str,
     where: str,
-    driving: Callable[[list[ast.expr]], list[ast.expr]] | None = None,
+    driving: Change | None = None,
 ) -> Actuation:
     """Torques from comma-separated expressions in t, q1.., qd1.., one an actuated joint, N m.
 
     `driving` makes torques of what the expressions are, if they are none.  Raises InputError for
     anything but arithmetic, comparisons, `a if b else c`, the functions above, pi and e.
     """
-    if len(text) > MAX_LENGTH:
-        raise InputError("expression", where=where, limit=f"is longer than {MAX_LENGTH} characters")
+    rename, known = state_names(mechanism.n)
     try:
-        line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
-        if line.endswith(","):
-            raise SyntaxError("an expression is missing at the end")
-        if not line.isascii():  # Python would take other scripts' letters for our own
-            raise SyntaxError("a character is not ASCII")
-        with warnings.catch_warnings():  # what Python warns of it will not take one day
-            warnings.simplefilter("error")
-            tree = ast.parse(line, mode="eval").body
-        nodes = tree.elts if isinstance(tree, ast.Tuple) else [tree]
-        nodes = nodes if driving is None else driving(nodes)
-        writer = _Writer(mechanism.n, where)
-        written = [ast.unparse(writer.write(node)) for node in nodes]
-        for code in written:
-            compile(code, "<torque>", "eval")  # Python has limits of its own
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        reason = getattr(error, "msg", None) or str(error)
-        raise InputError(repr(text), where=where, limit=f"is no expression: {reason}") from None
+        writer = Written(text, rename, known, driving)
+    except NotAllowedError as error:
+        if len(text) > MAX_LENGTH:
+            limit = f"is longer than {MAX_LENGTH} characters"
+            raise InputError("expression", where=where, limit=limit) from None
+        raise InputError(f"torque expression does not allow {error}", where=where) from None
+    except ValueError as error:
+        raise InputError(repr(text), where=where, limit=f"is no expression: {error}") from None
+    written = writer.codes
     if not writer.names:
         values = [_constant(code, text, where) for code in written]
         return constant(mechanism, values)
@@ -179,7 +137,7 @@ def expressions(
         raise InputError("tau", where=where, value=f"{len(written)} expressions", limit=limit)
     lines = [f"tau{k} = {code}" for k, code in zip(targets, written, strict=True)]
     lines += [f"tau{k} = 0.0" for k in range(mechanism.n) if k not in set(targets)]
-    return Actuation(None, tuple(lines), dict(_SCOPE))
+    return Actuation(None, tuple(lines), dict(SCOPE))
 
 
 def table(
@@ -247,87 +205,12 @@ def callback(
     return Actuation(None, (f"{targets}= _torques(t, ({state}))",), {"_torques": torques})
 
 
-class _Writer:
-    """Rewrites a parsed expression as Python over the generated code's names; refuses the rest."""
-
-    def __init__(self, n: int, where: str) -> None:
-        self.n = n
-        self.where = where
-        self.names: set[str] = set()
-
-    def write(self, node: ast.expr) -> ast.expr:
-        match node:
-            case ast.Constant(value=bool()):
-                pass
-            case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
-                return ast.Constant(_float(value))
-            case ast.Name(id=name):
-                return self.name(name)
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
-                return ast.UnaryOp(op, self.write(operand))
-            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
-                sides = [self.write(left), self.write(right)]
-                if not isinstance(op, ast.Pow):
-                    return ast.BinOp(sides[0], op, sides[1])
-                if _exponent(right) > MAX_POWER:
-                    raise self.refuse(f"an exponent above {MAX_POWER:g}")
-                if _exponent(right).is_integer():
-                    return ast.BinOp(sides[0], op, sides[1])
-                return ast.Call(ast.Name("_pow"), sides, [])
-            case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(
-                op, _COMPARISONS
-            ):
-                return ast.Compare(self.write(left), [op], [self.write(right)])
-            case ast.IfExp(test=test, body=body, orelse=orelse):
-                return ast.IfExp(self.write(test), self.write(body), self.write(orelse))
-            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                least, most = _ARGUMENTS.get(name, (1, 1))
-                if not least <= len(args) <= most:
-                    raise self.refuse(f"{len(args)} arguments of {name}")
-                return ast.Call(ast.Name(f"_{name}"), [self.write(x) for x in args], [])
-            case ast.Call(func=ast.Name(id=name)):
-                raise self.refuse(f"function {name}; known: {', '.join(FUNCTIONS)}")
-        raise self.refuse(f"`{ast.unparse(node)[:80]}`")
-
-    def name(self, name: str) -> ast.expr:
-        if name in CONSTANTS:
-            return ast.Constant(CONSTANTS[name])
-        kind = name.rstrip("0123456789")
-        number = name[len(kind) :]
-        if name == "t" or (kind in ("q", "qd") and number.isdigit() and 1 <= int(number) <= self.n):
-            self.names.add(name)
-            return ast.Name(name if name == "t" else f"{kind}{int(number) - 1}")
-        raise self.refuse(f"name {name}; known: t, q1..q{self.n}, qd1..qd{self.n}, pi, e")
-
-    def refuse(self, what: str) -> InputError:
-        return InputError(f"torque expression does not allow {what}", where=self.where)
-
-
 def _constant(code: str, text: str, where: str) -> float:
-    scope: dict[str, object] = {"__builtins__": {}}
-    scope |= _SCOPE
     try:
-        value = float(eval(code, scope))
-    except (ArithmeticError, ValueError, TypeError) as error:
+        value = value_of(code)
+    except (ArithmeticError, ValueError) as error:
         limit = f"is no real number: {error}"
         raise InputError(repr(text), where=where, limit=limit) from None
     if not math.isfinite(value):
         raise InputError(repr(text), where=where, value=value, limit="must be finite")
     return value
-
-
-def _float(value: float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _exponent(node: ast.expr) -> float:
-    while isinstance(node, ast.UnaryOp):
-        node = node.operand
-    return (
-        _float(node.value)
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float)
-        else 0.5  # may be any: no whole number
-    )

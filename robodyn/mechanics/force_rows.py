@@ -13,7 +13,9 @@ and that of a joint which slips one way (way = 1 or -1) loses besides
 
     way (torque + (static - torque) exp(-(qd/stribeck)^2)),
 
-the force along its axis where the joint slides.
+the force along its axis where the joint slides.  A spring with a law F pulls by F(x, v) in the
+place of k x, with its extension x = sqrt(s) - L or q - angle, and v = x'.  Loads that vary are
+signals in place of numbers.
 
 A new kind of force or of joint torque is a few more rows here: what it does, the energy that it
 holds, or its power.
@@ -25,7 +27,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from robodyn.mechanics.planar_model import Mechanism, PlanarPoint, PointSpring
+from robodyn.mechanics.planar_model import (
+    Force,
+    Mechanism,
+    PlanarPoint,
+    PointSpring,
+    conserves,
+)
 from robodyn.mechanics.program import (
     Anchored,
     Coefficient,
@@ -45,8 +53,10 @@ from robodyn.mechanics.program import (
     Scaled,
     Slide,
     Slot,
+    Sum,
     Turn,
 )
+from robodyn.scene.scene import JointSpring, Signal, Table
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -139,6 +149,8 @@ class ForceRows(LinkRows):
         super().__post_init__()
         self.torques: list[Slot | None] = [None] * self.mechanism.n
         self.forces: list[PointForce] = []
+        self.varying_moments: list[Slot] = []
+        self.tables: list[tuple[Table, Slot]] = []  # and what they are over
         self.F: list[list[PlanarTerm]] = [[] for _ in self.x]
         self.constants = [-weight.conjugate() for weight in self.mechanism.weights]
         self.moments: list[list[Term]] = [[] for _ in self.x]
@@ -148,6 +160,8 @@ class ForceRows(LinkRows):
         """What the springs hold."""
         program, number = self.program, self.program.number
         for spring in self.mechanism.springs:
+            if spring.law is not None and conserves(spring.law):
+                yield 1.0, self._stored(spring.law, self._longer(spring))
             if spring.stiffness:
                 d = self.point(spring.between)
                 square = program.add(Inner(d, d))
@@ -157,8 +171,41 @@ class ForceRows(LinkRows):
                     square = program.add(Product(longer, longer))
                 yield number(0.5 * spring.stiffness), square
         for turned in self.mechanism.joint_springs:
+            if turned.law is not None and conserves(turned.law):
+                yield 1.0, self._stored(turned.law, self._turned(turned))
+            if not turned.stiffness:
+                continue
             way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
             yield number(0.5 * turned.stiffness), program.add(Product(way, way))
+
+    def _longer(self, spring: PointSpring) -> Slot:
+        """Its length less the free one."""
+        d = self.point(spring.between)
+        reach = self.program.add(Power(self.program.add(Inner(d, d)), 0.5))
+        return self.program.sum((1.0, reach), constant=self.program.number(-spring.length))
+
+    def _turned(self, spring: JointSpring) -> Slot:
+        """How far its joint is from where it is free."""
+        free = self.program.number(-spring.angle)
+        return self.program.sum((1.0, self.q(spring.joint)), constant=free)
+
+    def _stored(self, law: Signal, x: Slot) -> Slot:
+        """The energy of a spring at its extension x."""
+        from robodyn.mechanics.signal_rows import stored_energy  # only scenes with laws import it
+
+        return stored_energy(self, law, x)
+
+    def _signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
+        """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
+        from robodyn.mechanics.signal_rows import signal_rows, table_place
+
+        if isinstance(signal, Table):
+            self.tables.append((signal, table_place(self, signal) if x is None else x))
+        own = {} if x is None else {"x": x, "v": self.program.add(Derivative(x))}
+        slot, watched = signal_rows(self, signal, own)
+        for each, scale in watched:
+            self._bends(each, arm * scale)
+        return slot
 
     def _scene_forces(self, work: bool) -> None:
         program = self.program
@@ -166,7 +213,18 @@ class ForceRows(LinkRows):
             if spring.directed and not (spring.between.terms or spring.between.constant):
                 raise NoDirection(place)
             self._spring(spring, work)
+        for moment in self.mechanism.varying_moments:
+            d = self.mechanism.frames[moment.link]
+            torque = self._signal(moment.signal, 1.0)
+            self.varying_moments.append(torque)
+            if d is not None:
+                self.moments[d].append((-1.0, torque))
+                if work:
+                    self.power.append((1.0, program.add(Product(torque, self.w(d)))))
         for load in self.mechanism.forces:
+            if load.signals is not None:
+                self._varying_force(load, load.signals, work)
+                continue
             frame = self.mechanism.frames[load.link] if load.turns else None
             E = None if frame is None else self.x[frame]  # without it it is among the weights
             self._act(load.point, PointForce(load.force, E, load.link))
@@ -174,6 +232,26 @@ class ForceRows(LinkRows):
                 turned = program.planar_sum((program.planar_number(load.force), E))
                 moving = program.add(Derivative(self.point(load.point)))
                 self.power.append((1.0, program.add(Inner(turned, moving))))
+
+    def _varying_force(
+        self, load: Force, signals: tuple[Signal | float, Signal | float], work: bool
+    ) -> None:
+        program, number, point = self.program, self.program.planar_number, load.point
+        frame = self.mechanism.frames[load.link] if load.turns else None
+        force: list[PlanarTerm] = []
+        for unit, signal in zip((load.turned, 1j * load.turned), signals, strict=True):
+            if isinstance(signal, float):
+                slot = program.add(Sum(program.number(signal), ()))
+            else:
+                slot = self._signal(signal, _reach(point))
+            if frame is not None:
+                slot = program.add(Scaled(slot, self.x[frame]))
+            force.append((number(unit), slot))
+        acting = program.planar_sum(*force)
+        self._act(point, PointForce(1.0, acting, load.link))
+        if work and point.terms:
+            moving = program.add(Derivative(self.point(point)))
+            self.power.append((1.0, program.add(Inner(acting, moving))))
 
     def _act(self, point: PlanarPoint, acting: PointForce) -> None:
         """A force at a point: F_k -= conj(c_k) f."""
@@ -187,6 +265,14 @@ class ForceRows(LinkRows):
         program, number, place = self.program, self.program.number, spring.between
         d = self.point(place)
         pull: list[Term] = []
+        if spring.law is not None:
+            longer = self._longer(spring)
+            tension = self._signal(spring.law, _reach(place), longer)
+            distance = program.add(Power(program.add(Inner(d, d)), 0.5))
+            pull.append((-1.0, program.add(Quotient(tension, distance))))
+            if work and place.terms and not conserves(spring.law):
+                rate = program.add(Derivative(longer))
+                self.power.append((-1.0, program.add(Product(tension, rate))))
         s = program.add(Inner(d, d)) if spring.directed else None
         if s is not None and spring.length and spring.stiffness:
             pull.append((number(spring.stiffness * spring.length), program.add(Power(s, -0.5))))
@@ -203,18 +289,17 @@ class ForceRows(LinkRows):
             unit, force = 1.0, program.add(Scaled(factor, d))
         self._act(place, PointForce(unit, force, spring.first, spring.second, s))
         if pull and place.terms:
-            reach = abs(place.constant) + sum(abs(c) for _, c in place.terms)
             for along in ((1.0, 0.0), (0.0, -1.0)):  # its parts stay finite where d passes 0
                 part = program.add(RealPart(program.planar_sum((along, force))))
-                self._bends(part, reach)
+                self._bends(part, _reach(place))
 
     def _joints(self, torques: Sequence[Slot | None], work: bool, steady: bool) -> None:
         """Torques at the joints: what a link gets its parent gives."""
         program, number, mechanism = self.program, self.program.number, self.mechanism
         friction = dict(mechanism.friction)
-        springs: dict[int, list[tuple[float, float]]] = {}
+        springs: dict[int, list[JointSpring]] = {}
         for spring in mechanism.joint_springs:
-            springs.setdefault(spring.joint, []).append((spring.stiffness, spring.angle))
+            springs.setdefault(spring.joint, []).append(spring)
         for j, tau in enumerate(torques):
             acting: list[Term] = []  # all of this changes the energy
             if tau is not None:
@@ -228,13 +313,22 @@ class ForceRows(LinkRows):
                 smooth = program.add(Function("tanh", slow))
                 acting.append((number(-friction[j].torque), smooth))
                 self._bends(smooth, friction[j].torque)
+            laws = ((spring, spring.law) for spring in springs.get(j, []))
+            pulls = [
+                ((-1.0, self._signal(law, 1.0, self._turned(spring))), conserves(law))
+                for spring, law in laws
+                if law is not None
+            ]
+            acting += [pull for pull, stored in pulls if not stored]
             if work:
                 working = acting[1:] if steady and tau is not None else acting
                 self.power += [(c, program.add(Product(x, self.v(j)))) for c, x in working]
+            acting += [pull for pull, stored in pulls if stored]
             constant = self._slipping(j, acting, work)
-            for stiffness, angle in springs.get(j, []):
-                acting.append((number(-stiffness), self.q(j)))
-                constant += stiffness * angle
+            for spring in springs.get(j, []):
+                if spring.stiffness:
+                    acting.append((number(-spring.stiffness), self.q(j)))
+                    constant += spring.stiffness * spring.angle
             if acting or constant:
                 self.torques[j] = program.sum(*acting, constant=number(constant))
 
@@ -259,3 +353,8 @@ class ForceRows(LinkRows):
         """A slot whose series may hold only in part of a step, and what makes a torque of it."""
         self.program.named["bends"].append(slot)
         self.program.arms[slot] = arm
+
+
+def _reach(point: PlanarPoint) -> float:
+    """How far a point may be from the origin at most, m: the arm of a force there."""
+    return abs(point.constant) + sum(abs(c) for _, c in point.terms)

@@ -39,6 +39,7 @@ from robodyn.mechanics.planar_model import OnDemand as OnDemand
 from robodyn.mechanics.planar_model import PlanarPoint as PlanarPoint
 from robodyn.mechanics.planar_model import PointSpring as PointSpring
 from robodyn.mechanics.planar_model import Rotor as Rotor
+from robodyn.mechanics.planar_model import VaryingMoment as VaryingMoment
 from robodyn.mechanics.planar_model import joint_index as joint_index
 from robodyn.scene import description as scene_files
 from robodyn.scene.scene import (
@@ -98,7 +99,7 @@ def constants(description: Description) -> Mechanism:
     steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
     moment = [0j] * len(links)
     for force in forces:
-        if force.point.link is not None and not force.turns:
+        if force.point.link is not None and not force.turns and not force.varies:
             steady[force.point.link] += force.force.conjugate()
             moment[force.point.link] += force.point.at * force.force.conjugate()
     for k in reversed(tree.order):
@@ -145,9 +146,14 @@ def constants(description: Description) -> Mechanism:
         moments=tuple(moments),
         springs=OnDemand(_springs, tree, springs),
         joint_springs=tuple(
-            x for x in description.springs if isinstance(x, JointSpring) and x.stiffness
+            x for x in description.springs if isinstance(x, JointSpring) and (x.stiffness or x.law)
         ),
         forces=OnDemand(_forces, tree, forces),
+        varying_moments=tuple(
+            VaryingMoment(x.link, x.varying)
+            for x in description.loads
+            if isinstance(x, Moment) and x.varying is not None
+        ),
         friction=tuple(
             (k, link.friction)
             for k, link in enumerate(links)
@@ -261,7 +267,7 @@ def too_large(description: Description) -> InputError:
 def _fixed(tree: Tree, load: Load) -> Load:
     """A load, as one of the ground's frame where its link cannot turn."""
     k = load.point.link
-    if not load.turns or k is None or tree.frames[k] is not None:
+    if not load.turns or k is None or tree.frames[k] is not None or load.varies:
         return load
     return load._replace(force=tree.turned(k, load.force), turns=False)
 
@@ -274,8 +280,18 @@ def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:
     for load in loads:
         k = load.point.link
         assert k is not None
-        force = tree.turned(k, load.force) if load.turns else load.force
-        yield Force(k, tree.point(load.point), force, load.turns)
+        turned = tree.turned(k, 1.0 + 0j) if load.turns else 1.0 + 0j
+        if not load.varies:
+            force = tree.turned(k, load.force) if load.turns else load.force
+            yield Force(k, tree.point(load.point), force, load.turns)
+            continue
+        numbers = load.force.real, load.force.imag
+        x, y = (
+            number if signal is None else signal
+            for number, signal in zip(numbers, load.varying, strict=True)
+        )
+        turns = load.turns and tree.frames[k] is not None
+        yield Force(k, tree.point(load.point), 0j, turns, (x, y), turned)
 
 
 def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
@@ -288,6 +304,7 @@ def _springs(tree: Tree, springs: Sequence[Spring]) -> Iterator[PointSpring]:
             stiffness=spring.stiffness,
             length=spring.length,
             damping=spring.damping,
+            law=spring.law,
         )
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from robodyn.errors import SingularError
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.planar_model import Mechanism, conserves
+from robodyn.scene.scene import Signal
 
 
 def bare(mechanism: Mechanism) -> Mechanism:
@@ -16,25 +17,52 @@ def bare(mechanism: Mechanism) -> Mechanism:
     zero = (0.0,) * mechanism.n
     nothing = replace(mechanism, A=(), damping=zero, rows=(), weights=zero, moments=zero)
     nothing = replace(nothing, springs=(), joint_springs=(), forces=(), friction=(), slips=())
-    return replace(nothing, rotors=(), energy_offset=0.0)
+    return replace(nothing, varying_moments=(), rotors=(), energy_offset=0.0)
 
 
 def stored(mechanism: Mechanism) -> Mechanism:
-    """The springs, whose torques are part of G."""
-    springs = tuple(x._replace(damping=0.0) for x in mechanism.springs)
-    return replace(bare(mechanism), springs=springs, joint_springs=mechanism.joint_springs)
+    """The springs with a potential, whose torques are part of G."""
+    springs = tuple(
+        x._replace(damping=0.0) for x in mechanism.springs if x.law is None or conserves(x.law)
+    )
+    turned = tuple(x for x in mechanism.joint_springs if x.law is None or conserves(x.law))
+    return replace(bare(mechanism), springs=springs, joint_springs=turned)
 
 
 def loaded(mechanism: Mechanism) -> Mechanism:
     """The loads at points: without weights only those act that turn with a link."""
-    return replace(bare(mechanism), forces=mechanism.forces)
+    moments = mechanism.varying_moments
+    return replace(bare(mechanism), forces=mechanism.forces, varying_moments=moments)
 
 
 def spent(mechanism: Mechanism) -> Mechanism:
-    """What makes Q: dampers of springs, forces that turn with a link, friction."""
-    springs = tuple(x._replace(stiffness=0.0) for x in mechanism.springs)
+    """What makes Q: dampers of springs, forces that turn with a link or vary, friction."""
+    springs = tuple(
+        x._replace(stiffness=0.0, law=None) if x.law is None or conserves(x.law) else x
+        for x in mechanism.springs
+    )
+    laws = ((x, x.law) for x in mechanism.joint_springs)
+    turned = tuple(x for x, law in laws if law is not None and not conserves(law))
     rubs = replace(loaded(mechanism), friction=mechanism.friction, slips=mechanism.slips)
-    return replace(rubs, springs=springs)
+    return replace(rubs, springs=springs, joint_springs=turned)
+
+
+def untimed(mechanism: Mechanism) -> Mechanism:
+    """All but loads that depend on the time, which a model of a controller does not know."""
+    if not mechanism.timed:
+        return mechanism
+    forces = tuple(
+        x
+        if x.signals is None
+        else x._replace(signals=(_without_time(x.signals[0]), _without_time(x.signals[1])))
+        for x in mechanism.forces
+    )
+    moments = tuple(x for x in mechanism.varying_moments if "t" not in x.signal.names)
+    return replace(mechanism, forces=forces, varying_moments=moments)
+
+
+def _without_time(signal: Signal | float) -> Signal | float:
+    return 0.0 if not isinstance(signal, float) and "t" in signal.names else signal
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

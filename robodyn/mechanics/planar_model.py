@@ -12,7 +12,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar, overload
 
-from robodyn.scene.scene import Description, DryFriction, Friction, JointSpring, Limits
+from robodyn.scene.scene import (
+    Description,
+    DryFriction,
+    Friction,
+    JointSpring,
+    Limits,
+    Signal,
+    Table,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,20 +107,43 @@ class PointSpring(NamedTuple):
     stiffness: float  # N/m
     length: float  # free length, m
     damping: float  # N s/m
+    law: Signal | None = None  # its pull, N, in place of the stiffness
 
     @property
     def directed(self) -> bool:
         """Whether its force has no limit where its ends meet."""
-        return bool(self.stiffness and self.length) or bool(self.damping)
+        return bool((self.stiffness and self.length) or self.damping or self.law)
 
 
 class Force(NamedTuple):
-    """A constant force at a point of a link, N; one that turns with the link has no potential."""
+    """A force at a point of a link, N; one that turns with the link, or varies, has no potential.
+
+    Where it varies it is `turned` times the `signals` of its x and y (a number: that for ever).
+    """
 
     link: int
     point: PlanarPoint
     force: complex
     turns: bool
+    signals: tuple[Signal | float, Signal | float] | None = None
+    turned: complex = 1.0
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is among the weights."""
+        return not self.turns and self.signals is None
+
+
+class VaryingMoment(NamedTuple):
+    """A torque on a link, N m, that varies."""
+
+    link: int
+    signal: Signal
+
+
+def conserves(law: Signal) -> bool:
+    """Whether what a spring gives depends on its extension alone, and has a potential."""
+    return law.names <= {"x"}
 
 
 class Rotor(NamedTuple):
@@ -169,6 +200,7 @@ class Mechanism:
     springs: Sequence[PointSpring] = ()
     joint_springs: tuple[JointSpring, ...] = ()
     forces: Sequence[Force] = ()
+    varying_moments: tuple[VaryingMoment, ...] = ()
     friction: tuple[tuple[int, Friction], ...] = ()  # of joints
     dry: tuple[tuple[int, DryFriction], ...] = ()  # the same, with sticking: see `modes.py`
     limits: tuple[tuple[int, Limits], ...] = ()  # of joints: see `modes.py`
@@ -250,15 +282,16 @@ class Mechanism:
     @property
     def has_state_forces(self) -> bool:
         """Whether anything acts but gravity, constant forces and torques, and joint dampers."""
-        turning = any(force.turns for force in self.forces)
-        return bool(self.springs or self.joint_springs or self.rubs or turning)
+        acting = any(not force.constant for force in self.forces) or self.varying_moments
+        return bool(self.springs or self.joint_springs or self.rubs or acting)
 
     @property
     def changes_energy(self) -> bool:
         """Whether the scene itself changes the energy: dampers, friction, forces that turn."""
-        turning = any(force.turns for force in self.forces)
+        acting = any(not force.constant for force in self.forces) or self.varying_moments
         dampers = any(self.damping) or any(spring.damping for spring in self.springs)
-        return bool(dampers or self.rubs or turning)
+        dampers = dampers or any(not conserves(law) for law in self.laws)
+        return bool(dampers or self.rubs or acting)
 
     @property
     def rubs(self) -> bool:
@@ -271,12 +304,45 @@ class Mechanism:
         return bool(self.dry or self.limits)
 
     @cached_property
+    def signals(self) -> tuple[Signal, ...]:
+        """All laws, expressions and tables of springs and loads."""
+        acting = (x for force in self.forces for x in force.signals or ())
+        loads = [x for x in acting if not isinstance(x, float)]
+        return (*self.laws, *loads, *(moment.signal for moment in self.varying_moments))
+
+    @property
+    def laws(self) -> list[Signal]:
+        """Those of springs."""
+        laws = [*(x.law for x in self.springs), *(x.law for x in self.joint_springs)]
+        return [law for law in laws if law is not None]
+
+    @property
+    def has_tables(self) -> bool:
+        """Whether anything follows a table, whose rows a step of a series must not pass."""
+        return any(isinstance(signal, Table) for signal in self.signals)
+
+    @property
+    def bends_inside(self) -> bool:
+        """Whether what acts may bend and bend back within a step of a series."""
+        return self.rubs or self.has_tables
+
+    @property
+    def rated(self) -> bool:
+        """Whether laws or loads depend on rates."""
+        return any(name.startswith(("v", "qd")) for x in self.signals for name in x.names)
+
+    @property
+    def timed(self) -> bool:
+        """Whether what acts depends on the time too."""
+        return any("t" in signal.names for signal in self.signals)
+
+    @cached_property
     def arrays(self) -> Arrays:
         """The constants as dense numpy arrays (numpy is imported here)."""
         return _arrays(self)
 
     def __getstate__(self) -> dict[str, object]:
-        made = ("arrays", "above", "lines", "held", "has_angles", "inertias")
+        made = ("arrays", "above", "lines", "held", "has_angles", "inertias", "signals")
         return {key: value for key, value in self.__dict__.items() if key not in made}
 
 

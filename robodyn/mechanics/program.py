@@ -169,9 +169,24 @@ class Primitive(NamedTuple):
     density: Slot
 
 
+class Step(NamedTuple):
+    """Real: one of the values, by the interval between increasing knots in which x is.
+
+    With a period x is brought into the one from `first` on, and the value gains `rise` for each.
+    """
+
+    x: Slot
+    knots: tuple[float, ...]
+    values: tuple[float, ...]  # one more than knots
+    first: float = 0.0
+    period: float = 0.0
+    rise: float = 0.0
+
+
 Row = (
     Given | Unknown | Turn | Slide | Rate | Integral | Anchored | Derivative | Sum | PlanarSum
     | RealPart | Product | Scaled | Inner | Moment | Quotient | Power | Function | Primitive
+    | Step
 )  # fmt: skip
 
 SLOTS: dict[type, list[str]] = {

@@ -69,10 +69,12 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             ways.append(way)
             yield Body(None, origin, False, on_ground(way, w))
     for spring in mechanism.springs:
-        yield _spring(spring.stiffness, *spring.ends, w)
+        yield _spring(bool(spring.stiffness or spring.law), *spring.ends, w)
     for coil in mechanism.joint_springs:
         if (k := coil.joint) in mechanism.slides:
-            yield _spring(coil.stiffness, mechanism.pivots[k], tree.point(Point(k, 0j)), w)
+            yield _spring(
+                bool(coil.stiffness or coil.law), mechanism.pivots[k], tree.point(Point(k, 0j)), w
+            )
     for k in mechanism.order:
         begin = tree.point(Point(k, 0j)) if k in mechanism.slides else mechanism.pivots[k]
         yield Body(k, begin, True, tuple(_link(mechanism, k, ways, w)))
@@ -87,9 +89,9 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             yield Body(link, sliding, True, (block("slider", turned, w), pin))
 
 
-def _spring(stiffness: float, first: PlanarPoint, second: PlanarPoint, w: float) -> Body:
+def _spring(pulls: bool, first: PlanarPoint, second: PlanarPoint, w: float) -> Body:
     """A coil, or a damper, between two points."""
-    lines = [np.array(z, complex) for z in (COIL if stiffness else DASHPOT)]
+    lines = [np.array(z, complex) for z in (COIL if pulls else DASHPOT)]
     shapes = tuple(Shape("spring", z.real + 1j * w * z.imag, False) for z in lines)
     return Body(None, first, True, shapes, second)
 

@@ -33,7 +33,12 @@ class Force(NamedTuple):
 
 
 def forces(
-    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    multipliers: Array,
+    t: float = 0.0,
 ) -> list[Force]:
     """The weights, the force in every pin, loads and springs, of one motion, each (n,).
 
@@ -51,7 +56,7 @@ def forces(
     for k, link in enumerate(description.links):
         add("gravity", f"m{k + 1} g", mechanism.centres[k], link.m * mechanism.gamma)
         add("gravity", f"payload {k + 1} g", mechanism.tips[k], link.payload * mechanism.gamma)
-    joints = reactions(mechanism, q, qd, qdd, multipliers) @ np.array([1, 1j])
+    joints = reactions(mechanism, q, qd, qdd, multipliers, t) @ np.array([1, 1j])
     for k, force in enumerate(joints.tolist()):
         slides = description.links[k].slides
         joint = tree.point(Point(k, 0j)) if slides else mechanism.pivots[k]
@@ -63,7 +68,7 @@ def forces(
     loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
     points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]
     if points:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd).tolist()
+        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, t).tolist()
         for name, point, force in zip(springs + loads, points, acting, strict=True):
             add("load", name, point, force)
     least = SEEN * max(abs(item.force) for item in found)

@@ -23,6 +23,7 @@ from robodyn.scene.scene import (
     Coupling,
     Description,
     JointSpring,
+    Law,
     Link,
     Load,
     Moment,
@@ -30,6 +31,7 @@ from robodyn.scene.scene import (
     Point,
     Spring,
 )
+from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import TooManyFaults, ValueReader
 
@@ -59,7 +61,7 @@ def from_tree(root: Node | None, source: str) -> Description:
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
-class _Reader(ContactReader):
+class _Reader(SignalReader, ContactReader):
     """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
 
     missing: ClassVar[dict[str, Any]] = {
@@ -67,14 +69,14 @@ class _Reader(ContactReader):
         "link_name": 0,
         "moving_point": Point(0, 0j),
         "pair": (Point(None, 0j),) * 2,
+        "varying": 0.0,
+        "varying_vector": (0.0, 0.0),
     }
 
     def __init__(self) -> None:
         super().__init__()
         self.index: dict[str, int] = {}  # link name -> index
         self.lengths: dict[int, float] = {}
-        self.slides: set[int] = set()  # the links on prismatic joints
-        self.count = 0  # of links
         self.closures = 0  # how many were read
 
     # -- the scene ---------------------------------------------------------------------------
@@ -84,7 +86,7 @@ class _Reader(ContactReader):
         entries = listed.items if isinstance(listed, Sequence) else []
         if isinstance(listed, Sequence) and not entries:
             self.fault("links", listed, "must name at least one link", "[]")
-        self.count = len(entries)
+        self.count, self.source = len(entries), source
         self.survey(entries)
         values = self.form("scene", root, "")
         links = tuple(self.linked(k, value) for k, value in enumerate(values["links"] or ()))
@@ -270,21 +272,33 @@ class _Reader(ContactReader):
 
     def spring(self, node: Node, place: str) -> Spring | JointSpring:
         values = self.form("spring", node, place)
+        law = values.pop("law") or values.pop("table", None)
+        values.pop("table", None)
+        stiffness, damping = values["stiffness"] or 0.0, values["damping"]
+        if isinstance(law, Law) and damping:
+            limit = "stands beside law; damping is in the law, by its v"
+            self.fault(f"{place}.damping", node, limit, damping)
         if "joint" in values:
             slides, lengths = values["joint"] in self.slides, "length" in values
             if slides != lengths:
                 limit = f"is missing: the joint is {JOINTS[slides]}"
                 self.fault(f"{place}.{('angle', 'length')[slides]}", node, limit)
             free = values["length" if lengths else "angle"]
-            return JointSpring(values["joint"], values["stiffness"], free, values["damping"])
-        return Spring(*values.pop("between"), **values)
+            return JointSpring(values["joint"], stiffness, free, damping, law)
+        first, second = values["between"]
+        return Spring(first, second, stiffness, values["length"], damping, law)
 
     def load(self, node: Node, place: str) -> Load | Moment:
         values = self.form("load", node, place)
         if "torque" in values:
-            return Moment(**values)
+            link, torque = values["link"], values["torque"]
+            plain = isinstance(torque, float)
+            return Moment(link, torque) if plain else Moment(link, 0.0, torque)
         point = Point(values["link"], values["at"])
-        return Load(point, values["force"], values["frame"] == FRAMES[1])
+        parts = values["force"]
+        constant = [x if isinstance(x, float) else 0.0 for x in parts]
+        x, y = (None if isinstance(part, float) else part for part in parts)
+        return Load(point, complex(*constant), values["frame"] == FRAMES[1], (x, y))
 
     # -- couplings ---------------------------------------------------------------------------
 

@@ -43,6 +43,10 @@ FUNCTIONS |= {"cosh": _cosh, "sinh": _sinh}
 # math.pow: a root of a negative number is outside its domain, not complex
 SCOPE: dict[str, object] = {f"_{name}": function for name, function in FUNCTIONS.items()}
 SCOPE["_pow"] = math.pow
+# what no power series in time expands where it bends or jumps
+BENDS = ("abs", "min", "max", "sign", "floor", "atan2")
+NO_BENDS = "which bends or jumps: expressions of a scene are smooth; write a table"
+SMOOTH = tuple(name for name in FUNCTIONS if name not in BENDS)
 CONSTANTS = {"pi": math.pi, "e": math.e}
 MAX_LENGTH = 2000  # characters of one expression
 MAX_POWER = 64.0  # a constant exponent beyond this is a slip, or an attempt to stall
@@ -54,6 +58,9 @@ _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
 
 
+Change = Callable[[list[ast.expr]], list[ast.expr]]  # of expressions into others
+
+
 class NotAllowedError(ValueError):
     """What an expression must not have."""
 
@@ -61,17 +68,19 @@ class NotAllowedError(ValueError):
 class Written:
     """Comma-separated expressions as Python code over variables renamed, and the names used.
 
-    `known` tells which variables there are.  Raises NotAllowedError for anything but arithmetic,
-    comparisons, `a if b else c`, the functions above, pi and e; ValueError for what is no Python.
+    `known` tells which variables there are; `change` makes others of the expressions first.  Raises
+    NotAllowedError for anything but arithmetic, comparisons, `a if b else c`, the functions above,
+    pi and e; ValueError for what is no Python.
     """
 
-    def __init__(self, text: str, rename: Rename, known: str) -> None:
+    def __init__(self, text: str, rename: Rename, known: str, change: Change | None = None) -> None:
         self.names: set[str] = set()  # as they are written
         self._rename, self._known = rename, known
         if len(text) > MAX_LENGTH:
             raise NotAllowedError(f"more than {MAX_LENGTH} characters")
         try:
             nodes = _parsed(text)
+            nodes = nodes if change is None else change(list(nodes))
             self.codes = [ast.unparse(self._write(node)) for node in nodes]
             for code in self.codes:
                 compile(code, "<expression>", "eval")  # Python has limits of its own
@@ -136,6 +145,22 @@ def state_names(n: int) -> tuple[Rename, str]:
         return f"{kind}{int(number) - 1}" if known else None
 
     return rename, f"t, q1..q{n}, qd1..qd{n}"
+
+
+def check_smooth(codes: Sequence[str]) -> None:
+    """Raise NotAllowedError unless this is one expression, which neither bends nor jumps."""
+    if len(codes) != 1:
+        raise NotAllowedError("a comma: it is one expression")
+    for node in ast.walk(ast.parse(codes[0], mode="eval")):
+        match node:
+            case ast.Call(func=ast.Name(id=name)) if name[1:] in BENDS:
+                raise NotAllowedError(f"{name[1:]}(), {NO_BENDS}")
+            case ast.Compare():
+                raise NotAllowedError(f"a comparison, {NO_BENDS}")
+            case ast.IfExp():
+                raise NotAllowedError(f"`if`, {NO_BENDS}")
+            case ast.Mod():
+                raise NotAllowedError(f"%, {NO_BENDS}")
 
 
 def value_of(code: str) -> float:

@@ -11,43 +11,23 @@ schema a definition.
 from __future__ import annotations
 
 from collections.abc import Container
-from typing import NamedTuple
 
+from robodyn.scene.forms import ONE as ONE
+from robodyn.scene.forms import Form as Form
+from robodyn.scene.forms import Key as Key
+from robodyn.scene.joint_forms import (
+    DAMPER,
+    DAMPING,
+    PULLS,
+    damping_key,
+    dry_friction_form,
+    friction_form,
+    joint_spring_form,
+    limit_forms,
+    motor_form,
+    pull_keys,
+)
 from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
-
-
-class Key(NamedTuple):
-    """A key of a mapping: the kind of its value, what it is, its unit, and what stands for it."""
-
-    kind: str
-    help: str
-    unit: str = ""
-    default: str = "needed"  # as it is told
-    listed: bool = False  # whether the value is a list of this kind
-    hint: str = ""  # what a message adds where a limit is not kept
-    symbol: str = ""  # its letters in equations, and what a legend says of it
-
-    @property
-    def needed(self) -> bool:
-        """Whether a file must have it."""
-        return self.default == "needed"
-
-    @property
-    def absent(self) -> bool:
-        """Whether there is nothing where a file leaves it out."""
-        return self.default in ("none", "the ground")
-
-
-class Form(NamedTuple):
-    """A mapping with known keys."""
-
-    help: str
-    keys: dict[str, Key]
-
-    def named(self, needed: bool) -> list[str]:
-        """The keys that a file must have, or the others."""
-        return [name for name, key in self.keys.items() if key.needed == needed]
-
 
 NUMBERS = {  # and their limits
     "number": "",
@@ -75,10 +55,8 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
     "closure": {"slider": ()},
     "point": {"link_point": ()},
     "moving_point": {"link_point": ()},
+    "varying": {"load_table": ()},
 }
-DAMPER = "of a damper beside it"
-STIFFNESS, DAMPING = "k: stiffness of {}", "ds: damping of {}"
-
 _LINK = {
     "name": Key("name", "any text; no two links share one"),
     "m": Key("amount", "mass", "kg", symbol="m: mass of {}"),
@@ -106,119 +84,6 @@ _LINK = {
         "amount", "point mass at the tip", "kg", "0", symbol="mp: payload at the tip of {}"
     ),
 }
-
-
-def _damping(unit: str) -> Key:
-    told = "d: damping at the joint of {}"
-    return Key("amount", "viscous damping at its own joint", unit, "0", symbol=told)
-
-
-def _friction(name: str, unit: str, speed: str) -> Form:
-    told = f"-{name} tanh(qd/speed)"
-    letters = name[0]
-    return Form(
-        told,
-        {
-            name: Key(
-                "amount",
-                "far above that speed",
-                unit,
-                symbol=f"{letters}f: friction at the joint of {{}}",
-            ),
-            "speed": Key(
-                "positive",
-                "what smooths it through rest",
-                speed,
-                hint=f": the friction is {told}",
-                symbol="wf: rate that smooths the friction at the joint of {}",
-            ),
-        },
-    )
-
-
-def _dry_friction(name: str, unit: str, speed: str) -> Form:
-    return Form(
-        f"Friction that sticks: {name} + (static - {name}) exp(-(qd/stribeck)^2) against the "
-        "motion; at rest it holds up to static.",
-        {
-            name: Key("amount", "in motion, far above the rate stribeck", unit),
-            "static": Key("amount", f"most that it holds at rest, not below {name}", unit),
-            "stribeck": Key("positive", "rate over which it falls from static", speed, "none"),
-        },
-    )
-
-
-def _motor(ratio: str, joint: str) -> Form:
-    told = f"A motor and its gear at a {joint} joint, with a rotor on the link that carries it."
-    return Form(
-        told,
-        {
-            "ratio": Key(
-                "nonzero",
-                "the rotor's turn over the joint's, seen from the carrying link",
-                ratio,
-                symbol="N: ratio of the gear at the joint of {}",
-            ),
-            "inertia": Key(
-                "amount",
-                "of the rotor; it is not in the I of the carrying link",
-                "kg m²",
-                symbol="J: inertia of the rotor of {}",
-            ),
-            "damping": Key(
-                "amount",
-                "viscous damping of the rotor",
-                "N m s/rad",
-                "0",
-                symbol="b: damping of the rotor of {}",
-            ),
-            "torque_max": Key("positive", "largest torque of the motor", "N m", "none"),
-            "speed_max": Key("positive", "largest speed of the rotor", "rad/s", "none"),
-            "torque_constant": Key(
-                "positive", "torque per current; resistance beside it", "N m/A", "none"
-            ),
-            "resistance": Key(
-                "positive", "of the winding; torque_constant beside it", "ohm", "none"
-            ),
-        },
-    )
-
-
-def _limits(kind: str, unit: str, load: str) -> dict[str, Form]:
-    """Compliant stops, hard ones, and limits alone."""
-    ends = {
-        "min": Key(kind, "where the joint ends below", unit, "none"),
-        "max": Key(kind, "where it ends above; one of the two may be missing", unit, "none"),
-    }
-    stiffness = Key("positive", "of the stop, which pushes and never pulls", f"{load}/{unit}")
-    damping = Key("amount", "of the stop, while it pushes", f"{load} s/{unit}", "0")
-    restitution = Key("part", "speed after an impact over that before, from 0 to 1")
-    prefix = "slide_" if kind == "number" else ""
-    return {
-        f"{prefix}stops": Form(
-            "Compliant stops of a joint.", ends | {"stiffness": stiffness, "damping": damping}
-        ),
-        f"{prefix}hard_stops": Form(
-            "Hard stops of a joint, which throw it back.", ends | {"restitution": restitution}
-        ),
-        f"{prefix}limits": Form("Limits of a joint, which end a simulation.", ends),
-    }
-
-
-def _joint_spring(free: str, kind: str, unit: str, load: str) -> Form:
-    turns = f"; its {free} counts from turn to turn" if kind == "angle" else ""
-    place = "angle" if kind == "angle" else "displacement"
-    return Form(
-        f"A spring and damper at a {JOINTS[kind != 'angle']} joint.",
-        {
-            "joint": Key("link_name", f"the link whose own joint it is{turns}"),
-            "stiffness": Key("amount", "0 for a damper alone", f"{load}/{unit}", symbol=STIFFNESS),
-            "damping": Key("amount", DAMPER, f"{load} s/{unit}", "0", symbol=DAMPING),
-            free: Key(
-                kind, f"free {place} of the joint", unit, symbol=f"phi: free {place} of {{}}"
-            ),
-        },
-    )
 
 
 FORMS = {
@@ -256,7 +121,7 @@ FORMS = {
                 default="none",
                 listed=True,
             ),
-            "loads": Key("load", "list of constant forces and torques on links", "", "none", True),
+            "loads": Key("load", "list of forces and torques on links", "", "none", True),
         },
     ),
     "revolute_link": Form(
@@ -264,7 +129,7 @@ FORMS = {
         _LINK
         | {
             "joint": Key("joint_kind", "of its own joint", default=JOINTS[0]),
-            "damping": _damping("N m s/rad"),
+            "damping": damping_key("N m s/rad"),
             "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
             "limits": Key("limits", "where its own joint ends", default="none"),
             "motor": Key("motor", "motor and gear at its own joint", default="none"),
@@ -278,20 +143,20 @@ FORMS = {
             "axis": Key(
                 "direction", "which way it slides, [dx, dy] in the frame of what it hangs from"
             ),
-            "damping": _damping("N s/m"),
+            "damping": damping_key("N s/m"),
             "friction": Key("slide_friction", "Coulomb friction at its own joint", default="none"),
             "limits": Key("slide_limits", "where its own joint ends", default="none"),
             "motor": Key("slide_motor", "motor and gear at its own joint", default="none"),
         },
     ),
-    "friction": _friction("torque", "N m", "rad/s"),
-    "slide_friction": _friction("force", "N", "m/s"),
-    "dry_friction": _dry_friction("torque", "N m", "rad/s"),
-    "slide_dry_friction": _dry_friction("force", "N", "m/s"),
-    **_limits("angle", "rad", "N m"),
-    **_limits("number", "m", "N"),
-    "motor": _motor("", JOINTS[0]),
-    "slide_motor": _motor("rad/m", JOINTS[1]),
+    "friction": friction_form("torque", "N m", "rad/s"),
+    "slide_friction": friction_form("force", "N", "m/s"),
+    "dry_friction": dry_friction_form("torque", "N m", "rad/s"),
+    "slide_dry_friction": dry_friction_form("force", "N", "m/s"),
+    **limit_forms("angle", "rad", "N m"),
+    **limit_forms("number", "m", "N"),
+    "motor": motor_form("", JOINTS[0]),
+    "slide_motor": motor_form("rad/m", JOINTS[1]),
     "link_point": Form(
         "A point of a link.",
         {
@@ -326,19 +191,25 @@ FORMS = {
         "A spring and damper between two points.",
         {
             "between": Key("pair", "its ends, [POINT, POINT], not both of one link or the ground"),
-            "stiffness": Key("amount", "0 for a damper alone", "N/m", symbol=STIFFNESS),
+            **pull_keys("N/m", "N", "its length less the free one", "m"),
             "damping": Key("amount", DAMPER, "N s/m", "0", symbol=DAMPING),
             "length": Key("amount", "free length", "m", symbol="S0: free length of {}"),
         },
+        PULLS,
     ),
-    "joint_spring": _joint_spring("angle", "angle", "rad", "N m"),
-    "slide_spring": _joint_spring("length", "number", "m", "N"),
+    "joint_spring": joint_spring_form("angle", "angle", "rad", "N m"),
+    "slide_spring": joint_spring_form("length", "number", "m", "N"),
     "force": Form(
-        "A constant force at a point of a link.",
+        "A force at a point of a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
             "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-            "force": Key("vector", "[Fx, Fy]", "N", symbol="F: force of {}"),
+            "force": Key(
+                "varying_vector",
+                "[Fx, Fy], each a number, an expression or a table",
+                "N",
+                symbol="F: force of {}",
+            ),
             "frame": Key(
                 "frame",
                 "ground: it keeps its direction; link: it turns with the link",
@@ -347,15 +218,23 @@ FORMS = {
         },
     ),
     "torque": Form(
-        "A constant torque on a link.",
+        "A torque on a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
             "torque": Key(
-                "number",
-                "from the ground on the link, counter-clockwise",
+                "varying",
+                "from the ground, counter-clockwise: a number, an expression or a table",
                 "N m",
                 symbol="T: torque of {}",
             ),
+        },
+    ),
+    "load_table": Form(
+        "A force or torque by a table, linear between its rows.",
+        {
+            "table": Key("name", "the CSV file, from the scene file's folder"),
+            "over": Key("name", "t, or a joint q1, ..: its column tells where the rows are"),
+            "column": Key("name", "the column of the force or torque"),
         },
     ),
 }

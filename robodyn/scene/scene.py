@@ -6,6 +6,7 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 BRANCHES = ("open", "crossed")
@@ -104,41 +105,83 @@ class Link(NamedTuple):
         return self.axis is not None
 
 
+class Law(NamedTuple):
+    """A smooth expression: as its file has it, as code over `names`, and these."""
+
+    text: str
+    code: str
+    names: frozenset[str]  # t, q0.., qd0..; of a spring x, its extension, and v, its rate
+
+
+class Table(NamedTuple):
+    """A function of one variable that is linear between its rows, x increasing."""
+
+    file: str
+    column: str
+    over: str  # t or q0..; of a spring x
+    x: tuple[float, ...]
+    F: tuple[float, ...]
+    repeats: bool = False  # after its span; else it ends there
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variable, as a law has its own."""
+        return frozenset((self.over,))
+
+
+Signal = Law | Table
+
+
 class Spring(NamedTuple):
-    """A spring (N/m, free length m) and damper (N s/m) between two points."""
+    """A spring (N/m, free length m) and damper (N s/m) between two points.
+
+    A `law` in place of the stiffness gives its pull, N, by the extension, m, and its rate.
+    """
 
     first: Point
     second: Point
     stiffness: float
     length: float
     damping: float = 0.0
+    law: Signal | None = None
 
 
 class JointSpring(NamedTuple):
     """A spring (N m/rad, free angle rad) and damper (N m s/rad) at a joint.
 
-    At a prismatic one N/m, its free displacement m, and N s/m.
+    At a prismatic one N/m, its free displacement m, and N s/m.  For a `law` see `Spring`.
     """
 
     joint: int
     stiffness: float
     angle: float
     damping: float = 0.0
+    law: Signal | None = None
 
 
 class Load(NamedTuple):
-    """A constant force, N, at a point of a link, in the ground's frame or turning with the link."""
+    """A force, N, at a point of a link, in the ground's frame or turning with the link.
+
+    Where x or y is a signal it is in `varying`, and zero in `force`.
+    """
 
     point: Point
     force: complex
     turns: bool = False
+    varying: tuple[Signal | None, Signal | None] = (None, None)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it is not constant."""
+        return self.varying != (None, None)
 
 
 class Moment(NamedTuple):
-    """A constant torque on a link, N m."""
+    """A torque on a link, N m; where it varies zero, and `varying`."""
 
     link: int
     torque: float
+    varying: Signal | None = None
 
 
 class Closure(NamedTuple):
@@ -182,3 +225,27 @@ class Description(NamedTuple):
     springs: tuple[Spring | JointSpring, ...] = ()
     loads: tuple[Load | Moment, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+
+
+def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:
+    """Everything that varies, each with its place in the file."""
+    for i, spring in enumerate(description.springs):
+        if spring.law is not None:
+            key = "table" if isinstance(spring.law, Table) else "law"
+            yield f"springs[{i}].{key}", spring.law
+    for i, load in enumerate(description.loads):
+        if isinstance(load, Moment):
+            places = {f"loads[{i}].torque": load.varying}
+        else:
+            places = {f"loads[{i}].force[{k}]": part for k, part in enumerate(load.varying)}
+        yield from ((place, part) for place, part in places.items() if part is not None)
+
+
+def signal_place(description: Description, signal: Signal) -> str:
+    """Where the file has a signal, by its identity."""
+    return next(place for place, other in signals_of(description) if other is signal)
+
+
+def told(signal: Signal) -> str:
+    """An expression as its file has it, or the file of a table."""
+    return signal.text if isinstance(signal, Law) else signal.file

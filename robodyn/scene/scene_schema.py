@@ -7,8 +7,10 @@ exist, links that hang from themselves and the like are found by robodyn alone.
 from __future__ import annotations
 
 import re
+from itertools import combinations
 from typing import Any
 
+from robodyn.scene.expressions import CONSTANTS, SMOOTH
 from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR, WORDS, Form, Key
 from robodyn.scene.quantities import ANGLE_PATTERN
 
@@ -52,17 +54,33 @@ def _other_kinds() -> dict[str, Schema]:
         "point": _any("moving_point", "vector"),
         "pair": {**pair, "items": _ref("point"), "contains": {"type": [*any_name, "object"]}},
         "closure": _any("pair", "slider"),
+        "law": {"type": ["string", "number"], "pattern": _expression("x|v")},
+        "spring_table": _ref("name"),
+        "varying": _any("number", "expression", "load_table"),
+        "expression": {"type": "string", "pattern": _expression("t|qd?[0-9]+")},
+        "varying_vector": {**pair, "items": _ref("varying")},
     }
 
 
+def _expression(variables: str) -> str:
+    """The pattern of smooth expressions: which words they have, in the dialect of JSON Schema."""
+    words = "|".join((*SMOOTH, *CONSTANTS, variables))
+    return rf"^(?:[\s0-9.+*/(),-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
+
+
 def _mapping(form: Form) -> Schema:
-    return {
+    schema = {
         "description": form.help,
         "type": "object",
         "properties": {name: _described(key) for name, key in form.keys.items()},
         "required": form.named(needed=True),
         "additionalProperties": False,
     }
+    if form.one:
+        schema["anyOf"] = [{"required": [name]} for name in form.one]
+        pairs = combinations(form.one, 2)
+        schema["not"] = {"anyOf": [{"required": list(pair)} for pair in pairs]}
+    return schema
 
 
 def _described(key: Key) -> Schema:

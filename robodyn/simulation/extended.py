@@ -23,10 +23,10 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.loops.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.mechanics.torque_times import over_a_run
 from robodyn.taylor.run import reach
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     """
     if mechanism.switches:
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
-    actuation = over_a_run(actuation, state.tolist(), float(times[-1]))
+    actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:
             first, second = _by_two(_Task(mechanism, state, times, actuation))

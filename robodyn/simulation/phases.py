@@ -108,7 +108,7 @@ class Phases:
         q, qd = self._split(self.y)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
         self.mode, self.still = mode_at(
-            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting
+            self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, t
         )
         self.touches = {end for end in touches if end[0] in self.still}
         self.bounds = {
@@ -172,7 +172,7 @@ class Phases:
         """What holds each held joint, (k, held)."""
         n = self.mechanism.n
         tau = applied_torques(self.mechanism, self.actuation, t, y)
-        solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau)
+        solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
         return held_forces(self.moving, solution.multipliers)
 
     def _margins(self, t: Array, y: Array) -> Array:
@@ -244,7 +244,7 @@ class Phases:
         after = rates_after(self.mechanism, q, qd, ends, e)
         slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
         free = in_mode(self.mechanism, Mode((), slips))
-        qdd = forward_dynamics(free, q, after, self._torque(t, y))
+        qdd = forward_dynamics(free, q, after, self._torque(t, y), t)
         over = False
         for k, (joint, side) in enumerate(ends):
             leaves, back = -side * after[joint], side * qdd[joint]

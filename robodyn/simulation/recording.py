@@ -153,6 +153,7 @@ class Recorder:
     begun: bool = False  # whether the energy at the start is known
     unseen: UnseenWork | None = None
     missed: float = 0.0  # J
+    last: tuple[float, Array] | None = None  # t and y of the last step
     ended: int = 0  # evaluations of solvers that have ended, and expansions of series
     events: EventWatch | None = None
     stopped: Stop | None = None  # by what event
@@ -193,6 +194,7 @@ class Recorder:
         else:
             self._due(t, y, lambda times: between()(times).T)
         self.steps.append((np.array([t]), y[None]))
+        self.last = t, y
         self.held += 1
         self._stepped(t, solver.status == "running")
         if stop is not None:
@@ -267,6 +269,7 @@ class Recorder:
                 self._row(chunk.row_t, chunk.row_y)
             self._due(t, chunk.y[-1], within)
         self.steps.append((chunk.t, chunk.y))
+        self.last = t, chunk.y[-1]
         self.held += count
         self._stepped(t, t != t_end)
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
+from robodyn.engines.row_values import TableLeftError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing, loop_terms
@@ -178,9 +179,12 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
-        qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte).qdd
-        if work and forced:
-            tau = tau + other_forces(mechanism, q, qd)
+        try:
+            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
+            if work and forced:
+                tau = tau + other_forces(mechanism, q, qd, t)
+        except TableLeftError:  # a shorter step may not
+            return np.full(len(y), np.nan)
         power = [tau @ qd - damping @ qd**2] if work else []
         return np.concatenate([qd, qdd, power])
 

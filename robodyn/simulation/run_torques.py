@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import harmless_torque, over_a_run
+from robodyn.mechanics.torque_times import harmless_torque
 
 Array = NDArray[np.float64]
 
@@ -35,11 +36,11 @@ def as_actuation(
 def over_run(
     mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
 ) -> Actuation:
-    """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_run`."""
-    if not actuation.lines:
+    """The torques of a run from `state` (2n) to t_end; see `load_times.over_a_scene_run`."""
+    if not actuation.lines and not mechanism.timed:
         return actuation
     small = harmless_torque(mechanism, atol, t_end)
-    return over_a_run(actuation, state.tolist(), float(t_end), small)
+    return over_a_scene_run(mechanism, actuation, state.tolist(), float(t_end), small)
 
 
 def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Array) -> Array:

@@ -17,11 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
+from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, SingularError
 from robodyn.events.functions import event_function, event_functions
 from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
+from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
@@ -62,9 +64,9 @@ class Motion:
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
         if not self.mechanism.switches:
-            return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau)
+            return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau, self.t)
         ends = np.cumsum([count for count, _ in self._phases])[:-1]
-        parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau))
+        parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau, self.t))
         each = zip(self._phases, *parts, strict=True)
         return np.concatenate([dynamics.forward_dynamics(moving, *x) for (_, moving), *x in each])
 
@@ -196,6 +198,8 @@ def run(
         y = Projection(mechanism, best_closing(mechanism))(y)
     if actuation.told is not None:
         actuation.told.begin(y.tolist(), float(t_end))
+    if mechanism.has_tables:
+        rows_of(parts.acting, mechanism).check_tables(y[:n], y[n : 2 * n])
     phases = None
     if mechanism.switches:
         from robodyn.simulation.phases import Phases
@@ -228,6 +232,9 @@ def run(
         recorder.settle()
     report.seconds = time.perf_counter() - begun
     report.outcome, report.advice = outcome.label, outcome.advice
+    if mechanism.has_tables and outcome is Outcome.STEP_TOO_SMALL and recorder.last is not None:
+        t, y = recorder.last
+        report.advice = near_table_end(mechanism, y[:n], y[n : 2 * n], t) or report.advice
     return outcome, recorder
 
 

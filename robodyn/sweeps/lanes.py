@@ -138,7 +138,7 @@ def integrate(
 def _scene(
     mechanism: Mechanism, driven: tuple[bool, ...], aims: Aims, compiled: bool
 ) -> Scene | None:
-    if not serves(mechanism):
+    if not serves(mechanism) or mechanism.timed:  # no lane steps onto times of loads
         return None
     order = default_order(aims.rtol) if compiled else best_order(aims.rtol)
     try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR, Key, form_of
+from robodyn.scene.quantities import parse_number
 from robodyn.scene.scene import Description
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 
@@ -26,7 +28,11 @@ _ANGLES = {
 _ANGLE = re.compile(rf"(q|qd|qdd)[0-9]+|start\..*|.*\.({'|'.join(_ANGLES)})", re.ASCII)
 _OF_LINK = re.compile(r"links\[(\d+)\]\.")
 # Of what a list of this kind consists, where not of numbers.
-_INNER = {"closure": "point", "pair": "point"} | dict.fromkeys(("joints", "assembly", "couplings"))
+_INNER: dict[str, str | None] = {
+    "closure": "point",
+    "pair": "point",
+    "varying_vector": "varying",
+} | dict.fromkeys(("joints", "assembly", "couplings"))
 
 
 @dataclass(slots=True)
@@ -141,11 +147,21 @@ def _unshared(node: Node) -> Node:
     return yaml_tree.Mapping(pairs, node.line, node.size)
 
 
+def _varies(kind: str | None, node: Node) -> bool:
+    """Whether it may vary, and is a number all the same."""
+    if kind != "varying" or not isinstance(node, Scalar):
+        return False
+    with suppress(ValueError):
+        parse_number(node.text)
+        return True
+    return False
+
+
 def _numbers(
     place: _Place, node: Node, name: str, kind: str | None
 ) -> Iterator[tuple[str, _Place]]:
     """The places of all numbers that a value of this kind holds, or may hold in place of 0."""
-    if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)):
+    if kind in OR_VECTOR or (kind in NUMBERS and isinstance(node, Scalar)) or _varies(kind, node):
         yield name, place
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")

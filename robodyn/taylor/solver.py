@@ -18,8 +18,8 @@ from scipy.integrate import DenseOutput, OdeSolver
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
+from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import over_a_run
 from robodyn.taylor import Chunk, Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine
@@ -58,7 +58,7 @@ class TaylorSolver(OdeSolver):
         elif not isinstance(tau, Actuation):
             tau = torque_sources.constant(mechanism, tau)
         if t0 == 0.0:
-            tau = over_a_run(tau, self.y.tolist(), float(t_bound))
+            tau = over_a_scene_run(mechanism, tau, self.y.tolist(), float(t_bound))
         self.engine = stepping_engine(mechanism, tau, rtol, atol, order=order)
         self.actuation = tau
         if tau.told is not None:

@@ -207,7 +207,7 @@ class SteppingEngine:
     ) -> tuple[float, list[float]]:
         """The step halved until the torque at its end is that of the series.
 
-        And in its middle, where friction may turn over and back.
+        And in its middle, where friction or a table may turn over and back.
         """
         n, (rtol, atol) = self.mechanism.n, self.tolerances
         relative = max(math.sqrt(rtol), KINK)
@@ -217,7 +217,7 @@ class SteppingEngine:
             x = h * direction
             falls = self._falls_over(state, new)
             if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
-                if not self.mechanism.rubs:  # far above its speed all its derivatives vanish
+                if not self.mechanism.bends_inside:
                     break
                 middle = self.states(state, series, np.array([0.5 * x]))[0].tolist()
                 if self._agrees(series, 0.5 * x, t + 0.5 * x, middle, relative, miss / h):

@@ -69,7 +69,8 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
         q, q1, q2 = motion.path.evaluate(u, piece)
         known = {"qd": q1[:, driven] / T, "qdd": q2[:, driven] / T**2}
         if limits.tau is not None:
-            known["tau"] = inverse_dynamics(mechanism, q, q1 / T, q2 / T**2)[:, driven]
+            now = motion.begin + u * T
+            known["tau"] = inverse_dynamics(mechanism, q, q1 / T, q2 / T**2, now)[:, driven]
         return np.concatenate([known[name] for name, _ in limits.given], axis=1)
 
     bounds = np.concatenate([bound for _, bound in limits.given])
@@ -185,6 +186,9 @@ def _shortest_by_torque(
 ) -> tuple[float, str]:
     bounded = np.flatnonzero(np.isfinite(limit)).tolist()  # places among the actuated joints
     driven, limit = [mechanism.actuated[j] for j in bounded], limit[bounded]
+    if mechanism.timed:
+        reason = "has loads that depend on the time: give the time of the motion"
+        raise InputError("duration", where=mechanism.source, value="min", limit=reason)
 
     def parts(u: Array, piece: Pieces, scale: float) -> tuple[Array, Array, Array]:
         """a, b, g (T, actuated) of tau = a x^2 + b x + g, from x = 1/2, 1 and 3/2 times scale."""
@@ -233,7 +237,8 @@ def _shortest_by_torque(
     for _ in range(MOST_FITS):
         before = x
         x, u, _, column = least_along(reached(before), whole)
-        if _friction_speeds(mechanism):  # beyond that the parabola is not its torque
+        if mechanism.rated or _friction_speeds(mechanism):
+            # beyond that the parabola is not its torque
             x = min(max(x, 0.5 * before), 2.0 * before)
         if abs(x - before) <= SETTLED * x or math.isinf(x):
             break

@@ -1,0 +1,40 @@
+"""Recorded numbers as an arithmetic: what series of them are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from robodyn.engines import expression
+from robodyn.engines.arithmetic import Arithmetic
+from robodyn.engines.expression import Expression, Value
+
+
+def _power(a: Value, exponent: float) -> Value:
+    """a to a constant exponent, by a square root where that serves."""
+    if abs(exponent) != 0.5:
+        return expression.power(a, exponent)
+    root = expression.call("sqrt", a)
+    return root if exponent > 0.0 else 1.0 / root
+
+
+def _chosen(x: Value, knots: Sequence[float], values: Sequence[float]) -> Value:
+    """One of the values, by the interval between increasing knots in which x is: a tree."""
+    if len(values) == 1:
+        return values[0]
+    k = len(knots) // 2
+    below = _chosen(x, knots[:k], values[: k + 1])
+    above = _chosen(x, knots[k + 1 :], values[k + 1 :])
+    if not isinstance(below, Expression) and below == above:
+        return below
+    return expression.choose(x, knots[k], below, above)
+
+
+RECORDED = Arithmetic(
+    cos=expression.cos,
+    sin=expression.sin,
+    power=_power,
+    keep=expression.keep,
+    chosen=_chosen,
+    functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},
+)

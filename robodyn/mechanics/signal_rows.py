@@ -1,0 +1,187 @@
+"""The rows of what varies: laws of springs, and loads by expressions and tables.
+
+A table that is linear between rows x_k, F_k is, with s_k its slopes and x in interval k,
+
+    F = F_k + s_k xi      U = U_k + F_k xi + s_k xi^2/2      xi = x - x_k
+
+and its interval shows in a zigzag that runs between 1 and 2 from row to row: of the line on which a
+step of a series begins it never meets another part again, so that a step which passes a row shows.
+The energy of an expression is x times the integral of F(x u) over u from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
+from typing import Protocol
+
+from robodyn.errors import InputError
+from robodyn.mechanics.expression_rows import ExpressionRows, Variables, variable
+from robodyn.mechanics.program import Product, Program, Slot, Step
+from robodyn.scene.scene import Law, Signal, Table
+
+NODES = 40  # of the energy's rule, where F is no polynomial
+FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
+
+
+class ProgramRows(Variables, Protocol):
+    """Rows that have their program besides."""
+
+    @property
+    def program(self) -> Program:
+        """The program."""
+
+
+def signal_rows(
+    rows: ProgramRows, signal: Signal, own: Mapping[str, Slot]
+) -> tuple[Slot, list[tuple[Slot, float]]]:
+    """The slot of a signal; and what may bend within a step, with what makes a signal of it.
+
+    `own` has a spring's x and v.
+    """
+    if isinstance(signal, Table):
+        lines = _Lines(rows, signal, own)
+        return lines.value(), [(lines.zigzag(), lines.bend)]
+    slot = _read(rows, signal, own)
+    smooth = not signal.names or _degree(ast.parse(signal.code, mode="eval").body) is not None
+    return slot, [] if smooth else [(slot, 1.0)]
+
+
+def table_place(rows: ProgramRows, table: Table) -> Slot:
+    """What a load's table is over."""
+    return variable(rows, table.over)
+
+
+def stored_energy(rows: ProgramRows, signal: Signal, x: Slot) -> Slot:
+    """The integral of a spring's pull from where it is free to its extension x."""
+    if isinstance(signal, Table):
+        return _Lines(rows, signal, {"x": x}).energy()
+    program = rows.program
+    terms = [
+        (weight, _read(rows, signal, {"x": program.sum((u, x))}))
+        for u, weight in _rule(_degree(ast.parse(signal.code, mode="eval").body))
+    ]
+    return program.add(Product(x, program.sum(*terms)))
+
+
+def _read(rows: ProgramRows, law: Law, own: Mapping[str, Slot]) -> Slot:
+    def named(name: str) -> Slot:
+        return own[name] if name in own else variable(rows, name)
+
+    reader = ExpressionRows(rows.program, named, lambda what: InputError(f"{law.text}: {what}"))
+    return reader.slot(reader.read(ast.parse(law.code, mode="eval").body))
+
+
+def _degree(tree: ast.expr) -> int | None:
+    """The degree of a polynomial in its variables; None for what is none."""
+    match tree:
+        case ast.Constant():
+            return 0
+        case ast.Name():
+            return 1
+        case ast.UnaryOp(operand=operand):
+            return _degree(operand)
+        case ast.BinOp(left=left, op=operation, right=right):
+            a, b = _degree(left), _degree(right)
+            if a is None or b is None:
+                return None
+            match operation, right:
+                case ((ast.Add() | ast.Sub()), _):
+                    return max(a, b)
+                case ast.Mult(), _:
+                    return a + b
+                case ast.Div(), _ if b == 0:
+                    return a
+                case ast.Pow(), ast.Constant(value=float() as power) if power.is_integer():
+                    return int(a * power) if power >= 0.0 else None
+    return None
+
+
+def _rule(degree: int | None) -> list[tuple[float, float]]:
+    """Places u and weights of a rule for integrals over 0 < u < 1, exact up to a degree."""
+    import numpy as np  # energies are evaluated by those who have it
+
+    nodes, weights = np.polynomial.legendre.leggauss(NODES if degree is None else degree // 2 + 1)
+    s, w = 0.5 * (1.0 + nodes), 0.5 * weights
+    if degree is None:
+        s, w = s**FLATTENED, w * FLATTENED * s ** (FLATTENED - 1)
+    return list(zip(s.tolist(), w.tolist(), strict=True))
+
+
+class _Lines:
+    """The rows of a table at the slot of its variable."""
+
+    def __init__(self, rows: ProgramRows, table: Table, own: Mapping[str, Slot]) -> None:
+        self.program, self.table = rows.program, table
+        self.at = own[table.over] if table.over in own else variable(rows, table.over)
+        self.x, self.F = table.x, table.F
+        self.slopes = self._slopes(self.x, self.F)
+        self.xi = self._beyond(self.x)
+
+    @property
+    def bend(self) -> float:
+        """What F misses by, next to a row, where the zigzag misses by 1."""
+        bends = [abs(b - a) for a, b in pairwise(self.slopes)]
+        if self.table.repeats:
+            bends.append(abs(self.slopes[0] - self.slopes[-1]))
+        wide = max(b - a for a, b in pairwise(self.x))
+        return 0.5 * wide * max(bends, default=0.0) or 1.0
+
+    def value(self) -> Slot:
+        """F."""
+        return self._line(self.x, self.F, self.slopes, self.xi)
+
+    def zigzag(self) -> Slot:
+        """Between 1 and 2 from row to row."""
+        x = self.x
+        if self.table.repeats and len(x) % 2 == 0:  # it must meet its own beginning
+            k = max(range(len(x) - 1), key=lambda k: x[k + 1] - x[k])
+            x = (*x[: k + 1], 0.5 * (x[k] + x[k + 1]), *x[k + 1 :])
+        values = [1.0 + k % 2 for k in range(len(x))]
+        return self._line(x, values, self._slopes(x, values), self._beyond(x))
+
+    def energy(self) -> Slot:
+        """U, zero where x is, or at the first row where that lies beyond the table."""
+        widths = [b - a for a, b in pairwise(self.x)]
+        parts = [0.5 * h * (a + b) for h, (a, b) in zip(widths, pairwise(self.F), strict=True)]
+        U = list(accumulate(parts, initial=0.0))
+        free = 0.0
+        for k, (a, b) in enumerate(pairwise(self.x)):
+            if a <= 0.0 <= b:
+                free = U[k] - a * (self.F[k] - 0.5 * self.slopes[k] * a)
+        square = self.program.add(Product(self.xi, self.xi))
+        return self.program.sum(
+            (1.0, self._step(self.x, [u - free for u in U[:-1]])),
+            (1.0, self.program.add(Product(self._step(self.x, self.F[:-1]), self.xi))),
+            (0.5, self.program.add(Product(self._step(self.x, self.slopes), square))),
+        )
+
+    @staticmethod
+    def _slopes(x: Sequence[float], y: Sequence[float]) -> list[float]:
+        rises = zip(pairwise(y), pairwise(x), strict=True)
+        return [(d - c) / (b - a) for (c, d), (a, b) in rises]
+
+    def _line(
+        self, x: Sequence[float], y: Sequence[float], slopes: Sequence[float], xi: Slot
+    ) -> Slot:
+        """y_k + slope_k xi."""
+        program = self.program
+        rising = program.add(Product(self._step(x, slopes), xi))
+        return program.sum((1.0, self._step(x, y[: len(slopes)])), (1.0, rising))
+
+    def _beyond(self, x: Sequence[float]) -> Slot:
+        """How far the variable is beyond the row below it."""
+        rise = self.x[-1] - self.x[0] if self.table.repeats else 0.0
+        return self.program.sum((1.0, self.at), (-1.0, self._step(x, x[:-1], rise)))
+
+    def _step(self, x: Sequence[float], values: Sequence[float], rise: float = 0.0) -> Slot:
+        """One value an interval; beyond the rows of a table that does not repeat there is none."""
+        inner = tuple(x[1:-1])
+        if self.table.repeats:
+            first, period = x[0], x[-1] - x[0]
+            return self.program.add(Step(self.at, inner, tuple(values), first, period, rise))
+        end = math.nextafter(x[-1], math.inf)
+        around = (math.nan, *values, math.nan)
+        return self.program.add(Step(self.at, (x[0], *inner, end), around))

@@ -1,0 +1,121 @@
+"""Reads laws of springs and loads that vary: numbers, expressions, and tables in files."""
+
+from __future__ import annotations
+
+import math
+
+from robodyn.scene.grammar import Key
+from robodyn.scene.quantities import parse_number
+from robodyn.scene.scene import Law, Signal, Table
+from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
+from robodyn.scene.yaml_values import ValueReader
+
+SPRING = {"x": "x", "v": "v"}.get
+
+
+class SignalReader(ValueReader):
+    """The kinds of the grammar that are signals."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.source = ""
+        self.count = 0  # of links
+        self.slides: set[int] = set()
+
+    def law(self, node: Node, place: str) -> Law | None:
+        """The pull of a spring as an expression in x and v."""
+        if not isinstance(node, Scalar) or not node.text.strip():
+            self.fault(place, node, "must be an expression in x and v", self.shown(node))
+            return None
+        return self.expression(node, place, of_spring=True)
+
+    def spring_table(self, node: Node, place: str) -> Table | None:
+        """The pull of a spring by the columns x and F of a file."""
+        file = self.name(node, place)
+        return self.file_table(node, place, file, "x", "x", "F", False) if file else None
+
+    def varying(self, node: Node, place: str) -> float | Signal:
+        """A number, an expression in t, q1.., qd1.., or {table, over, column}."""
+        if isinstance(node, Mapping):
+            return self.load_table(node, place) or 0.0
+        if not isinstance(node, Scalar) or _plain(node):
+            return self.number(node, place, Key("number", ""))
+        law = self.expression(node, place)
+        if law is None or law.names:
+            return law or 0.0
+        from robodyn.scene.expressions import value_of
+
+        try:
+            value = value_of(law.code)
+        except (ArithmeticError, ValueError):
+            value = math.nan
+        if not math.isfinite(value):
+            self.fault(place, node, "must be a finite number", self.shown(node))
+        return value if math.isfinite(value) else 0.0
+
+    def varying_vector(self, node: Node, place: str) -> tuple[float | Signal, float | Signal]:
+        """Two of these."""
+        if not isinstance(node, Sequence) or len(node.items) != 2:
+            self.vector(node, place)  # says so
+            return 0.0, 0.0
+        x, y = (self.varying(item, f"{place}[{k}]") for k, item in enumerate(node.items))
+        return x, y
+
+    def load_table(self, node: Node, place: str) -> Table | None:
+        """A table over t or a joint."""
+        from robodyn.scene.expressions import state_names
+
+        faults, values = len(self.faults), self.form("load_table", node, place)
+        if len(self.faults) > faults:
+            return None
+        over = values["over"]
+        rename, _ = state_names(self.count)
+        own = rename(over)
+        if own is None or own.startswith("qd"):
+            limit = f"must be t, or a joint: q1 to q{self.count}"
+            self.fault(f"{place}.over", node, limit, over)
+            return None
+        turns = own != "t" and int(own[1:]) not in self.slides
+        where = f"{place}.table"
+        return self.file_table(node, where, values["table"], own, over, values["column"], turns)
+
+    def file_table(
+        self, node: Node, place: str, file: str, over: str, x: str, column: str, turns: bool
+    ) -> Table | None:
+        """What a file holds; None, and a fault, where it is no table."""
+        from robodyn.scene.table_files import read_table
+
+        try:
+            return read_table(self.source, file, over, x, column, turns)
+        except ValueError as error:
+            self.fault(place, node, str(error), file)
+        return None
+
+    def expression(self, node: Scalar, place: str, of_spring: bool = False) -> Law | None:
+        """A smooth expression in the state, or of a spring in x and v; None, and a fault, for none.
+
+        Scenes without expressions start without what reads them.
+        """
+        from robodyn.scene import expressions
+
+        rename, known = (SPRING, "x, v") if of_spring else expressions.state_names(self.count)
+        try:
+            written = expressions.Written(node.text, rename, known)
+            expressions.check_smooth(written.codes)
+        except expressions.NotAllowedError as error:
+            self.fault(place, node, f"has {error}", self.shown(node))
+            return None
+        except ValueError as error:
+            self.fault(place, node, f"must be an expression: {error}", self.shown(node))
+            return None
+        return Law(node.text.strip(), written.codes[0], frozenset(written.names))
+
+
+def _plain(node: Scalar) -> bool:
+    """Whether it is a number, or was meant as one."""
+    try:
+        parse_number(node.text)
+    except ValueError as error:
+        truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
+        return truth or str(error) != "is not a number"
+    return True
