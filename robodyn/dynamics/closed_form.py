@@ -110,8 +110,11 @@ def kinetic_energy(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def _kinetic(mechanism: Mechanism, at: Placed, qd: ArrayLike) -> Array:
+    arrays = mechanism.arrays
     v = at.rates(mechanism, absolute_rates(mechanism, qd)).X
-    KE: Array = 0.5 * ((v @ mechanism.arrays.A.T) * v.conj()).real.sum(axis=-1)
+    KE: Array = 0.5 * ((v @ arrays.A.T) * v.conj()).real.sum(axis=-1)
+    if mechanism.rotors:
+        KE = KE + 0.5 * (as_states(mechanism, "qd", qd) @ arrays.spins.T) ** 2 @ arrays.rotors
     return KE
 
 
