@@ -133,6 +133,8 @@ def _switching(
         part = {name: array[which] for name, array in flat.items()}
         moving = in_mode(mechanism, mode)
         joints[which], found, remark = _smooth(moving, kind, 2, part, every[which])
+        if kind == "forward":
+            joints[np.ix_(which, mode.held)] = 0.0  # but for rounding
         forces[which] = found[:, :r]
         remarks |= {remark: None}
     if kind == "inverse" and resting_friction(mechanism, flat["qd"], flat["qdd"]):
