@@ -62,9 +62,9 @@ def plain_scene(name, seed):
         joint, other = (seed % n, (seed + 1) % n)
         return geared(seed, tree, joint, other, [k for k in range(n) if k != joint])
     if name == "tree with motors":
-        return motored(seed, seeded_tree(seed, (2, 5, 3, 4, 1, 8)[seed % 6]))
+        return motored(seed, seeded_tree(seed, (2, 4, 3, 1)[seed % 4]))
     if name == "sliding tree with motors":
-        n = 2 + seed % 4
+        n = 2 + seed % 3
         return motored(seed, sliding(seed, seeded_tree(seed, n), (seed // 4) % n))
     if name == "geared five-bar with motors":
         return motored(seed, plain_scene("geared five-bar", seed))
