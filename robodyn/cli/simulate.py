@@ -13,17 +13,12 @@ from typing import Annotated, BinaryIO
 import numpy as np
 from typer import Option
 
+from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Model, Number, Q, Qd, Quiet, Text
 from robodyn.cli.output import note
 from robodyn.cli.signals import watching
-from robodyn.cli.simulate_options import (
-    EventOptions,
-    RunOptions,
-    TorqueOptions,
-    named,
-    torque_source,
-)
+from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.dynamics import closed_form

@@ -1,4 +1,4 @@
-"""The options of `robodyn simulate`: torques, events, and how to integrate."""
+"""The options of `robodyn simulate`: where torque comes from, and how to integrate."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
-from robodyn.cli.files import input_file, output_file
+from robodyn.cli.files import input_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
 from robodyn.cli.states import read_columns
 from robodyn.cli.times import frequency_from, value_from
 from robodyn.errors import InputError
-from robodyn.events.watch import EventWatch
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.voltages import voltages
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
-from robodyn.simulation.simulation import UNTIL, watched_events
 
 if TYPE_CHECKING:
     from robodyn.control.tracking import ReferenceTable
@@ -112,44 +110,6 @@ class RunOptions:
         with named():
             settings.check()
         return settings
-
-
-_UNTIL = "Ends the run when this becomes true, as q1 > 90deg, or passes zero."
-_EVENT = "Tells when EXPR passes zero, or becomes true; may be repeated."
-_EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
-
-
-@dataclass(frozen=True)
-class EventOptions:
-    """What to look for on the way."""
-
-    until: Annotated[Text, Option("--until", metavar="EXPR", help=_UNTIL)] = None
-    event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=_EVENT)] = None
-    events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
-
-    def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
-        """What watches the run; InputError naming the option that is none."""
-        given: dict[str, str] = {}
-        for text in self.event or []:
-            name, sign, expression = (part.strip() for part in text.partition("="))
-            if not (sign and name and expression) or expression.startswith("="):
-                limit = "must be NAME=EXPR, such as apex=qd1 or high='q1 > 90deg'"
-                raise InputError("--event", value=text, limit=limit)
-            if name in given or name == UNTIL:
-                limit = "each event needs a name of its own"
-                raise InputError("--event", value=name, limit=limit)
-            given[name] = expression
-        try:
-            watch = watched_events(mechanism, given, self.until, t_end)
-        except InputError as error:
-            if error.where is not None:
-                error.where = f"--{error.where}"
-            raise
-        if watch is None and self.events is not None:
-            if not mechanism.switches:
-                raise InputError("--events", limit="there are none: give --event or --until")
-            watch = EventWatch([], t_end)
-        return watch
 
 
 def named() -> AbstractContextManager[None]:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from typer import Option
 
+from robodyn.cli.event_options import EVENT, named_events
 from robodyn.cli.options import Text, named_options, vector
 from robodyn.cli.states import check_displacements
 from robodyn.cli.times import value_from
@@ -20,7 +21,7 @@ from robodyn.scene.yaml_tree import read_text
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
 from robodyn.sweeps.scene_values import SceneValues, is_angle, numbers_of
-from robodyn.sweeps.sweep_plan import CHUNKS, RESULTS, Plan, best_engine
+from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.tables.csv_fields import shown
 
@@ -38,6 +39,7 @@ _QD = "Rates of the actuated joints, rad/s or 30deg. Default: zero."
 _QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
 _TAU = "Constant torques of the actuated joints, N m. Default: zero."
 _TIME = "End time, s; negative runs backwards."
+_RESULT = f"Columns of a motion: {', '.join(RESULTS)}, and {EVENTS} with --event."
 _FLIP = "The link whose flip is told. Default: the last."
 _STEPS = "A motion gives up after so many."
 _ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
@@ -58,9 +60,8 @@ class SweepOptions:
     qdd: Annotated[Text, vector("--qdd", _QDD)] = None
     tau: Annotated[Text, vector("--tau", _TAU)] = None
     time: Annotated[float, Option("--time", metavar="S", help=_TIME)] = 10.0
-    result: Annotated[str, Option("--result", metavar="NAMES", help="Columns of a motion.")] = (
-        ",".join(RESULTS)
-    )
+    result: Annotated[str, Option("--result", metavar="NAMES", help=_RESULT)] = ",".join(RESULTS)
+    event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=EVENT)] = None
     flip: Annotated[Text, Option("--flip", metavar="LINK", help=_FLIP)] = None
     rtol: Annotated[float, Option("--rtol", help="Relative tolerance of a step.")] = 1e-9
     atol: Annotated[float, Option("--atol", help="Absolute one, rad, rad/s.")] = 1e-9
@@ -83,8 +84,10 @@ def plan_of(model: str, given: SweepOptions) -> Plan:
         Settings("taylor", given.rtol, given.atol, max_evaluations=given.max_steps).check()
     chosen = tuple(word.strip() for word in given.result.split(","))
     for word in chosen:
-        if word not in RESULTS:
-            raise InputError("--result", value=shown(word), limit=f"knows {', '.join(RESULTS)}")
+        if word not in (*RESULTS, EVENTS):
+            limit = f"knows {', '.join((*RESULTS, EVENTS))}"
+            raise InputError("--result", value=shown(word), limit=limit)
+    events = _events(mechanism, given, EVENTS in chosen)
     names = list(mechanism.link_names)
     if given.flip is not None and given.flip not in names:
         limit = f"names no link{nearest(given.flip, names)}"
@@ -97,7 +100,7 @@ def plan_of(model: str, given: SweepOptions) -> Plan:
         name: _values(mechanism, name, getattr(given, name)) for name in ("q", "qd", "qdd", "tau")
     }
     engine: str = "python"
-    if given.kind == "motion":
+    if given.kind == "motion" and not events:
         with named_options(("engine",)):
             engine = best_engine(given.engine, variation.size, mechanism)
     return Plan(
@@ -113,8 +116,24 @@ def plan_of(model: str, given: SweepOptions) -> Plan:
         atol=given.atol,
         most=given.max_steps,
         engine=engine,
-        chunk=CHUNKS[engine],
+        chunk=ONE_BY_ONE if events else CHUNKS[engine],
+        events=events,
     )
+
+
+def _events(mechanism: Mechanism, given: SweepOptions, wanted: bool) -> tuple[tuple[str, str], ...]:
+    """The events of each motion, which go with --result events alone."""
+    events = tuple(named_events(mechanism, given.event or []).items())
+    if wanted and given.kind == "torque":
+        raise InputError("--result", value=EVENTS, limit="is for --kind motion")
+    if wanted != bool(events):
+        missing = "--event NAME=EXPR" if wanted else f"--result {EVENTS}"
+        option = "--result" if wanted else "--event"
+        raise InputError(option, value=EVENTS if wanted else None, limit=f"needs {missing}")
+    if events and given.engine == "compiled":
+        limit = "events are looked for by one motion at a time, in Python: take auto or python"
+        raise InputError("--engine", value=given.engine, limit=limit)
+    return events
 
 
 def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, ...]:

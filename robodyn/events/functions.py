@@ -1,4 +1,4 @@
-"""Events as people write them: `q1 > 90deg`, or `qd1`, a function whose zeros count.
+"""Events as people write them: `q1 > 90deg`, or `qd1`, a function whose changes of sign count.
 
 An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take, with
 numbers such as 90deg, 60rpm or 5ms besides.
@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
+from robodyn.events.rounding import bound_of
+from robodyn.events.smooth_parts import switches
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
 
@@ -38,22 +40,34 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
     "min": lambda *x: np.minimum.reduce(np.broadcast_arrays(*x)),
     "max": lambda *x: np.maximum.reduce(np.broadcast_arrays(*x)),
     "hypot": lambda *x: np.sqrt(sum(each**2 for each in x)),
-    "log": lambda x, base=math.e: np.log(x) / math.log(base),
+    "log": lambda x, base=math.e: np.log(x) / np.log(base),
 }
 
 
 @dataclass(frozen=True)
-class EventFunction:
-    """A function of time and state whose changes of sign are events.
+class Part:
+    """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
 
-    `way` 1: where it becomes positive, -1: negative, 0: both.  `values(t (k,), y (k, 2n or more))`
-    gives it, nan where it is not defined; `sizes` what its rounding is a part of.
+    `noise` (k,), of the same, bounds what rounding may have added to them.
+    """
+
+    values: Values
+    noise: Values
+
+
+@dataclass(frozen=True)
+class EventFunction(Part):
+    """A function whose changes of sign are events.
+
+    `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
+    holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
+    are smooth between zeros of those before them, passes zero.
     """
 
     name: str
     way: int
-    values: Values
-    sizes: Values
+    strict: bool
+    switches: tuple[Part, ...]
 
 
 def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> EventFunction:
@@ -72,11 +86,15 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         raise InputError(repr(text), where=where, limit="must be one expression, without a comma")
     if not written.names:
         raise InputError(repr(text), where=where, limit="never changes: it names no t, q or qd")
-    tree, way = ast.parse(written.codes[0], mode="eval").body, 0
+    tree, way, strict = ast.parse(written.codes[0], mode="eval").body, 0, True
     if isinstance(tree, ast.Compare):
-        way, tree = WAYS[type(tree.ops[0])], ast.BinOp(tree.left, ast.Sub(), *tree.comparators)
-    values, sizes = (_vectorised(x, mechanism.n) for x in (tree, _size(tree)))
-    return EventFunction(name, way, values, sizes)
+        if any(isinstance(side, ast.Compare) for side in (tree.left, *tree.comparators)):
+            raise InputError(repr(text), where=where, limit="compares a comparison")
+        way, strict = WAYS[type(tree.ops[0])], isinstance(tree.ops[0], ast.Gt | ast.Lt)
+        tree = ast.BinOp(tree.left, ast.Sub(), *tree.comparators)
+    n = mechanism.n
+    cuts = tuple(Part(_vectorised(x, n), bound_of(x, n)) for x in switches(tree))
+    return EventFunction(_vectorised(tree, n), bound_of(tree, n), name, way, strict, cuts)
 
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:
@@ -89,28 +107,22 @@ def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[Even
 
 
 class _Chosen(ast.NodeTransformer):
-    """`a if b else c` of arrays."""
+    """`a if b else c` of arrays, and comparisons as 0.0 and 1.0."""
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        return ast.BinOp(self.generic_visit(node), ast.Mult(), ast.Constant(1.0))  # type: ignore[arg-type]
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
         parts = [self.visit(part) for part in (node.test, node.body, node.orelse)]
         return ast.Call(ast.Name("_where", ast.Load()), parts, [])
 
 
-def _size(tree: ast.expr) -> ast.expr:
-    """The sum of the sizes of what a sum adds."""
-    match tree:
-        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            return ast.BinOp(_size(left), ast.Add(), _size(right))
-        case ast.UnaryOp(operand=operand):
-            return _size(operand)
-    return ast.Call(ast.Name("_abs", ast.Load()), [tree], [])
-
-
 def _vectorised(tree: ast.expr, n: int) -> Values:
     scope: dict[str, Any] = {"__builtins__": {}, "_where": np.where, "_pow": np.power}
     for name in FUNCTIONS:
         scope[f"_{name}"] = _ARRAYS.get(name) or getattr(np, name)
-    text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(tree)))
+    copied = ast.parse(ast.unparse(ast.fix_missing_locations(tree)), mode="eval").body
+    text = ast.unparse(ast.fix_missing_locations(_Chosen().visit(copied)))
     used = set(re.findall(r"\bqd?\d+\b", text))
     columns = [
         f"{name}{k} = y[:, {k + first}]"

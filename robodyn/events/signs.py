@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +24,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]  # of times (k,), (k,)
-Sized = Callable[[Array], tuple[Array, Array]]  # the same, and what its rounding is a part of
+Sampled = Callable[[Array], tuple[Array, Array]]  # the same, and bounds of its rounding
 
 DEGREE = 16
 ROUNDING = 16.0 * float(np.finfo(float).eps)  # of the sum of |c_k|
-FLAT = 1e3  # times its rounding: a function that changes by less is looked at no closer
-DEEPEST = 60  # halvings
-SPREAD = np.append(0.0, 10.0 ** -np.arange(1.0, 15.0))  # of a bracket, about a guess of the root
+SPREAD = np.array([0.0, 1e-14, 1e-12, 1e-9, 1e-5])  # of a bracket, about a guess of the root
+MOST_BOXES = 20_000  # of one look at a function along a step
 
 _k = np.arange(DEGREE + 1.0)
 NODES: Array = 0.5 - 0.5 * np.cos(math.pi * _k / DEGREE)  # on [0, 1], upwards
@@ -45,29 +45,45 @@ def _coefficients() -> Array:
 
 
 FROM_VALUES: Array = _coefficients()
+TO_COEFFICIENTS: Array = np.ascontiguousarray(FROM_VALUES.T)
 
 
 class Stretch(NamedTuple):
-    """Times over which a function has one sign: 1 or -1; 0 where rounding hides it."""
+    """Times over which a function has one sign: 1 or -1; 0 where rounding hides it.
+
+    `sure` is a time at which it has the sign for certain, `blur` how far its begin may be off, s.
+    Where it `stays` it is zero, or not defined.
+    """
 
     begin: float
     end: float
     sign: int
+    sure: float
+    blur: float = 0.0
+    stays: bool = False
+    defined: bool = True
 
 
 class Box(NamedTuple):
-    """A function on a box of times: its coefficients, and how far they may be off."""
+    """A function on a box of times: its coefficients, how far they may be off, and rounding's."""
 
     begin: float
     end: float
-    c: Array
+    c: list[float]
     error: float
+    noise: float
 
 
-def errors(c: Array, noise: Any) -> Array:
-    """How far functions (...) of coefficients c (..., DEGREE + 1) may be off."""
-    size = np.abs(c)
-    return np.asarray(noise + ROUNDING * size.sum(axis=-1) + 2.0 * size[..., -3:].sum(axis=-1))
+@dataclass
+class Budget:
+    """How many boxes may still be looked at, none shorter than `least` (s).
+
+    `spent` where they did not suffice.
+    """
+
+    least: float
+    left: int = MOST_BOXES
+    spent: bool = False
 
 
 def certain(values: Array, noise: Array) -> NDArray[np.int64]:
@@ -75,53 +91,74 @@ def certain(values: Array, noise: Array) -> NDArray[np.int64]:
 
     `values` (..., DEGREE + 1) are those at the nodes, each right but for `noise` (...).
     """
-    c = values @ FROM_VALUES.T
+    c = values @ TO_COEFFICIENTS
     size = np.abs(c)
-    sure = size[..., 0] > size[..., 1:].sum(axis=-1) + errors(c, noise)
+    total, tail = size.sum(axis=-1), size[..., -3:].sum(axis=-1)
+    sure = 2.0 * size[..., 0] > total + noise + ROUNDING * total + 2.0 * tail
     return np.where(sure, np.sign(c[..., 0]), 0.0).astype(np.int64)
 
 
-def stretches(f: Sized, begin: float, end: float, depth: int = 0) -> Iterator[Stretch]:
+def stretches(f: Sampled, begin: float, end: float, budget: Budget) -> Iterator[Stretch]:
     """The signs of f from `begin` to `end`, in order."""
-    values, sizes = f(begin + (end - begin) * NODES)
-    noise = ROUNDING * float(sizes.max())
-    c = FROM_VALUES @ np.where(np.isfinite(values), values, 0.0)
-    box = Box(begin, end, c, float(errors(c, noise)))
-    size = np.abs(c)
-    if not np.isfinite(values).all():
-        box = box._replace(error=math.inf)
-    if size[0] > size[1:].sum() + box.error:
-        yield Stretch(begin, end, int(np.sign(c[0])))
-    elif size[1] > (SLOPES * size)[2:].sum() + SLOPES[-1] * box.error:
-        yield from _monotone(box, begin, end)
-    elif 4.0 * size[2] > (BENDS * size)[3:].sum() + BENDS[-1] * box.error and (
-        (found := _bent(box)) or size.sum() < FLAT * noise or depth == DEEPEST
-    ):
-        yield from found or _grazing(box)
-    elif (
-        depth == DEEPEST
-        or abs(end - begin) <= 8.0 * math.ulp(max(abs(begin), abs(end)))
-        or size.sum() <= noise  # no sign is left to find
-    ):
-        yield Stretch(begin, end, 0)
+    budget.left -= 1
+    times = begin + (end - begin) * NODES
+    times[-1] = end
+    middle = begin + 0.5 * (end - begin)
+    values, noises = f(times)
+    if not values.any():
+        yield Stretch(begin, end, 0, middle, stays=True)
+        return
+    if np.isfinite(values).all():
+        noise = float(noises.max())
+        c = FROM_VALUES @ values
+        size = np.abs(c)
+        total = float(size.sum())
+        error = noise + ROUNDING * total + 2.0 * float(size[-3:].sum())
+        box = Box(begin, end, c.tolist(), error, noise + ROUNDING * total)
+        if 2.0 * size[0] > total + error:
+            yield Stretch(begin, end, int(np.sign(c[0])), middle)
+            return
+        if size[1] > SLOPES[2:] @ size[2:] + SLOPES[-1] * error:
+            yield from _monotone(box, begin, end)
+            return
+        if (np.abs(values) <= noises).all():  # no sign is left to find
+            yield Stretch(begin, end, 0, middle)
+            return
+        near = 2.0 * math.sqrt(error / size[2]) if size[2] else 1.0
+        if near < 0.5 and 4.0 * size[2] > BENDS[3:] @ size[3:] + BENDS[-1] * error:
+            yield from _bent(f, box, budget, near)
+            return
+    elif np.isnan(values).all():
+        yield Stretch(begin, end, 0, middle, stays=True, defined=False)
+        return
+    elif np.isinf(values).all() and abs(np.sign(values).sum()) == len(values):
+        yield Stretch(begin, end, int(np.sign(values[0])), middle)
+        return
+    if abs(end - begin) <= max(budget.least, 8.0 * math.ulp(max(abs(begin), abs(end)))):
+        yield Stretch(begin, end, 0, middle)
+    elif budget.left <= 0:
+        budget.spent = True
+        yield Stretch(begin, end, 0, middle)
     else:
-        middle = begin + 0.5 * (end - begin)
-        yield from stretches(f, begin, middle, depth + 1)
-        yield from stretches(f, middle, end, depth + 1)
+        yield from stretches(f, begin, middle, budget)
+        yield from stretches(f, middle, end, budget)
 
 
-def _value(box: Box, t: float) -> float:
-    """By Clenshaw's recurrence."""
-    x = min(1.0, max(-1.0, 2.0 * (t - box.begin) / (box.end - box.begin) - 1.0))
+def _value(c: list[float], x: float) -> float:
+    """At x in [-1, 1], by Clenshaw's recurrence."""
     last = before = 0.0
-    for c in box.c[:0:-1]:
-        last, before = c + 2.0 * x * last - before, last
-    return float(box.c[0] + x * last - before)
+    for each in c[:0:-1]:
+        last, before = each + 2.0 * x * last - before, last
+    return c[0] + x * last - before
 
 
-def _slope(c: Array) -> Array:
-    """The coefficients of the derivative, but for the length of the box."""
-    found = np.zeros(len(c) + 1)
+def _at(box: Box, t: float) -> float:
+    return min(1.0, max(-1.0, 2.0 * (t - box.begin) / (box.end - box.begin) - 1.0))
+
+
+def _slope(c: list[float]) -> list[float]:
+    """The coefficients of the derivative by x in [-1, 1]."""
+    found = [0.0] * (len(c) + 1)
     for k in range(len(c) - 1, 0, -1):
         found[k - 1] = found[k + 1] + 2.0 * k * c[k]
     found[0] *= 0.5
@@ -129,81 +166,101 @@ def _slope(c: Array) -> Array:
 
 
 def _sign(box: Box, t: float) -> int:
-    value = _value(box, t)
+    value = _value(box.c, _at(box, t))
     return 0 if abs(value) <= box.error else int(math.copysign(1.0, value))
+
+
+def _blur(box: Box, t: float) -> float:
+    """How far the time of a root may be off by rounding: twice what its slope there tells."""
+    slope = abs(_value(_slope(box.c), _at(box, t)))
+    length = 0.5 * abs(box.end - box.begin)
+    return min(2.0 * box.noise / slope, 1.0) * length if slope > 0.0 else length
 
 
 def _monotone(box: Box, begin: float, end: float) -> Iterator[Stretch]:
     """Of a part of a box in which f is monotone."""
     first, last = _sign(box, begin), _sign(box, end)
     if first and last and first != last:
-        middle = _root(box, begin, end)
-        yield Stretch(begin, middle, first)
-        yield Stretch(middle, end, last)
-    else:  # one that is hidden at an end has the sign of the other until there
-        yield Stretch(begin, end, first or last)
+        middle = _root(box.c, box, begin, end)
+        yield Stretch(begin, middle, first, begin)
+        yield Stretch(middle, end, last, end, _blur(box, middle))
+    elif first:  # one that is hidden at an end has the sign of the other until there
+        yield Stretch(begin, end, first, begin)
+    else:
+        yield Stretch(begin, end, last, end, _blur(box, begin))
 
 
-def _top(box: Box) -> float | None:
-    """Where f, which bends one way alone, has its extremum."""
-    slope = Box(box.begin, box.end, _slope(box.c), 0.0)
-    if _value(slope, box.begin) * _value(slope, box.end) >= 0.0:
-        return None
-    return _root(slope, box.begin, box.end)
+def _bent(f: Sampled, box: Box, budget: Budget, near: float) -> Iterator[Stretch]:
+    """Of a box in which f bends one way alone; rounding may hide it `near` its extremum."""
+    slope = _slope(box.c)
+    if _value(slope, -1.0) * _value(slope, 1.0) >= 0.0:
+        yield from _monotone(box, box.begin, box.end)
+        return
+    top = _root(slope, box, box.begin, box.end)
+    if _sign(box, top):
+        yield from _monotone(box, box.begin, top)
+        yield from _monotone(box, top, box.end)
+        return
+    # rounding along the box hides it: a narrow one sees more
+    half = 0.5 * (box.end - box.begin) * near
+    forward = 1.0 if half > 0.0 else -1.0
+    low = max(box.begin * forward, (top - half) * forward) * forward
+    high = min(box.end * forward, (top + half) * forward) * forward
+    if low != box.begin:
+        yield from _monotone(box, box.begin, low)
+    yield from stretches(f, low, high, budget)
+    if high != box.end:
+        yield from _monotone(box, high, box.end)
 
 
-def _bent(box: Box) -> list[Stretch]:
-    """Of a box in which f bends one way alone; nothing where its extremum hides its sign."""
-    top = _top(box)
-    if top is None:
-        return list(_monotone(box, box.begin, box.end))
-    if not _sign(box, top):
-        return []
-    return [*_monotone(box, box.begin, top), *_monotone(box, top, box.end)]
-
-
-def _grazing(box: Box) -> list[Stretch]:
-    """Of a box in which rounding hides whether f passes zero at its extremum."""
-    top = _top(box)
-    assert top is not None
-    first, last = Stretch(box.begin, top, _sign(box, box.begin)), _sign(box, box.end)
-    return [first, Stretch(top, top, 0), Stretch(top, box.end, last)]
-
-
-def _root(box: Box, low: float, high: float) -> float:
-    """Of a polynomial that changes sign once between two times."""
-    first = _value(box, low)
-    for _ in range(100):
-        middle = low + 0.5 * (high - low)
-        if middle in (low, high):
+def _root(c: list[float], box: Box, begin: float, end: float) -> float:
+    """Of a polynomial that changes sign once between two times: Newton's, kept in the bracket."""
+    low, high = _at(box, begin), _at(box, end)
+    rising = _value(c, high) > 0.0
+    slope = _slope(c)
+    x, moved = 0.5 * (low + high), high - low
+    for _ in range(80):
+        value, rate = _value(c, x), _value(slope, x)
+        if value == 0.0:
             break
-        if _value(box, middle) * first > 0.0:
-            low = middle
+        if (value > 0.0) == rising:
+            high = x
         else:
-            high = middle
-    return low
+            low = x
+        before, last = x, moved
+        x = before - value / rate if rate else low
+        if abs(x - before) < 2e-16:
+            break
+        if not low <= x <= high or abs(x - before) > 0.5 * abs(last):
+            x = 0.5 * (low + high)
+        moved = x - before
+    return box.begin + 0.5 * (box.end - box.begin) * (1.0 + x)
 
 
-def root(f: Function, low: float, high: float, guess: float) -> float:
-    """The time at which f, of other signs at `low` and `high`, passes zero, to rounding."""
-    ends = f(np.array([low, high]))
-    first, last = (float(x) for x in ends)
-    for _ in range(30):
+def bracket(
+    f: Function, met: Callable[[Array], Any], low: float, high: float, guess: float
+) -> tuple[float, float, float]:
+    """Neighbours, to rounding, between which f comes to meet a condition: `met` of its values.
+
+    It is not met at `low` and is at `high`, and comes to be once between.  The third is that of the
+    two where f is nearer to zero.
+    """
+    first, last = (float(x) for x in f(np.array([low, high])))
+    for _ in range(80):
         width = high - low
-        if first == 0.0 or last == 0.0 or abs(width) <= 4.0 * math.ulp(max(abs(low), abs(high))):
+        if abs(width) <= 4.0 * math.ulp(max(abs(low), abs(high))):
             break
         near = np.concatenate([guess - width * SPREAD, guess + width * SPREAD, [low + 0.5 * width]])
-        inside = (near - low) * (high - near) > 0.0
-        t = np.unique(near[inside])
+        t = near[(near - low) * (high - near) > 0.0]
         if not len(t):
             break
+        t.sort()
         t = t if width > 0.0 else t[::-1]
-        t = np.concatenate([[low], t, [high]])
-        values: Any = np.concatenate([[first], f(t[1:-1]), [last]])
-        values = np.where(np.isnan(values), first, values)
-        after = int(np.argmax(values * first <= 0.0))  # the first of the other sign
-        low, high = float(t[after - 1]), float(t[after])
-        first, last = float(values[after - 1]), float(values[after])
-        part = first / (first - last) if math.isfinite(first - last) else 0.5
-        guess = low + part * (high - low)
-    return low if abs(first) < abs(last) else high
+        values = f(t)
+        there = np.append(met(values), True)
+        after = int(np.argmax(there))
+        ends, sizes = [low, *t.tolist(), high], [first, *values.tolist(), last]
+        low, high, first, last = *ends[after : after + 2], *sizes[after : after + 2]
+        part = first / (first - last) if math.isfinite(first - last) and first != last else 0.5
+        guess = low + min(1.0, max(0.0, part)) * (high - low)
+    return low, high, low if abs(first) < abs(last) else high

@@ -6,34 +6,28 @@ step, and the sign that it had before, nothing happened.  The others are looked 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
-from robodyn.events.signs import NODES, ROUNDING, Stretch, certain, root, stretches
+from robodyn.events.pieces import States, along, signs_along
+from robodyn.events.signs import NODES, Budget, Stretch, bracket, certain
 
 Array = NDArray[np.float64]
-States = Callable[[Array], Array]  # those (k, N) at times (k,) within a step
+Signs = NDArray[np.int64]
 
 APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
 TOLD = 5  # times that a remark names
 MOST = 1_000_000  # events that are kept
-FAR = 0.3  # part of its change along a step that a function may be off by its ends' cubic
-CUTS: Array = np.linspace(0.0, 1.0, 7)  # of a step
-HERMITE: Array = np.stack(
-    [
-        (1.0 + 2.0 * CUTS) * (1.0 - CUTS) ** 2,
-        CUTS**2 * (3.0 - 2.0 * CUTS),
-        CUTS * (1.0 - CUTS) ** 2,
-        CUTS**2 * (CUTS - 1.0),
-    ],
-    axis=1,
-)
+LEAST = 1e-17  # of a step: no times within it are told apart further
+# What a look at many steps asks of a function beyond its rounding: of its size along a step, and of
+# what it misses at the step's end, where the state is brought back onto closures.
+MARGIN, MISSED = 1e-9, 4.0
 
 
 class Event(NamedTuple):
@@ -68,7 +62,7 @@ class EventWatch:
 
     `signs` are those that functions have had; 0 where that is not yet known: what holds at the
     start is no event.  `grazes` has, by name, the times at which a function touches zero as far as
-    rounding tells, without passing it.
+    rounding tells, without passing it; `lost` where it changes sign too often to be followed.
     """
 
     functions: Sequence[EventFunction]
@@ -76,22 +70,29 @@ class EventWatch:
     stops: frozenset[int] = frozenset()
     found: list[Event] = field(default_factory=list)
     grazes: dict[str, list[float]] = field(default_factory=dict)
+    lost: dict[str, list[float]] = field(default_factory=dict)
     signs: list[int] = field(default_factory=list)
+    happened: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.signs = self.signs or [0] * len(self.functions)
+        self.happened = [0] * len(self.functions)
         self.watched = list(self.functions)
+        self._known: list[Signs] = []  # of the steps looked at together
+        self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
         own = len(self.functions)
         self.watched = [*self.functions, *guards]
         self.signs = [*self.signs[:own], *(1 for _ in guards)]
+        self._touched = [*self._touched[:own], *(None for _ in guards)]
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """How often each event happened, and each of some others."""
-        counts = dict.fromkeys((function.name for function in self.functions), 0)
-        for event in (*self.found, *others):
+        pairs = zip(self.functions, self.happened, strict=True)
+        counts = {function.name: count for function, count in pairs}
+        for event in others:
             counts[event.name] = counts.get(event.name, 0) + 1
         return counts
 
@@ -99,10 +100,11 @@ class EventWatch:
         """What is to be said of events that rounding hides, or whose times are not sharp."""
         found = []
         for name, times in self.grazes.items():
-            at = ", ".join(f"{t:.9g}" for t in times[:TOLD]) + (", ..." if times[TOLD:] else "")
-            found.append(f"{name} touches zero at t = {at} s: rounding hides whether it passes")
-        least = APART * abs(self.t_end)
-        blurred = [event for event in self.found if event.apart > least]
+            limit = "rounding hides whether it passes"
+            found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
+        for name, times in self.lost.items():
+            found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
+        blurred = [event for event in self.found if event.apart > self._instant]
         if blurred:
             worst = max(blurred, key=lambda event: event.apart)
             found.append(
@@ -110,108 +112,196 @@ class EventWatch:
                 f"{worst.apart:.1g} s open"
                 + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
             )
+        if sum(self.happened) > len(self.found):
+            found.append(f"the first {len(self.found)} events are kept")
         return found
 
+    @property
+    def _instant(self) -> float:
+        return APART * abs(self.t_end)
+
     def series(
-        self, times: Array, sampled: Array, step: Callable[[int], Step]
+        self, times: Array, sampled: Array, ends: Array, step: Callable[[int], Step]
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], with states (m, nodes, N) at Chebyshev's points.
 
-        `step(j)` has one whole.  Tells in which of them the run ends, and how.
+        `ends` (m, N) are those at their ends, brought back onto closures; `step(j)` has one whole.
+        Tells in which of them the run ends, and how.
         """
-        h = np.diff(times)
-        at = (times[:-1, None] + h[:, None] * NODES).ravel()
-        flat, shape = sampled.reshape(len(at), -1), sampled.shape[:2]
-        doubtful: dict[int, list[int]] = {}
-        known = []
-        for i, function in enumerate(self.watched):
-            noise = ROUNDING * function.sizes(at, flat).reshape(shape).max(axis=1)
-            signs = certain(function.values(at, flat).reshape(shape), noise)
-            known.append(signs)
-            before = np.append(self.signs[i], signs[:-1])
-            for j in np.flatnonzero((signs != before) | (signs == 0)).tolist():
-                doubtful.setdefault(j, []).append(i)
-        for j in sorted(doubtful):
-            for i in doubtful[j]:
-                if j and known[i][j - 1]:
-                    self.signs[i] = int(known[i][j - 1])
-            stop = self.step(step(j), doubtful[j])
+        m, nodes = sampled.shape[:2]
+        at = times[:-1, None] + np.diff(times)[:, None] * NODES
+        at = np.concatenate([at.ravel(), times[1:]])
+        y = np.concatenate([sampled.reshape(m * nodes, -1), ends])
+        looks = (self._looked_at(function, at, y, m) for function in self.watched)
+        doubtful = self._doubtful(list(looks), m)
+        for j, places in enumerate(doubtful):
+            self.begin(j, places)
+            stop = self.step(step(j), places) if places else None
             if stop is not None:
                 return j, stop
-        for i, signs in enumerate(known):
-            if len(signs) and signs[-1]:
-                self.signs[i] = int(signs[-1])
+        self.seen()
         return None
 
-    def near(self, begin: float, end: float, ends: Array, slopes: Array) -> list[int]:
-        """The functions that may pass zero from `begin` to `end`, as far as these tell.
-
-        `ends` and `slopes` (2, N) are y and dy/dt there: between them y is about the cubic that has
-        both, and a function stays where it is FAR from zero against how much it changes.
-        """
-        h = end - begin
-        between, at = HERMITE @ np.concatenate([ends, h * slopes]), begin + h * CUTS
-        doubtful = []
-        for i, function in enumerate(self.watched):
-            values = function.values(at, between)
-            least, most = float(values.min()), float(values.max())
-            nearest = least if self.signs[i] > 0 else -most
-            if not (self.signs[i] and nearest > FAR * (most - least)):
-                doubtful.append(i)
+    def _doubtful(self, known: list[Signs], m: int) -> list[list[int]]:
+        """In which of m steps which functions may pass zero, as their known signs (m,) tell."""
+        self._known = known
+        doubtful: list[list[int]] = [[] for _ in range(m)]
+        for i, signs in enumerate(known):
+            before = np.append(self.signs[i], signs[:-1])
+            for j in np.flatnonzero((signs != before) | (signs == 0)).tolist():
+                doubtful[j].append(i)
         return doubtful
+
+    def _looked_at(self, function: EventFunction, at: Array, y: Array, m: int) -> Signs:
+        """The signs (m,) that a function keeps along steps, as far as samples tell; else 0."""
+
+        def split(values: Array) -> tuple[Array, Array]:
+            inner = values[:-m].reshape(m, -1)
+            return inner, MISSED * np.abs(inner[:, -1] - values[-m:])
+
+        with np.errstate(all="ignore"):
+            inner, missed = split(function.values(at, y))
+            size = np.abs(inner).max(axis=1)
+            signs = certain(inner, missed + MARGIN * size)
+            if function.way:
+                stays = -function.way if function.strict else function.way
+                signs = np.where((size == 0.0) & (missed == 0.0), stays, signs)
+            for switch in function.switches:
+                inner, missed = split(switch.values(at, y))
+                margin = MARGIN * np.abs(inner).max(axis=1)
+                signs = np.where(certain(inner, missed + margin), signs, 0)
+        return signs
+
+    def near(self, steps: Sequence[Any]) -> list[list[int]]:
+        """For steps of an explicit method, which functions may pass zero in each, by its stages."""
+        m = len(steps)
+        both, h = two_guesses(steps), np.array([step.h_previous for step in steps])
+        at = np.array([step.t_old for step in steps])[:, None] + h[:, None] * NODES
+        at, y = np.concatenate([at.ravel(), at.ravel()]), both.reshape(-1, both.shape[-1])
+        found = []
+        for function in self.watched:
+            known = np.ones(m, np.int64)
+            with np.errstate(all="ignore"):
+                for part in (*function.switches, function):
+                    better, worse = part.values(at, y).reshape(2, m, -1)
+                    noise = np.abs(better - worse).max(axis=1)
+                    noise += MARGIN * np.abs(better).max(axis=1)
+                    known = np.where(known, certain(better, noise), 0)
+            found.append(known)
+        return self._doubtful(found, m)
+
+    def begin(self, j: int, places: Sequence[int]) -> None:
+        """Know the signs at the start of step j of those looked at together."""
+        for i in places:
+            if j and self._known[i][j - 1]:
+                self.signs[i] = int(self._known[i][j - 1])
+
+    def seen(self) -> None:
+        """Know the signs at the end of the steps looked at together."""
+        for i, known in enumerate(self._known):
+            if known[-1]:
+                self.signs[i] = int(known[-1])
 
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []
+        states = _remembered(step.states)
         for i in range(len(self.watched)) if places is None else places:
-            passed += [(t, apart, i) for t, apart in self._crossings(i, step)]
+            passed += [(t, apart, i) for t, apart in self._crossings(i, step, states)]
+        if not passed:
+            return None
         forward = 1.0 if step.end > step.begin else -1.0
         passed.sort(key=lambda each: each[0] * forward)
-        instant = APART * abs(self.t_end)
         own = len(self.functions)
         ends = next((each for each in passed if each[2] in self.stops or each[2] >= own), None)
         for t, apart, i in passed:
-            if ends is not None and (t - ends[0]) * forward > instant:
+            if ends is not None and (t - ends[0]) * forward > self._instant:
                 break
-            if i < own and len(self.found) < MOST:
-                self.found.append(Event(self.functions[i].name, t, self._state(step, t), apart))
-        return None if ends is None else Stop(ends[2], ends[0], self._state(step, ends[0]))
-
-    def _state(self, step: Step, t: float) -> Array:
-        return step.y if t == step.end else step.states(np.array([t]))[0]
-
-    def _crossings(self, i: int, step: Step) -> list[tuple[float, float]]:
-        """When a function passes zero in the way that counts, and how far that may be off."""
-        function = self.watched[i]
-        found: list[tuple[float, float]] = []
-
-        def values(t: Array) -> Array:
-            return function.values(t, step.states(t))
-
-        def sized(t: Array) -> tuple[Array, Array]:
-            y = step.states(t)
-            return function.values(t, y), function.sizes(t, y)
-
-        before: Stretch | None = None
-        for stretch in stretches(sized, step.begin, step.end):
-            if not stretch.sign:
-                if stretch.begin == stretch.end and i < len(self.functions):
-                    self._graze(function.name, stretch.begin)
+            if i >= own:
                 continue
-            if self.signs[i] not in (0, stretch.sign) and function.way in (0, stretch.sign):
-                t, apart = step.begin, 0.0
-                if before is not None:
-                    low, high = (x.begin + 0.5 * (x.end - x.begin) for x in (before, stretch))
-                    ends, sizes = sized(np.array([low, high]))
-                    noise = ROUNDING * float(sizes.max())
-                    first, last = ends.tolist()
-                    t = root(values, low, high, stretch.begin)
-                    apart = noise * abs((high - low) / ((last - first) or math.inf))
-                found.append((t, apart))
-            self.signs[i], before = stretch.sign, stretch
+            self.happened[i] += 1
+            if len(self.found) < MOST:
+                self.found.append(Event(self.functions[i].name, t, _state(step, t), apart))
+        return None if ends is None else Stop(ends[2], ends[0], _state(step, ends[0]))
+
+    def _crossings(self, i: int, step: Step, states: States) -> list[tuple[float, float]]:
+        """When a function passes zero in the way that counts, and how far that may be off."""
+        function, budget = self.watched[i], Budget(LEAST * abs(step.end - step.begin))
+        found: list[tuple[float, float]] = []
+        before: Stretch | None = None
+        for stretch in signs_along(function, step.begin, step.end, states, budget):
+            sign = self._sign(function, stretch)
+            if not sign:
+                self._hidden(i, stretch)
+                continue
+            touched, self._touched[i] = self._touched[i], None
+            if self.signs[i] not in (0, sign):
+                if function.way in (0, sign):
+                    t = step.begin
+                    if before is not None:
+                        t = self._passed(function, sign, before, stretch, states)
+                    width = abs(touched[1] - touched[0]) if touched else 0.0
+                    found.append((t, max(stretch.blur, width)))
+            elif touched and i < len(self.functions):
+                self._graze(function.name, touched[0])
+            self.signs[i], before = sign, stretch
+        if budget.spent:
+            self.lost.setdefault(function.name, []).append(step.begin)
         return found
+
+    def _sign(self, function: EventFunction, stretch: Stretch) -> int:
+        """Its sign; where a comparison stays at zero, or is not defined, whether it holds."""
+        if stretch.sign or not function.way or not self._lasts(stretch):
+            return stretch.sign
+        return -function.way if function.strict or not stretch.defined else function.way
+
+    def _lasts(self, stretch: Stretch) -> bool:
+        return stretch.stays and abs(stretch.end - stretch.begin) > self._instant
+
+    def _hidden(self, i: int, stretch: Stretch) -> None:
+        if not stretch.defined and self._lasts(stretch):
+            self.signs[i], self._touched[i] = 0, None
+        elif self.signs[i]:
+            begin = self._touched[i] or (stretch.begin, stretch.end)
+            self._touched[i] = begin[0], stretch.end
+
+    def _passed(
+        self, function: EventFunction, sign: int, before: Stretch, after: Stretch, states: States
+    ) -> float:
+        """The time between two stretches from which a function has the sign of the later one."""
+        f = along(function, states)
+
+        def met(values: Array) -> Any:
+            if function.way and not function.strict:
+                return values * sign >= 0.0
+            return values * sign > 0.0
+
+        return bracket(f, met, before.sure, after.sure, after.begin)[2]
 
     def _graze(self, name: str, t: float) -> None:
         times = self.grazes.setdefault(name, [])
-        if not times or abs(t - times[-1]) > APART * abs(self.t_end):
+        if not times or abs(t - times[-1]) > self._instant:
             times.append(t)
+
+
+def _listed(times: Sequence[float]) -> str:
+    return ", ".join(f"{t:.9g}" for t in times[:TOLD]) + (", ..." if times[TOLD:] else "")
+
+
+def _state(step: Step, t: float) -> Array:
+    return step.y if t == step.end else step.states(np.array([t]))[0]
+
+
+def _remembered(states: States) -> States:
+    """The same, which keeps the last answers: functions of an event are asked at the same times."""
+    kept: dict[bytes, Array] = {}
+
+    def remembered(t: Array) -> Array:
+        key = t.tobytes()
+        if key not in kept:
+            if len(kept) > 64:
+                kept.clear()
+            kept[key] = states(t)
+        return kept[key]
+
+    return remembered

@@ -28,6 +28,7 @@ from robodyn.dynamics.sticking import (
 )
 from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
+from robodyn.events.signs import ROUNDING
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -138,8 +139,14 @@ class Phases:
             size += float(self.mechanism.arrays.units[guard.joint])
         offset = here if abs(here) <= NEAR * size else 0.0  # it is zero there, but for rounding
         name = f"{guard.kind} {guard.joint} {guard.side}"
+        sizes = partial(self._size, guard)
         return EventFunction(
-            name, -1, lambda t, y: values(t, y) - offset, partial(self._size, guard)
+            lambda t, y: values(t, y) - offset,
+            lambda t, y: ROUNDING * sizes(t, y),
+            name,
+            way=-1,
+            strict=True,
+            switches=(),
         )
 
     def _value(self, guard: Guard, t: Array, y: Array) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
+from robodyn.events.explicit_steps import KeptStep
 from robodyn.events.functions import EventFunction
 from robodyn.events.watch import Event, EventWatch, Step, Stop
 from robodyn.loops.change_points import miss_remark
@@ -37,6 +38,7 @@ Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n), of o
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
+KEPT = 16  # steps that are looked at together for events
 MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
@@ -160,6 +162,7 @@ class Recorder:
     last_row: float | None = None  # its time
     closes: bool = False  # whether the mechanism has closures, in all modes
     contacts: list[Event] = field(default_factory=list)  # what joints met, and left
+    kept: list[KeptStep] = field(default_factory=list)  # not yet looked at for events
 
     def begin(self, y: Array) -> None:
         smooth = self.actuation.constants is not None or self.actuation.linear
@@ -172,19 +175,41 @@ class Recorder:
         self.steps.append((zero, y[None, :]))
 
     def step(self, solver: OdeSolver) -> None:
+        if self.events is None:
+            self._step(solver)
+        elif not hasattr(solver, "K"):  # only explicit methods have stages
+            self._step(solver, range(len(self.events.watched)))
+        elif self.actuation.told is not None or len(self.events.watched) > len(
+            self.events.functions
+        ):  # what goes on with the run, or a phase of it that may end
+            self._together([solver])
+        else:
+            self.kept.append(KeptStep(solver))
+            if len(self.kept) == KEPT or solver.status != "running":
+                self.catch_up()
+
+    def catch_up(self) -> None:
+        """Take the steps that were kept to be looked at together for events."""
+        kept, self.kept = self.kept, []
+        if kept:
+            self._together(kept)
+
+    def _together(self, steps: Sequence[Any]) -> None:
+        assert self.events is not None
+        for j, places in enumerate(self.events.near(steps)):
+            self.events.begin(j, places)
+            self._step(steps[j], places)
+        self.events.seen()
+
+    def _step(self, solver: Any, places: Sequence[int] = ()) -> None:
+        """Take a step, and look for events of the functions at `places`."""
         t = float(solver.t)
         y = solver.y.copy()
         self.report.steps += 1
         between = cache(solver.dense_output)  # made where a row or an event asks for it
         stop = None
-        if self.events is not None:
-            begin, places = float(solver.t_old or 0.0), None
-            if hasattr(solver, "K"):  # the stages of an explicit method
-                explicit: Any = solver
-                ends = np.stack([explicit.y_old, y])
-                slopes = np.stack([explicit.K[0], explicit.f])
-                places = self.events.near(begin, t, ends, slopes)
-            step = Step(begin, t, y, lambda times: between()(times).T)
+        if self.events is not None and len(places):
+            step = Step(float(solver.t_old), t, y, lambda times: between()(times).T)
             stop = self.events.step(step, places)
             if stop is not None:
                 t, y = stop.t, stop.y
@@ -196,7 +221,7 @@ class Recorder:
         self.steps.append((np.array([t]), y[None]))
         self.last = t, y
         self.held += 1
-        self._stepped(t, solver.status == "running")
+        self._stepped(t, stop is None and solver.status == "running")
         if stop is not None:
             self.stop(stop)
 
@@ -232,7 +257,10 @@ class Recorder:
 
     def end_solver(self, solver: OdeSolver) -> None:
         """Count what a solver did that another one follows."""
-        self.ended += solver.nfev
+        try:
+            self.catch_up()
+        finally:
+            self.ended += solver.nfev
 
     @property
     def rows_at_once(self) -> int:

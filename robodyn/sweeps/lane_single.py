@@ -28,11 +28,23 @@ Array = NDArray[np.float64]
 CANNOT_START = "cannot start"
 
 
-def single(given: Motions, k: int, t_end: float, aims: Aims, ends: Ends, lane: int) -> str:
-    """Motion k of those given, into lane `lane` of `ends`; its outcome."""
+def single(
+    given: Motions,
+    k: int,
+    t_end: float,
+    aims: Aims,
+    ends: Ends,
+    lane: int,
+    events: dict[str, str],
+    told: Array,
+) -> str:
+    """Motion k of those given, into lane `lane` of `ends`; its outcome.
+
+    `told` has, for each of the `events`, how often it happened, and when first.
+    """
     mechanism, y, n = given.mechanism, given.y[k], given.mechanism.n
 
-    def run(times: Array | None) -> Motion:
+    def run(times: Array | None, events: dict[str, str] | None = None) -> Motion:
         return simulate(
             mechanism,
             y[:n],
@@ -45,12 +57,16 @@ def single(given: Motions, k: int, t_end: float, aims: Aims, ends: Ends, lane: i
             atol=aims.atol,
             max_evals=aims.most,
             t_eval=times,
+            events=events,
         )
 
     inner = aims.extremes or aims.link >= 0
     try:
-        motion = run(None)
+        motion = run(None, events)
         report, t = motion.report, motion.t
+        told[::2] = [report.events.get(name, 0) for name in events]
+        for event in reversed(motion.events):
+            told[1 + 2 * [*events].index(event.name)] = event.t
         inner &= len(t) > 1
         if inner:
             parts = np.arange(QUARTERS) / QUARTERS

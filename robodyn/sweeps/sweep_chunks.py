@@ -203,7 +203,10 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         y = np.hstack([group.q, group.qd])
         members.append(Motions(group.mechanism, y, group.tau, angle))
     compiled = plan.engine == "compiled"
-    together = integrate(members, plan.t_end, aims, driven, compiled)
+    events, told = dict(plan.events), np.full((P, 2 * len(plan.events)), math.nan)
+    together: list[Ends | None] = [None] * len(members)
+    if not plan.events:  # these are looked for in one motion at a time
+        together = integrate(members, plan.t_end, aims, driven, compiled)
     if compiled and None in together:  # no code could be made
         again = integrate(members, plan.t_end, aims, driven, compiled=False)
         together = [a or b for a, b in zip(together, again, strict=True)]
@@ -220,13 +223,13 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
                 getattr(ends, name)[group.points] = getattr(found, name)
         for i, (k, status) in enumerate(zip(group.points.tolist(), statuses, strict=True)):
             if status is None or status in alone:
-                outcomes[k] = single(member, i, plan.t_end, aims, ends, k)
+                outcomes[k] = single(member, i, plan.t_end, aims, ends, k, events, told[k])
             else:
                 outcomes[k] = _OUTCOMES[status].label
-    _fill(plan, ends, offset, values)
+    _fill(plan, ends, offset, told, values)
 
 
-def _fill(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
+def _fill(plan: Plan, ends: Ends, offset: Array, told: Array, values: Array) -> None:
     """The results into their columns."""
     parts = []
     if "final" in plan.results:
@@ -238,6 +241,8 @@ def _fill(plan: Plan, ends: Ends, offset: Array, values: Array) -> None:
         parts.append(ends.drift[:, None])
     if "flip" in plan.results:
         parts.append(ends.flip[:, None])
+    if plan.events:
+        parts.append(told)
     if parts:
         values[:, len(plan.variation.axes) :] = np.concatenate(parts, axis=1)
 

@@ -23,6 +23,8 @@ from robodyn.taylor.compiled import serves
 CHUNKS = {"python": 2000, "compiled": 512}
 WORTH_MAKING = 200  # points whose time is that of making machine code
 RESULTS = ("final", "extremes", "drift", "flip")
+EVENTS = "events"  # a result that goes with events alone
+ONE_BY_ONE = 64  # points of a chunk whose motions go so
 _ENDS = ("min", "max")
 
 
@@ -51,6 +53,7 @@ class Plan:
     engine: str = "python"  # or compiled
     version: str = __version__
     chunk: int = CHUNKS["python"]
+    events: tuple[tuple[str, str], ...] = ()  # names and expressions
 
     @property
     def chunks(self) -> int:
@@ -76,12 +79,15 @@ class Plan:
             names += [f"{x}{k}_{end}" for x in ("q", "qd") for k in joints for end in _ENDS]
             names += [f"energy_{end}" for end in _ENDS]
         names += [name for name in ("drift", "flip") if name in self.results]
+        names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
         return [*names, "outcome"]
 
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
         facts = asdict(self)
         del facts["source"]  # which may be named from elsewhere
+        if not self.events:
+            del facts["events"]
         facts["variation"] = [asdict(axis) for axis in self.variation.axes]
         facts |= {"sample": self.variation.sample, "seed": self.variation.seed}
         return facts

@@ -43,7 +43,8 @@ Array = NDArray[np.float64]
 STRAIGHT, MOST_LINKS = 6000, 120
 STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
-AHEAD = 8  # where an event may end the run, at first
+KEPT = 32768  # steps whose series are kept at a time, of one link
+AHEAD = 8  # where an event ends the run, at first
 CALL = 0.1  # s that a call of compiled code may take
 # Steps of a scene in Python after which machine code has paid: making it costs as much as these.
 WORTH = 1500
@@ -191,7 +192,9 @@ def taylor_run(
     idle = 0  # times in a row that nothing led on
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
     watched = recorder.events is not None
-    ahead = AHEAD if watched else COMPILED_STEPS  # steps at a time: one beyond an event is lost
+    may_end = recorder.events is not None and bool(recorder.events.stops)
+    most_ahead = max(1, min(COMPILED_STEPS, KEPT // mechanism.n))
+    ahead = AHEAD if may_end else most_ahead  # steps at a time: those beyond the end are lost
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)
         if abs(bound - t) > max_step:
@@ -220,7 +223,7 @@ def taylor_run(
             called = time.perf_counter()
             if runner.keeps is not watched:
                 runner.keeps = watched
-            steps = min(steps, ahead)
+            steps = min(steps, ahead) if watched else steps
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start
@@ -246,7 +249,7 @@ def taylor_run(
             recorder.chunk(chunk, t_end, within)
             if stop is not None:
                 recorder.stop(stop)
-            ahead = min(2 * ahead, COMPILED_STEPS)
+            ahead = min(2 * ahead, most_ahead)
             status = chunk.status
             recent.append(chunk)
             if status is not Status.FULL:
@@ -293,7 +296,7 @@ def _with_events(
         return Step(begin, end, chunk.y[j], engine.dense(begin, starts[j], end))
 
     sampled = states_along(mechanism, starts, chunk.series, np.diff(times), NODES)
-    found = events.series(times, sampled, step)
+    found = events.series(times, sampled, chunk.y[:, : sampled.shape[-1]], step)
     if found is None:
         return chunk, engine.within, None
     j, stop = found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -132,7 +133,7 @@ class SteppingEngine:
         ends: list[float] = []
         states: list[list[float]] = []
         rows: list[Array] = []
-        kept: list[Any] = []
+        kept = array("d")
         due = 0
         status, n = Status.FULL, self.mechanism.n
         while len(ends) < steps:
@@ -165,7 +166,8 @@ class SteppingEngine:
                 due = last
             self.last = t, state, series
             if self.keeps:
-                kept.append(series[: 2 * n])
+                for row in series[: 2 * n]:
+                    kept.extend(row)
             t, state = end, new
             ends.append(t)
             states.append(state)
@@ -181,7 +183,7 @@ class SteppingEngine:
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
         series_of = None
         if kept:
-            parts = np.array(kept)
+            parts = np.frombuffer(kept).reshape(len(ends), 2 * n, -1)
             series_of = (parts[:, :n] + 1j * parts[:, n:]).swapaxes(1, 2)
         return Chunk(np.array(ends), made, times[:due], row_y, status, series_of)
 

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
+from hard_cases import many_events
 from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -476,6 +477,26 @@ def near_misses() -> Iterator[Row]:
         yield Row(case, hard, "error of q, qd", bound, error)
 
 
+# -- 13: events ----------------------------------------------------------------------------------
+
+
+def events_at_one_instant() -> Iterator[Row]:
+    hard = "five events at one instant"
+    for method, missing, apart, unordered in many_events.at_one_instant():
+        case = f"wheel, 100 s, {method}"
+        yield Row(case, hard, "events missing or invented", 0.0, missing)
+        yield Row(case, hard, "farthest apart, s", 1e-10, apart)
+        yield Row(case, hard, "out of order", 0.0, unordered)
+
+
+def grazes() -> Iterator[Row]:
+    hard = "passes or misses by 1e-10"
+    for method, wrong, invented in many_events.long_grazes():
+        case = f"wheel, 1000 s, {method}"
+        yield Row(case, hard, "crossings missing or invented", 0.0, wrong)
+        yield Row(case, hard, "crossings where there are none", 0.0, invented)
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -490,4 +511,6 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     seven_body,
     sines,
     near_misses,
+    events_at_one_instant,
+    grazes,
 ]

@@ -1,0 +1,65 @@
+"""The options that name events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated
+
+from typer import Option
+
+from robodyn.cli.files import output_file
+from robodyn.cli.options import Text
+from robodyn.errors import InputError
+from robodyn.events.functions import event_functions
+from robodyn.events.watch import EventWatch
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.simulation import UNTIL, watched_events
+
+_UNTIL = "Ends the run when this becomes true, as q1 > 90deg, or passes zero."
+EVENT = "Tells when EXPR passes zero, or becomes true; may be repeated."
+_EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
+
+
+@dataclass(frozen=True)
+class EventOptions:
+    """What to look for on the way."""
+
+    until: Annotated[Text, Option("--until", metavar="EXPR", help=_UNTIL)] = None
+    event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=EVENT)] = None
+    events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
+
+    def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:
+        """What watches the run; InputError naming the option that is none."""
+        given = named_events(mechanism, self.event or [])
+        try:
+            watch = watched_events(mechanism, given, self.until, t_end)
+        except InputError as error:
+            if error.where:
+                error.where = f"--{error.where}"
+            raise
+        if watch is None and self.events is not None:
+            if not mechanism.switches:
+                raise InputError("--events", limit="there are none: give --event or --until")
+            watch = EventWatch([], t_end)
+        return watch
+
+
+def named_events(mechanism: Mechanism, texts: Iterable[str]) -> dict[str, str]:
+    """The expressions of NAME=EXPR by their names; InputError naming the option that is none."""
+    given: dict[str, str] = {}
+    for text in texts:
+        name, sign, expression = (part.strip() for part in text.partition("="))
+        if not (sign and name and expression) or expression.startswith("="):
+            limit = "must be NAME=EXPR, such as apex=qd1 or high='q1 > 90deg'"
+            raise InputError("--event", value=text, limit=limit)
+        if name in given or name == UNTIL:
+            limit = "each event needs a name of its own"
+            raise InputError("--event", value=name, limit=limit)
+        given[name] = expression
+    try:
+        event_functions(mechanism, given)
+    except InputError as error:
+        error.where = f"--{error.where}" if error.where else "--event"
+        raise
+    return given

@@ -1,0 +1,96 @@
+"""The states within a step of an explicit Runge-Kutta method, from its stages alone.
+
+RK45 and RK23 interpolate by these themselves.  DOP853 needs further stages, a quarter of a step's
+cost; the polynomial here, of degree 5, has the slopes of five of its stages and is right to some
+digits less.  Each comes with a second one that is further off, so that the difference of the two
+tells how far a function of the states may be off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.events.signs import NODES
+
+Array = NDArray[np.float64]
+
+MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of a solver, by a step
+STAGES = [0, 7, 8, 10, 12]  # of DOP853, those of high order; 12 is the end
+AT = (0.0, 0.3076923076923077, 0.6512820512820513, 0.8571428571428571, 1.0)
+HERMITE: Array = np.stack(
+    [
+        (1.0 + 2.0 * NODES) * (1.0 - NODES) ** 2,
+        NODES**2 * (3.0 - 2.0 * NODES),
+        NODES * (1.0 - NODES) ** 2,
+        NODES**2 * (NODES - 1.0),
+    ],
+    axis=1,
+)
+BLEND: Array = NODES**2 * (3.0 - 2.0 * NODES)
+
+
+def _by_stages() -> Array:
+    """What makes y - y_0 (rows: nodes), less h, of the slopes of the stages (columns)."""
+    powers = np.arange(len(AT))
+    basis = np.linalg.inv(np.array(AT)[:, None] ** powers)  # coefficients (rows) of each slope
+    return np.asarray((NODES[:, None] ** (powers + 1.0) / (powers + 1.0)) @ basis)
+
+
+BY_STAGES: Array = _by_stages()
+
+
+@lru_cache(maxsize=8)
+def _powers(order: int) -> Array:
+    """Powers of the nodes, that a method's own interpolation has the coefficients of."""
+    return np.asarray(NODES[:, None] ** np.arange(1.0, order + 1.0))
+
+
+class KeptStep:
+    """What a step of an explicit solver leaves, kept while the solver goes on."""
+
+    __slots__ = ("K", "f", "h_previous", "nfev", "solver", "status", "t", "t_old", "y", "y_old")
+
+    def __init__(self, solver: Any) -> None:
+        self.solver = solver
+        for name in (*MOVED, "nfev", "status"):
+            setattr(self, name, getattr(solver, name))
+        self.K: Array = solver.K.copy()
+
+    def dense_output(self) -> Any:
+        """The solver's own, of this step: the solver goes back to it for that."""
+        solver: Any = self.solver
+        now = {name: getattr(solver, name) for name in MOVED}
+        stages = solver.K.copy()
+        try:
+            for name in MOVED:
+                setattr(solver, name, getattr(self, name))
+            solver.K[:] = self.K
+            return solver.dense_output()
+        finally:
+            for name, value in now.items():
+                setattr(solver, name, value)
+            solver.K[:] = stages
+
+
+def two_guesses(steps: Sequence[Any]) -> Array:
+    """The states (2, m, nodes, N) at Chebyshev's points of steps, twice; the first is better."""
+    h = np.array([step.h_previous for step in steps])[:, None, None]
+    first, last = (np.array([getattr(step, name) for step in steps]) for name in ("y_old", "y"))
+    K = np.array([step.K for step in steps])
+    both = np.empty((2, len(steps), len(NODES), first.shape[1]))
+    P = getattr(steps[0], "solver", steps[0]).P
+    if isinstance(P, np.ndarray):
+        both[1] = first[:, None] + h * (_powers(P.shape[1]) @ (P.T @ K))
+        both[0] = both[1]
+    else:
+        f = np.array([step.f for step in steps])
+        ends = np.stack([first, last, h[:, 0] * K[:, 0], h[:, 0] * f], axis=1)
+        both[1] = HERMITE @ ends
+        both[0] = first[:, None] + h * (BY_STAGES @ K[:, STAGES])
+    both[0] += BLEND[:, None] * (last - both[0, :, -1])[:, None]
+    return both

@@ -1,0 +1,187 @@
+"""`simulate --until, --event, --events` and `sweep --result events`: what they write and refuse."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from conftest import Outcome
+
+
+def done(outcome: Outcome) -> Outcome:
+    assert outcome.code == 0, outcome.err
+    return outcome
+
+
+Run = Callable[..., Outcome]
+ARM = ("simulate", "robots/2r.yaml", "--q", "0,0", "--time", 2)
+SWEEP = ("sweep", "robots/2r.yaml", "--vary", "q1=-1:1:5", "--time", 1)
+
+
+@pytest.mark.parametrize("rows", [(), ("--every", 0.1), ("--points", 4)])
+def test_until_ends_the_run(robodyn: Run, tmp_path: Path, rows: tuple) -> None:
+    report, events = tmp_path / "report.json", tmp_path / "events.csv"
+    given = done(robodyn(
+        *ARM, *rows, "--until", "q1 < -90deg", "--event", "apex=qd2", "--events", events,
+        "--report", report,
+    ))  # fmt: skip
+    assert float(given.rows[-1]["q1"]) == pytest.approx(-math.pi / 2, abs=1e-13)
+    assert "ended by --until q1 < -90deg" in given.err
+    facts = json.loads(report.read_text())
+    assert facts["ended_by"] == "until"
+    assert facts["outcome"] == "ended"
+    assert facts["t_reached"] == float(given.rows[-1]["t"])
+    assert facts["events"] == {"apex": 1, "until": 1}
+    lines = events.read_text().splitlines()
+    assert lines[0] == "event,t,q1,q2,qd1,qd2"
+    assert [line.split(",")[0] for line in lines[1:]] == ["apex", "until"]
+    assert float(lines[-1].split(",")[1]) == facts["t_reached"]
+    times = given.column("t")
+    assert all(a < b for a, b in pairwise(times))
+
+
+def test_never_met_says_so(robodyn: Run) -> None:
+    given = done(robodyn(*ARM, "--until", "q1 > 1000", "--every", 1))
+    assert "not met up to the end: --until q1 > 1000" in given.err
+    assert given.column("t") == [0.0, 1.0, 2.0]
+
+
+def test_the_summary_counts(robodyn: Run) -> None:
+    given = done(robodyn(*ARM, "--event", "apex=qd1", "--event", "no=q1 > 9", "--every", 2))
+    assert "events: apex 1, no 0" in given.err
+
+
+def test_a_graze_is_said(robodyn: Run) -> None:
+    given = done(robodyn(*ARM, "--event", "touch=(t - 1)**2"))
+    assert "touch touches zero at t = 1 s: rounding hides whether it passes" in given.err
+    assert "touch 0" in given.err
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("t - 5ms", 0.005),
+        ("t > 0.5s", 0.5),
+        ("60rpm*t > 180deg", 0.5),
+        ("t*20mm - 10mm", 0.5),
+        ("t*1rad > 0.25", 0.25),
+        ("t >= 1e2ms", 0.1),
+    ],
+)
+def test_units(robodyn: Run, text: str, value: float) -> None:
+    given = done(robodyn(*ARM, "--until", text))
+    assert given.column("t")[-1] == pytest.approx(value, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--event", "apex"), "--event = apex: must be NAME=EXPR"),
+        (("--event", "apex="), "--event = apex=: must be NAME=EXPR"),
+        (("--event", "=qd1"), "--event = =qd1: must be NAME=EXPR"),
+        (("--event", "a==qd1"), "--event = a==qd1: must be NAME=EXPR"),
+        (("--event", "a=qd1", "--event", "a=qd2"), "--event = a: each event needs a name"),
+        (("--event", "until=qd1"), "--event = until: each event needs a name"),
+        (("--event", "1a=qd1"), "--event: name of an event = 1a: must be a letter"),
+        (("--event", "a b=qd1"), "--event: name of an event = a b: must be a letter"),
+        (("--event", "a=q9"), "--event a: an event does not allow name q9"),
+        (("--event", "a=x"), "--event a: an event does not allow name x; known: t, q1..q2"),
+        (("--event", "a=3"), "never changes"),
+        (("--event", "a=q1,q2"), "without a comma"),
+        (("--event", "a=q1 == 2"), "does not allow"),
+        (("--event", "a=0 < q1 < 1"), "does not allow"),
+        (("--event", "a=(q1 > 0) > 0.5"), "compares a comparison"),
+        (("--event", "a=q1 > 0 and q2 > 0"), "does not allow"),
+        (("--event", "a=not q1"), "does not allow"),
+        (("--event", "a=qd1.real"), "does not allow"),
+        (("--event", "a=__import__('os')"), "does not allow"),
+        (("--event", "a=q1 >"), "is no expression"),
+        (("--event", "a=q1 > 30degrees"), "is no expression"),
+        (("--until", ""), "--until"),
+        (("--until", "1 > 0"), "never changes"),
+        (("--until", "q3 > 0"), "--until: an event does not allow name q3"),
+        (("--until", "foo(q1)"), "function foo"),
+        (("--events", "x.csv"), "--events: there are none"),
+    ],
+)
+def test_what_is_refused(
+    robodyn: Run, tmp_path: Path, options: tuple[str, ...], named: str
+) -> None:
+    given = robodyn(*ARM, *[str(tmp_path / x) if x == "x.csv" else x for x in options])
+    assert given.code == 2
+    assert named in given.err
+    assert not given.out
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_file_of_events_is_never_half_written(robodyn: Run, tmp_path: Path) -> None:
+    events = tmp_path / "events.csv"
+    events.write_text("before\n")
+    given = robodyn(*ARM, "--event", "a=qd1", "--events", events, "--max-evals", 20)
+    assert given.code == 1
+    assert events.read_text() == "before\n" or events.read_text().startswith("event,t,")
+    assert os.listdir(tmp_path) == ["events.csv"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_sweep_tells_events(robodyn: Run, workers: int) -> None:
+    given = done(robodyn(
+        *SWEEP, "--event", "low=q1 < -90deg", "--event", "never=q1 > 50", "--result",
+        "final,events", "--workers", workers,
+    ))  # fmt: skip
+    header = given.out.splitlines()[0].split(",")
+    assert header[-5:] == ["low_count", "low_first", "never_count", "never_first", "outcome"]
+    for row in given.rows:
+        told = done(robodyn(
+            "simulate", "robots/2r.yaml", f"--q={row['q1']},0", "--time", 1, "--until",
+            "q1 < -90deg", "--method", "taylor",
+        ))  # fmt: skip
+        assert row["never_first"] == ""
+        assert float(row["never_count"]) == 0.0
+        if float(row["low_count"]):
+            assert float(row["low_first"]) == pytest.approx(told.column("t")[-1], abs=1e-9)
+        else:
+            assert row["low_first"] == ""
+            assert "not met" in told.err
+
+
+def test_a_sweep_with_events_goes_on(robodyn: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    options = (
+        "sweep",
+        "robots/four-bar.yaml",
+        "--vary",
+        "q1=0:350deg:70",
+        "--qd",
+        5,
+        "--time",
+        0.2,
+    )
+    options += ("--event", "line=sin(q2)", "--result", "events", "--quiet")
+    whole = robodyn(*options).succeeds()
+    robodyn(*options, "-o", out).succeeds()
+    text = out.read_text()
+    assert text == whole.out
+    assert any(x for x in whole.column("line_count"))
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--event", "a=qd1"), "--event: needs --result events"),
+        (("--result", "events"), "--result = events: needs --event"),
+        (("--event", "a=q9", "--result", "events"), "--event a: an event does not allow name q9"),
+        (("--event", "a=qd1", "--result", "events", "--kind", "torque"), "is for --kind motion"),
+        (("--event", "a=qd1", "--result", "events", "--engine", "compiled"), "--engine = compiled"),
+        (("--result", "nothing"), "knows final, extremes, drift, flip, events"),
+    ],
+)
+def test_what_a_sweep_refuses(robodyn: Run, options: tuple[str, ...], named: str) -> None:
+    given = robodyn(*SWEEP, *options)
+    assert given.code == 2
+    assert named in given.err

@@ -1,0 +1,265 @@
+"""Events: every crossing is found, none is invented, and what rounding hides is said."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import mpmath
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from robodyn.events.functions import event_functions
+from robodyn.events.watch import EventWatch, Step
+from robodyn.mechanics.mechanism import Mechanism, load
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> Mechanism:
+    return load("robots/pendulum.yaml")
+
+
+def turning(t: Array) -> Array:
+    """q1 = t, qd1 = 1."""
+    return np.stack([t, np.ones_like(t)], axis=-1)
+
+
+def watched(
+    mechanism: Mechanism,
+    text: str,
+    ends: list[float],
+    states: Callable[[Array], Array] = turning,
+) -> EventWatch:
+    """The events of one expression along steps between `ends`."""
+    watch = EventWatch(event_functions(mechanism, {"e": text}), ends[-1] - ends[0])
+    for begin, end in pairwise(ends):
+        watch.step(Step(begin, end, states(np.array([end]))[0], states))
+    return watch
+
+
+def by_series(mechanism: Mechanism, text: str, ends: list[float]) -> EventWatch:
+    """The same, of steps looked at together."""
+    from robodyn.events.signs import NODES
+
+    times = np.array(ends)
+    watch = EventWatch(event_functions(mechanism, {"e": text}), ends[-1] - ends[0])
+    at = times[:-1, None] + np.diff(times)[:, None] * NODES
+    sampled = turning(at.ravel()).reshape(*at.shape, 2)
+    last = turning(times[1:])
+    watch.series(times, sampled, last, lambda j: Step(ends[j], ends[j + 1], last[j], turning))
+    return watch
+
+
+def check(watch: EventWatch, roots: list[float], within: float = 1e-12) -> None:
+    found = [event.t for event in watch.found]
+    assert len(found) == len(roots), (found, roots)
+    for t, root, event in zip(found, roots, watch.found, strict=True):
+        assert abs(t - root) <= within * max(1.0, abs(root)) + event.apart, (t, root, event.apart)
+
+
+ONE = [0.0, 3.0]  # ends of steps
+SOME = [0.0, 0.4, 1.0, 1.3, 2.9, 3.0]
+BACK = [0.0, -0.4, -1.0, -1.3, -2.9, -3.0]
+PART = math.sqrt(math.log(1e7) / 50)
+PARTS = [ONE, SOME, [x / 64 for x in range(193)]]
+
+
+@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("ends", PARTS)
+@pytest.mark.parametrize("gap", [10.0**-k for k in range(3, 13)])
+def test_close_pairs(pendulum: Mechanism, look: Callable, ends: list[float], gap: float) -> None:
+    """Two roots `gap` apart: both, or, where rounding hides them, a graze is said."""
+    first = 1.2345678
+    watch = look(pendulum, f"(t - {first!r})*(q1 - {first + gap!r})", ends)
+    check(watch, [first, first + gap])
+    sharp = f"(t - {first!r})**2 - {gap / 2!r}**2"
+    watch = look(pendulum, sharp, ends)
+    if watch.found:
+        check(watch, [first - gap / 2, first + gap / 2], 1e-12)
+    else:
+        assert gap < 1e-7
+        assert watch.grazes["e"] == pytest.approx([first], abs=1e-6)
+
+
+@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("ends", PARTS)
+@pytest.mark.parametrize("depth", [10.0**-k for k in range(2, 20)])
+def test_grazes(pendulum: Mechanism, look: Callable, ends: list[float], depth: float) -> None:
+    """sin t comes within `depth` of a level, from below and above: none, two, or a graze said."""
+    level = 1.0 - depth
+    near = 1.0 - level  # what is left of it
+    watch = look(pendulum, f"sin(q1) > {level!r}", ends)
+    root = math.asin(level) if near > 1e-9 else math.pi / 2 - math.sqrt(2 * near)
+    assert len(watch.found) <= 1
+    if near > 1e-14:
+        check(watch, [root])
+    elif not watch.found:
+        assert watch.grazes["e"] == pytest.approx([math.pi / 2], abs=1e-6)
+    watch = look(pendulum, f"sin(q1) - {1.0 + depth!r}", ends)
+    check(watch, [])
+    assert watch.grazes or depth > 5e-16
+    assert not watch.grazes or depth < 1e-13
+
+
+@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("ends", PARTS)
+@pytest.mark.parametrize(
+    ("text", "roots"),
+    [
+        ("(t - 1.1)**2", []),
+        ("(t - 1.1)**3", [1.1]),
+        ("(t - 1.1)**4", []),
+        ("(t - 1.1)**5", [1.1]),
+        ("(t - 1.1)**2*(q1 - 2.2)", [2.2]),
+        ("(t - 1)**3", [1.0]),
+        ("(t - 1)**2", []),
+        ("t - 1", [1.0]),
+        ("t", []),
+        ("t > 0", []),
+        ("t - 3", []),
+        ("-1e-300*(q1 - 2)", [2.0]),
+        ("1e300*(q1 - 2)", [2.0]),
+        ("1e-9*q1 - 2e-9", [2.0]),
+        ("q1 - 1e-13", [1e-13]),
+        ("1e9*(q1 - 2) < 0", []),
+        ("1e9*(q1 - 2) > 0", [2.0]),
+        ("q1 >= 120deg", [2 * math.pi / 3]),
+        ("cos(200*q1)", [(k + 0.5) * math.pi / 200 for k in range(191)]),
+        ("cos(200*q1) > 0", [(2 * k + 1.5) * math.pi / 200 for k in range(95)]),
+        ("sin(t**4) < 0.5", [(math.pi * (2 * k + 5 / 6)) ** 0.25 for k in range(13)]),
+        ("exp(5*t) - 1e5", [math.log(1e5) / 5]),
+        ("1e-7 - exp(-50*(t - 1)**2)", [1 - PART, 1 + PART]),
+        ("(t - 1)/1e-6 - sin((t - 1)/1e-6)", [1.0]),
+        ("tanh(1e6*(t - 1.7))", [1.7]),
+        ("tanh(1e9*(t - 1.7)) + 0.5", [1.7 - math.atanh(0.5) / 1e9]),
+        ("0.1 - 1/(1 + (10*(t - 1.234))**2)", [1.234 - 0.3, 1.234 + 0.3]),
+    ],
+)
+def test_smooth(
+    pendulum: Mechanism, look: Callable, ends: list[float], text: str, roots: list[float]
+) -> None:
+    check(look(pendulum, text, ends), roots, 1e-11)
+
+
+@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("ends", PARTS)
+@pytest.mark.parametrize(
+    ("text", "roots"),
+    [
+        ("floor(q1) - 0.5", [1.0]),
+        ("floor(q1) >= 1", [1.0]),
+        ("floor(q1) > 1", [2.0]),
+        ("floor(q1) >= 2", [2.0]),
+        ("floor(10*q1) >= 7", [0.7]),
+        ("floor(q1) < 1", []),
+        ("abs(q1 - 1.3)", []),
+        ("abs(q1 - 1.3) - 1e-9", [1.3 - 1e-9, 1.3 + 1e-9]),
+        ("abs(q1 - 1.3) < 1e-7", [1.3 - 1e-7]),
+        ("abs(abs(q1 - 1.5) - 1) < 1e-6", [0.5 - 1e-6, 2.5 - 1e-6]),
+        ("sign(q1 - 1.3)", [1.3]),
+        ("sign(q1 - 1.3) > 0", [1.3]),
+        ("sign(q1 - 1.3) >= 0", [1.3]),
+        ("max(q1 - 1.3, 0) > 0", [1.3]),
+        ("max(q1 - 1.3, 0) >= 0", []),
+        ("max(q1 - 1.3, 0)", []),
+        ("min(q1, 1.3) >= 1.3", [1.3]),
+        ("min(q1, 1.3) > 1.3", []),
+        ("min(q1 - 1, 0) + max(q1 - 2, 0)", [2.0]),
+        ("min(q1 - 1, 0) + max(q1 - 2, 0) >= 0", [1.0]),
+        ("min(q1 - 0.5, 2.5 - q1) > 0", [0.5]),
+        ("1 if abs(t - 1.2345) < 1e-6 else -1", [1.2345 - 1e-6, 1.2345 + 1e-6]),
+        ("(1 if abs(t - 1.2345) < 1e-9 else -1) > 0", [1.2345 - 1e-9]),
+        ("-1 if q1 > 1.5 else 1", [1.5]),
+        ("(q1 - 1) if q1 < 2 else (2.5 - q1)", [1.0, 2.5]),
+        ("(q1 - 5) if q1 < 2 else (q1 + 1)", [2.0]),
+        ("1/(q1 - 1.3)", [1.3]),
+        ("1/(q1 - 1.3) > 0", [1.3]),
+        ("1/(q1 - 1.3)**2 > 0", []),
+        ("tan(q1)", [math.pi / 2]),
+        ("(q1 % 0.5) - 0.25", [0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75]),
+        ("q1 % 0.5 > 0.25", [0.25, 0.75, 1.25, 1.75, 2.25, 2.75]),
+        ("sqrt(q1 - 1) > 0.5", [1.25]),
+        ("sqrt(q1 - 1) >= 0", [1.0]),
+        ("sqrt(q1 - 1) > 0", [1.0]),
+        ("sqrt(q1 - 1) - 0.5", [1.25]),
+        ("sqrt(2 - q1) < 0.5", [1.75]),
+        ("log(q1) > 0", [1.0]),
+        ("log(q1 - 2)", []),
+        ("log(q1 - 1)", [2.0]),
+        ("log(q1, 3) > 0.5", [math.sqrt(3)]),
+        ("asin(q1) > 1", [math.sin(1)]),
+        ("acos(q1/2) < 0.5", [2 * math.cos(0.5)]),
+        ("(q1 - 1)**0.5 > 0.5", [1.25]),
+        ("sin(q1)/q1 > 0.5", []),
+        ("sin(q1)/q1 < 0.5", [1.895494267033981]),
+        ("sin(q1 - 1)/(q1 - 1) - 0.5", [2.895494267033981]),
+        ("atan2(sin(3*q1), cos(3*q1)) > 3", [1.0]),
+        ("hypot(q1 - 1, 1e-3) < 2e-3", [1 - math.sqrt(3e-6)]),
+        ("hypot(q1 - 1) < 2e-3", [1 - 2e-3]),
+        ("(q1 > 1)*(q1 < 2) > 0", [1.0]),
+        ("(q1 > 1) - (t > 1.5) > 0", [1.0]),
+        ("-(q1 > 1) + 0.5", [1.0]),
+        ("q1 - q1 > 0", []),
+        ("q1 - q1 >= 0", []),
+        ("q1 - q1", []),
+        ("(q1 if q1 > 1 else -q1) > 0", [1.0]),
+    ],
+)
+def test_bends_and_jumps(
+    pendulum: Mechanism, look: Callable, ends: list[float], text: str, roots: list[float]
+) -> None:
+    watch = look(pendulum, text, ends)
+    check(watch, roots)
+    assert not watch.lost
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_polynomials(pendulum: Mechanism, seed: int) -> None:
+    """Products of factors with known roots, some of them close or double, on random steps."""
+    rng = np.random.default_rng(seed)
+    simple = rng.uniform(0.05, 2.95, rng.integers(1, 6)).tolist()
+    simple += [simple[0] + 10.0 ** rng.uniform(-9, -3)]
+    double = rng.uniform(0.05, 2.95, rng.integers(0, 3)).tolist()
+    factors = [f"(q1 - {x!r})" for x in simple] + [f"(t - {x!r})**2" for x in double]
+    rng.shuffle(factors)
+    scale = 10.0 ** rng.uniform(-30, 30)
+    ends = [0.0, *sorted(rng.uniform(0, 3, rng.integers(0, 12)).tolist()), 3.0]
+    for look in (watched, by_series):
+        watch = look(pendulum, "*".join([repr(scale), *factors]), ends)
+        check(watch, sorted(simple), 1e-11)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_waves(pendulum: Mechanism, seed: int) -> None:
+    """Sums of waves against roots on a fine grid in 30 digits."""
+    rng = np.random.default_rng(1000 + seed)
+    a, b = rng.uniform(-2, 2, 3).tolist(), rng.uniform(1, 30, 3).tolist()
+    text = " + ".join(f"{x!r}*sin({y!r}*q1)" for x, y in zip(a, b, strict=True)) + " + 0.1"
+
+    def f(t: mpmath.mpf) -> mpmath.mpf:
+        return sum(x * mpmath.sin(y * t) for x, y in zip(a, b, strict=True)) + 0.1
+
+    with mpmath.workdps(30):
+        grid = [mpmath.mpf(k) / 1000 for k in range(3001)]
+        values = [f(t) for t in grid]
+        pairs = [k for k in range(3000) if values[k] * values[k + 1] < 0]
+        roots = [
+            float(mpmath.findroot(f, (grid[k], grid[k + 1]), solver="anderson")) for k in pairs
+        ]
+    for look in (watched, by_series):
+        for ends in (ONE, SOME):
+            check(look(pendulum, text, ends), roots)
+
+
+def test_backwards(pendulum: Mechanism) -> None:
+    check(watched(pendulum, "sin(5*q1) > 0", BACK), [-k * math.pi / 5 for k in (1, 3)])
+    check(watched(pendulum, "floor(q1) < -1", BACK), [-1.0])
+    check(watched(pendulum, "abs(q1 + 1.3) < 1e-9", BACK), [-1.3 + 1e-9])
+
+
+def test_what_changes_too_often_is_said(pendulum: Mechanism) -> None:
+    watch = watched(pendulum, "sin(1e12*t)", [0.0, 1.0])
+    assert watch.lost
+    assert "too often" in " ".join(watch.remarks())
