@@ -26,7 +26,7 @@ from robodyn.simulation.accuracy import (
     settings_for,
 )
 from robodyn.simulation.extended import reference
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 

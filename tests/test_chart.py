@@ -156,7 +156,8 @@ def test_units_are_those_of_the_readme() -> None:
                 told += 1
     assert told >= 20
     assert unit_of("note") == ""
-    assert set(UNITS.values()) == {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s"}
+    own = {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s", "V", "A", "W"}
+    assert set(UNITS.values()) == own
 
 
 # Thinning

@@ -12,7 +12,7 @@ from robodyn.loops import loop_rates
 from robodyn.loops.assembly import assemble
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.quantities import parse_vector
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import Motion, simulate
 
 METHODS: list[dict[str, Any]] = [

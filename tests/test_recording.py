@@ -14,7 +14,8 @@ from robodyn.loops import assembly
 from robodyn.loops.assembly import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import ROWS_AT_ONCE, Outcome, Recorder, Report
+from robodyn.simulation.recording import ROWS_AT_ONCE, Recorder
+from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.taylor import Status

@@ -27,7 +27,7 @@ from robodyn.errors import InputError, RobodynError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.right_hand_side import right_hand_side
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run

@@ -21,7 +21,7 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference as longdouble_reference
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
 from robodyn.taylor import compiled

@@ -19,7 +19,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import FUNCTIONS, callback, expressions, table
 from robodyn.mechanics.program import Given, Program
 from robodyn.mechanics.torque_rows import linear_piece, torque_slots
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.taylor.python_series import StraightEngine
 from robodyn.taylor.steps import _agree
 

@@ -18,7 +18,7 @@ from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.torque_times import over_a_run
 from robodyn.simulation.accuracy import AUTO, settings_for
 from robodyn.simulation.extended import reference
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import METHODS, Settings
 
 PENDULUM = load(ROOT / "robots/pendulum.yaml")

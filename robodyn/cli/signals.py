@@ -47,7 +47,7 @@ def watching(duration: float, quiet: bool) -> Iterator[Callable[[float], bool]]:
     its end after that (a pipe that nobody reads), or gets another signal, ends at once.
     """
     from robodyn.cli.progress import progress
-    from robodyn.simulation.recording import Outcome, StopRun
+    from robodyn.simulation.report import Outcome, StopRun
 
     stopped: list[int] = []
     told = False  # whether the run knows

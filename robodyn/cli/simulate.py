@@ -28,7 +28,7 @@ from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import scene_units, unit_of
-from robodyn.simulation.recording import Outcome, Report
+from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.simulation import UNTIL, run
 from robodyn.tables.output_file import open_output

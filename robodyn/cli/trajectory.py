@@ -17,7 +17,7 @@ from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
-from robodyn.dynamics.dynamics import AT_REST_REMARK
+from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import scene_units

@@ -37,14 +37,10 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops import change_points, projection
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import in_mode, resting_friction
 
 Array = NDArray[np.float64]
 
 PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
-AT_REST_REMARK = (
-    "a joint with dry friction is at rest: any torque within its static friction of this holds it"
-)
 BATCH = 200  # from so many states on generated array code wins, its generation included
 
 
@@ -108,39 +104,14 @@ def _batch(
 
     times = _times(t, states["q"]) if mechanism.timed else np.zeros(())
     if mechanism.switches:
-        joints, forces, remark = _switching(mechanism, kind, states, times)
+        from robodyn.dynamics.switching import by_modes  # which asks for accelerations itself
+
+        joints, forces, remark = by_modes(mechanism, kind, states, times, _smooth)
     else:
         joints, forces, remark = _smooth(mechanism, kind, wanted, states, times)
     if remark:
         warnings.warn(remark, RobodynWarning, stacklevel=3)
     return joints, forces, remark
-
-
-def _switching(
-    mechanism: Mechanism, kind: str, states: dict[str, Array], times: Array
-) -> tuple[Array, Array, str]:
-    """`_smooth` of states that go on in modes of their own."""
-    from robodyn.dynamics.sticking import modes_of  # which asks for accelerations itself
-
-    for name, array in states.items():
-        finite(name, array)
-    shape, n, r = states["q"].shape, mechanism.n, len(mechanism.rows)
-    flat = {name: array.reshape(-1, n) for name, array in states.items()}
-    joints, forces = np.empty((len(flat["q"]), n)), np.empty((len(flat["q"]), r))
-    every = np.broadcast_to(times.ravel(), len(joints))
-    remarks: dict[str, None] = {}
-    for mode, which in modes_of(mechanism, kind, flat, every).items():
-        part = {name: array[which] for name, array in flat.items()}
-        moving = in_mode(mechanism, mode)
-        joints[which], found, remark = _smooth(moving, kind, 2, part, every[which])
-        if kind == "forward":
-            joints[np.ix_(which, mode.held)] = 0.0  # but for rounding
-        forces[which] = found[:, :r]
-        remarks |= {remark: None}
-    if kind == "inverse" and resting_friction(mechanism, flat["qd"], flat["qdd"]):
-        remarks |= {AT_REST_REMARK: None}
-    told = "; ".join(filter(None, remarks))
-    return joints.reshape(shape), forces.reshape(*shape[:-1], r), told
 
 
 def _smooth(

@@ -18,7 +18,7 @@ from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.extended import Reference, reference
-from robodyn.simulation.recording import Outcome, Report
+from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
 from robodyn.taylor.run import compiled_engine, stepping_engine

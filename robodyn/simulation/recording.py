@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -25,8 +24,8 @@ from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.run_control import JointTracking
 from robodyn.simulation.even_times import EvenTimes
+from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.unseen_work import UnseenWork
 from robodyn.taylor import Chunk
 
@@ -43,94 +42,6 @@ MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
 WORK_AT_ONCE = 1 << 22  # of n^3 a row: of large mechanisms fewer rows go at once
-
-
-class Outcome(Enum):
-    """How a run ended, and what to do about it."""
-
-    FINISHED = ("finished", "")
-    STEP_TOO_SMALL = (
-        "step too small",
-        "the tolerance asks for more digits than the motion keeps here: loosen rtol and atol, or "
-        "see whether a torque is undefined or the motion is singular at this time",
-    )
-    SINGULAR = (
-        "singular",
-        "the motion ran into a singular configuration: start beside it, or loosen rtol and atol",
-    )
-    TOO_MANY_EVALUATIONS = (
-        "too many evaluations",
-        "raise the limit (--max-evals), loosen rtol and atol, or try another method",
-    )
-    ENDLESS = (
-        "without end",
-        "by steps as short as those taken until now the end time (--time) is never reached",
-    )
-    STIFF = (
-        "stiff",
-        "the explicit method is held to tiny steps by its stability: take --method Radau "
-        "(or BDF, LSODA)",
-    )
-    LIMIT = (
-        "limit",
-        "the joint has no stop there: give its limits a stiffness or a restitution, or less torque",
-    )
-    CHATTERING = (
-        "chattering",
-        "modes of contact follow one another without time passing: the scene's friction and stops "
-        "contradict one another there",
-    )
-    INTERRUPTED = ("interrupted", "what was computed until then is kept")
-    EVENT = ("ended", "by the event that was to end it")
-
-    @property
-    def label(self) -> str:
-        return self.value[0]
-
-    @property
-    def advice(self) -> str:
-        return self.value[1]
-
-
-@dataclass(slots=True)
-class Report:
-    """What a run did: SI units; drift is relative to the largest energy in motion."""
-
-    outcome: str = Outcome.FINISHED.label
-    advice: str = ""
-    method: str = ""
-    rtol: float = 0.0
-    atol: float = 0.0
-    stabilize: str = ""
-    evaluator: str = ""
-    t_end: float = 0.0
-    t_reached: float = 0.0
-    steps: int = 0
-    evaluations: int = 0
-    seconds: float = 0.0
-    energy_start: float = 0.0
-    energy_drift: float = 0.0  # largest |E(t) - E(0) - work done| / energy in motion
-    energy_in_motion: float = 0.0  # largest KE, or change of PE, J
-    work: float = 0.0  # of torques less dampers, J
-    work_missed: float = 0.0  # of a torque between the steps, part of the energy in motion
-    largest_gap: float = 0.0  # m
-    largest_gap_rate: float = 0.0  # m/s
-    nearest_singular: float | None = None  # least singular value of Psi against the loop's size
-    nearest_singular_time: float | None = None
-    missed: str = ""  # of a change point that the loops just miss there
-    error_estimate: float | None = None  # largest of q and qd along the run, by a tighter run
-    tracking: list[JointTracking] | None = None  # of each actuated joint, over accepted steps
-    events: dict[str, int] = field(default_factory=dict)  # how often each happened
-    ended_by: str = ""  # the event that ended the run
-    remarks: list[str] = field(default_factory=list)  # on events whose times are not sharp
-    hint: str = ""  # what would make it faster, or safer
-
-
-class StopRun(Exception):
-    """Ends a run from within the observer."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
 
 
 @dataclass(slots=True)

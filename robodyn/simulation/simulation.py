@@ -27,7 +27,8 @@ from robodyn.mechanics import parts
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
-from robodyn.simulation.recording import Outcome, Recorder, Report, Sink, StopRun
+from robodyn.simulation.recording import Recorder, Sink
+from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases

@@ -12,7 +12,8 @@ from robodyn.dynamics import dense_dynamics
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.recording import Outcome, Recorder, Report, StopRun
+from robodyn.simulation.recording import Recorder
+from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.settings import Settings
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.simulation.simulation import Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends, Motions

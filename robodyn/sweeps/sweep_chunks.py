@@ -24,7 +24,7 @@ from robodyn.loops.change_points import suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.motors import motor_values
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
 from robodyn.sweeps.scene_values import SceneValues

@@ -18,20 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
-from robodyn.dynamics.placed import states_along
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.signs import NODES
-from robodyn.events.watch import EventWatch, Step, Stop
+from robodyn.events.watch import Stop
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing, loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.simulation.recording import Outcome, Recorder
+from robodyn.simulation.recording import Recorder
+from robodyn.simulation.report import Outcome
 from robodyn.taylor import Chunk, Engine, NoCodeError, Status, default_order
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
+from robodyn.taylor.watched_steps import with_events
 
 if TYPE_CHECKING:
     from robodyn.simulation.right_hand_side import RightHandSide
@@ -46,8 +46,7 @@ COMPILED_STEPS = 4096
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 8  # where an event ends the run, at first
 CALL = 0.1  # s that a call of compiled code may take
-# Steps of a scene in Python after which machine code has paid: making it costs as much as these.
-WORTH = 1500
+WORTH = 1500  # steps of a scene in Python that cost what making machine code does
 ROW_BY_ROW = 5  # of those that the rows make one by one: a hundred times as long
 ROWS_A_STEP = 4  # rows at times that cost what a step does
 MOST_IDLE = 8  # rounds without a step, after which there is none
@@ -242,7 +241,7 @@ def taylor_run(
             within: Callable[[Array], Array] = runner.within
             stop: Stop | None = None
             if recorder.events is not None and len(chunk.t):
-                chunk, within, stop = _with_events(recorder.events, mechanism, chunk, t, y, runner)
+                chunk, within, stop = with_events(recorder.events, mechanism, chunk, t, y, runner)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
@@ -283,34 +282,8 @@ def taylor_run(
                 recorder.report.hint = HINT
 
 
-def _with_events(
-    events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
-) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
-    """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    assert chunk.series is not None
-    times, starts = np.append(t, chunk.t), np.concatenate([y[None], chunk.y[:-1]])
-    forward = 1.0 if times[1] > times[0] else -1.0
-
-    def step(j: int) -> Step:
-        begin, end = float(times[j]), float(times[j + 1])
-        return Step(begin, end, chunk.y[j], engine.dense(begin, starts[j], end))
-
-    sampled = states_along(mechanism, starts, chunk.series, np.diff(times), NODES)
-    found = events.series(times, sampled, chunk.y[:, : sampled.shape[-1]], step)
-    if found is None:
-        return chunk, engine.within, None
-    j, stop = found
-    whole, last = chunk.first(j, forward), step(j)
-    if stop.t == last.begin:
-        return whole, last.states, stop
-    before = chunk.row_t * forward <= stop.t * forward
-    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
-    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
-    return cut, last.states, stop
-
-
 def reach(actuation: Actuation, t: float, y: Array) -> None:
-    """Tell a torque that depends on the run's steps where one of them ended, if on a kink."""
+    """Tell a torque that depends on the run's steps that one of them ended on a kink."""
     if actuation.told is not None and (kink := kink_at(actuation.kinks, t)) is not None:
         actuation.told.reach(kink, y.tolist())
 

@@ -20,7 +20,7 @@ from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
-from robodyn.simulation.recording import Outcome
+from robodyn.simulation.report import Outcome
 from robodyn.simulation.simulation import simulate
 
 HERE = Path(__file__).resolve().parent

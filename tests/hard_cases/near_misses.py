@@ -21,7 +21,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.simulation import extended
-from robodyn.simulation.recording import Report
+from robodyn.simulation.report import Report
 from robodyn.simulation.simulation import simulate
 from robodyn.sweeps.sweep_chunks import run_chunk
 from robodyn.sweeps.sweep_plan import Plan

@@ -1,0 +1,42 @@
+"""Steps of the Taylor integrator, looked at for events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.placed import states_along
+from robodyn.events.signs import NODES
+from robodyn.events.watch import EventWatch, Step, Stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.taylor import Chunk, Engine, Status
+
+Array = NDArray[np.float64]
+
+
+def with_events(
+    events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
+) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
+    """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    assert chunk.series is not None
+    times, starts = np.append(t, chunk.t), np.concatenate([y[None], chunk.y[:-1]])
+    forward = 1.0 if times[1] > times[0] else -1.0
+
+    def step(j: int) -> Step:
+        begin, end = float(times[j]), float(times[j + 1])
+        return Step(begin, end, chunk.y[j], engine.dense(begin, starts[j], end))
+
+    sampled = states_along(mechanism, starts, chunk.series, np.diff(times), NODES)
+    found = events.series(times, sampled, chunk.y[:, : sampled.shape[-1]], step)
+    if found is None:
+        return chunk, engine.within, None
+    j, stop = found
+    whole, last = chunk.first(j, forward), step(j)
+    if stop.t == last.begin:
+        return whole, last.states, stop
+    before = chunk.row_t * forward <= stop.t * forward
+    ends, states = np.append(whole.t, stop.t), np.concatenate([whole.y, stop.y[None]])
+    cut = Chunk(ends, states, chunk.row_t[before], chunk.row_y[before], Status.FULL)
+    return cut, last.states, stop
