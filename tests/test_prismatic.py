@@ -27,6 +27,8 @@ from robodyn.errors import DescriptionError, InputError
 from robodyn.loops import assembly, closing
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.description import from_text
 from robodyn.scene.scene import BRANCHES
 
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
@@ -706,3 +708,55 @@ def test_a_displacement_is_no_angle(robodyn, tmp_path):
     assert result.code == 2
     assert "entry 2 = 10deg" in result.err
     assert "slides" in result.err
+
+
+# ---------------------------------------------------------------------------------------------
+# What scenes may say
+# ---------------------------------------------------------------------------------------------
+
+SLIDING = """links:
+  - {name: crank, m: 1, l: 0.3, r: 0.1, I: 0.01}
+  - {name: lever, m: 1, l: 1, r: 0.5, I: 0.1, from: [0, -0.4]}
+  - {name: boom, joint: prismatic, axis: [1, 0.5], m: 1, l: 0.4, r: 0.2, I: 0.02, from: lever,
+     damping: 3, friction: {force: 2, speed: 0.1}}
+closures:
+  - {point: crank, on: {link: lever, through: [0.1, 0], along: [1, 0]}, aligned: 10deg}
+springs:
+  - {joint: boom, stiffness: 300, length: 0.1, damping: 5}
+couplings: ["q3 = 0.05 q1 + 0.2"]
+"""
+# words of it, and what is refused in their place whatever it is otherwise
+WORDS = {
+    "prismatic": ["sliding", "", "1", "[1, 0]", "revolute", "yes"],
+    "axis: [1, 0.5]": ["axis: [0, 0]", "axis: [1]", "axis: 3", "axis: 30deg", "axis: [1, x]", ""],
+    "link: lever": ["link: nobody", "link: crank", "link: [1]", "link: ''", "links: lever"],
+    "through: [0.1, 0]": ["through: 1", "through: [1, 2, 3]", "through: [.nan, 0]", ""],
+    "along: [1, 0]": ["along: [0, 0]", "along: x", "along: [1e999, 0]", "along: [yes, no]"],
+    "aligned: 10deg": ["aligned: ten", "aligned: [1]", "aligned: '10'", "aligned: 10degs"],
+    "friction: {force: 2, speed: 0.1}": [
+        "friction: {torque: 2, speed: 0.1}", "friction: {force: -2, speed: 0.1}",
+        "friction: {force: 2}", "friction: {force: 2, speed: 0}", "friction: 2",
+    ],
+    "length: 0.1": ["angle: 0.1", "length: 10deg", "length: .inf", ""],
+    "stiffness: 300": ["stiffness: -1", "stiffness: x", ""],
+    "damping: 3": ["damping: -3", "damping: 3deg", "damping: {}", "dampings: 3"],
+    "0.05 q1 + 0.2": ["0.05 q1 + 20deg", "0.05 q9", "q3", "0.05 * * q1", "sin(q1)", "pi q1 + pi"],
+    "point: crank": ["point: nobody", "point: [0, 0]", "points: crank", "point: {link: crank}"],
+}  # fmt: skip
+
+
+def test_mutated_scenes_with_joints_that_slide_are_refused() -> None:
+    """Each by the file and its line, and nothing of it is read; over a hundred of them."""
+    build(from_text(SLIDING, "my.yaml"))
+    texts = [SLIDING.replace(word, slip, 1) for word, slips in WORDS.items() for slip in slips]
+    rng = random.Random(FIRST)
+    keys = ["joint", "axis", "link", "through", "along", "aligned", "force", "speed", "length"]
+    for key in keys:  # misspelt, given twice, or with a value that is none of its kind
+        texts += [SLIDING.replace(f"{key}:", f"{key}{rng.choice('xs_1')}:", 1)]
+        texts += [SLIDING.replace(f"{key}:", f"{key}: {wrong}, {key}:", 1) for wrong in (0, "[]")]
+        texts += [SLIDING.replace(f"{key}: ", f"{key}: {wrong}", 1) for wrong in ("!x ", "*b ")]
+    assert len(texts) >= 100
+    for text in texts:
+        with pytest.raises(DescriptionError) as caught:
+            from_text(text, "my.yaml")
+        assert str(caught.value).startswith("my.yaml:"), text
