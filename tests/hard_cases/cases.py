@@ -269,6 +269,25 @@ def dead_centres() -> Iterator[Row]:
         yield Row(case, hard, "energy drift, 5 s", 1e-7, motion.report.energy_drift)
 
 
+# a slot whose pin passes the lever's pivot: the lever turns on at half the crank's rate
+SLOT = """links:
+  - {name: crank, m: 1, l: 0.3, r: 0, I: 0.02}
+  - {name: lever, m: 1, l: 1, r: 0, I: 0.1, from: [-0.3, 0]}
+closures:
+  - {point: crank, on: {link: lever, through: [0, 0], along: [1, 0]}}
+"""
+
+
+def slot_through_its_dead_centre() -> Iterator[Row]:
+    mechanism, hard = build(from_text(SLOT, "slot")), "the pin passes the lever's pivot"
+    for method in METHODS:
+        motion = simulate(mechanism, [0.5, 0.25], [3.0, 1.5], 20.0, method=method)
+        exact = np.array([0.5, 0.25]) + motion.t[:, None] * [3.0, 1.5]
+        finished = motion.outcome is Outcome.FINISHED
+        error = float(np.abs(motion.q - exact).max()) if finished else np.inf
+        yield Row(f"slot, {method}", hard, "error over 20 s, rtol 1e-9, rad", 1e-6, error)
+
+
 # -- 5, 6, 7 -------------------------------------------------------------------------------------
 
 
@@ -503,6 +522,7 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     double_pendulum,
     mass_ratios,
     dead_centres,
+    slot_through_its_dead_centre,
     redundant_closures,
     inconsistent_start,
     stiff,
