@@ -11,6 +11,7 @@ another.  No inverse of M alone is needed, so massless links in a loop are no tr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from robodyn.dynamics.closed_form import (
     absolute_jacobian,
     bias_at,
     gap_at,
+    mass_matrix,
     rotor_inertia,
     scaled_jacobian,
 )
@@ -191,6 +193,15 @@ def forward(
         if above is not None:
             qdd[..., k] -= acceleration[..., above]
     return Accelerations(qdd, multipliers, "; ".join(_dependence(mechanism, s.rank)))
+
+
+def responses(mechanism: Mechanism, q: Array, joints: Sequence[int]) -> Array:
+    """qdd (k, n) that a unit of torque at each of these joints makes at q (n), through all else."""
+    units = mechanism.arrays.units
+    M = mass_matrix(mechanism, q) * units[:, None] * units
+    s = _decompose(mechanism, scaled_jacobian(mechanism, q))
+    right = np.eye(mechanism.n)[list(joints)] * units
+    return _along_freedoms(mechanism, s.V[None, :, int(s.rank) :], M[None], right) * units
 
 
 @lru_cache(maxsize=64)

@@ -5,15 +5,16 @@ stop by any push.  It is held as long as what is needed lies between them; where
 joint starts the way that nothing holds it back from.  Of joints that the closures tie together
 only some can be held independently; the others help by what they hold (`margins`).
 
-Of the joints at rest each is held, or starts one of its ways: the first of these choices that
-agrees with itself is taken, that which holds most first.
+The forces f of the joints at rest make them accelerate by a = a0 + W f, W being symmetric.  Each is
+held (a = 0, f between its bounds) or starts (f is the bound against which it moves): f is what
+makes f . (W f / 2 + a0) least between the bounds, which is one problem for all joints together.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import scaled_jacobian
+from robodyn.dynamics.dense_dynamics import responses
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
 
@@ -28,8 +30,10 @@ Array = NDArray[np.float64]
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
 TOGETHER = 1e-9  # relative singular value below which joints are not held independently
-SLACK = 1e-12  # part of the forces by which a bound may be missed
-MOST = 6  # joints at rest of which all choices are tried
+SLACK = 1e-14  # part of what accelerates a joint at rest that may be left over
+STOPPED = 1e-6  # part of its rate that is left to a joint which stops together with others
+STARTED = 1e-9  # part of the fastest rate with which a joint starts together with others
+PASSES = 20  # a joint at rest, in which its force is found
 
 
 class Standing(NamedTuple):
@@ -98,14 +102,14 @@ def mode_at(
     rests: Sequence[int],
     touches: Sequence[tuple[int, int]] = (),
     pushing: tuple[tuple[int, int], ...] | None = None,
-    starting: tuple[int, int] | None = None,
+    starting: Mapping[int, int] = MappingProxyType({}),
     t: float = 0.0,
 ) -> Standing:
     """The mode in which a state goes on under the torques tau (n) at t, and what stands still.
 
     The joints of `rests` stand still so far; `touches` are hard stops, joints and sides, at which
     joints stand still as well; `pushing` compliant ones that push, None: as the state tells.
-    `starting` is a joint that is held no longer, and which way it starts.
+    `starting` are joints that are held no longer, and which way they start.
     """
     sides: dict[int, list[int]] = {}
     for joint, side in touches:
@@ -114,60 +118,110 @@ def mode_at(
     slips = {j: int(math.copysign(1.0, qd[j])) for j, _ in mechanism.dry if j not in still}
     if pushing is None:
         pushing = pressed(mechanism, q.tolist(), qd.tolist())
-    limits = {joint: bounds(mechanism, joint, sides.get(joint, ())) for joint in still}
-    dry = dict(mechanism.dry)
-    best: tuple[float, Standing] | None = None
-    for starts in _choices(still, limits, starting):
-        ways = slips | {j: way for j, way in starts.items() if j in dry}
-        own = tuple(j for j in still if j not in starts)
-        mode = Mode(own, tuple(sorted(ways.items())), pushing)
-        missed = _missed(mechanism, mode, (q, qd, tau, t), limits, starts)
-        if best is None or missed < best[0]:
-            best = missed, Standing(_independent(mechanism, mode, q), own)
-        if missed <= 0.0:
-            break
-    assert best is not None
-    return best[1]
+    starts = dict(starting)
+    if len(starts) < len(still):
+        limits = {joint: bounds(mechanism, joint, sides.get(joint, ())) for joint in still}
+        free = in_mode(mechanism, Mode((), tuple(sorted(slips.items())), pushing))
+        qdd = dynamics.forward_dynamics(free, q, qd, tau, t)[still]
+        starts = _starts(mechanism, qdd, responses(mechanism, q, still)[:, still], limits, starts)
+    slips |= {joint: way for joint, way in starts.items() if joint in dict(mechanism.dry)}
+    own = tuple(joint for joint in still if joint not in starts)
+    mode = Mode(own, tuple(sorted(slips.items())), pushing)
+    return Standing(_independent(mechanism, mode, q), own)
 
 
-def _choices(
-    still: Sequence[int], limits: dict[int, Bounds], starting: tuple[int, int] | None
-) -> Iterator[dict[int, int]]:
-    """Which joints start, and which way: few of them first."""
-    begun = {} if starting is None else dict([starting])
-    if len(still) > MOST:  # as it is, or one more starting: where more do, they follow at once
-        yield begun
-        for joint in still:
-            yield from (begun | {joint: way} for way in limits[joint].ways)
-        return
-    ways = [(begun[j],) if j in begun else (0, *limits[j].ways) for j in still]
-    for choice in sorted(product(*ways), key=lambda each: sum(map(abs, each))):
-        yield {joint: way for joint, way in zip(still, choice, strict=True) if way}
-
-
-def _missed(
+def _starts(
     mechanism: Mechanism,
-    mode: Mode,
-    state: tuple[Array, Array, Array, float],
+    qdd: Array,
+    W: Array,
     limits: dict[int, Bounds],
-    starts: dict[int, int],
-) -> float:
-    """By how much a choice contradicts itself, as a part of the forces; 0 where it does not.
+    starting: dict[int, int],
+) -> dict[int, int]:
+    """Which joints of `limits` start, and which way; qdd is theirs where nothing holds them.
 
-    `state` is q, qd, tau (n each) and t.
+    Friction that falls at once from what holds to what slips may let others start too.
     """
-    q, _, tau, _ = state
-    choice = _independent(mechanism, mode, q)
-    moving = in_mode(mechanism, choice)
-    solution = dynamics.forward_dynamics_and_forces(moving, *state)
-    scale = float(np.abs(solution.qdd).max(initial=0.0))
-    worst = max(
-        (-way * float(solution.qdd[j]) / (scale or 1.0) for j, way in starts.items()), default=0.0
-    )
-    forces = held_forces(moving, solution.multipliers)
-    lacks = -float(margins(mechanism, choice, mode.held, q[None], forces[None], limits).min())
-    size = max(float(np.abs(forces).max(initial=0.0)), float(np.abs(tau).max(initial=0.0)))
-    return max(worst - SLACK, lacks / (size or 1.0) - SLACK, 0.0)
+    still, dry, starts = list(limits), dict(mechanism.dry), dict(starting)
+    low, high = (np.array([getattr(limits[j], x) for j in still]) for x in ("low", "high"))
+    while True:
+        for k, joint in enumerate(still):
+            if joint in starts:
+                friction = dry.get(joint)
+                falls = friction is not None and friction.stribeck is None
+                bound = high[k] if starts[joint] < 0 else low[k]
+                if friction is not None and falls:
+                    bound = -starts[joint] * friction.torque
+                low[k] = high[k] = bound
+        f = forces_between(qdd, W, low, high)
+        a = qdd + W @ f
+        slack = SLACK * (np.abs(qdd) + np.abs(W) @ np.abs(f))
+        found = {
+            joint: 1 if a[k] > 0.0 else -1
+            for k, joint in enumerate(still)
+            if joint not in starts and abs(a[k]) > slack[k]
+        }
+        starts |= found
+        if not any(dry[j].stribeck is None for j in found if j in dry):
+            return starts
+
+
+def forces_between(a0: Array, W: Array, low: Array, high: Array) -> Array:
+    """f (k) from `low` to `high` with a0 + W f >= 0 where it is low, <= 0 where high, else 0.
+
+    W is symmetric and has no negative eigenvalue.  From 0 on the forces that are free go to where
+    nothing accelerates, up to the first bound, which then holds one more; one that pulls back is
+    let free.
+    """
+    scale = np.sqrt(np.diagonal(W))
+    scale = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 1.0)
+    ends = low, high
+    a0, W, low, high = scale * a0, scale[:, None] * W * scale, low / scale, high / scale
+    f = np.clip(np.zeros_like(a0), low, high)
+    free = low < high
+    for _ in range(PASSES * len(f)):
+        while free.any():
+            step = np.zeros_like(f)
+            rest = -(a0 + W @ f)[free]
+            step[free] = np.linalg.lstsq(W[np.ix_(free, free)], rest, rcond=TOGETHER)[0]
+            there = f + step
+            beyond = np.flatnonzero(free & ((there < low) | (there > high)))
+            if not len(beyond):
+                f = there
+                break
+            bound = np.where(step > 0.0, high, low)
+            parts = (bound - f)[beyond] / step[beyond]
+            first = int(beyond[np.argmin(parts)])
+            f = f + float(parts.min()) * step
+            f[first], free[first] = bound[first], False
+        a = a0 + W @ f
+        pulls = np.where(f == low, -a, a)
+        pulls[free | (low == high)] = 0.0
+        worst = int(np.argmax(pulls))
+        if pulls[worst] <= SLACK * (abs(a0[worst]) + float(np.abs(W[worst]) @ np.abs(f))):
+            break
+        free[worst] = True
+    return np.where(f == low, ends[0], np.where(f == high, ends[1], f * scale))
+
+
+def stopped(
+    mechanism: Mechanism, q: Array, qd: Array, joints: Sequence[int]
+) -> tuple[Array, list[int]]:
+    """The rates (n) next to qd with which these joints stand still; those that then do so too.
+
+    Those are joints with dry friction that the closures stop together with the others.
+    """
+    after = qd.copy()
+    if mechanism.rows:
+        units, n = mechanism.arrays.units, mechanism.n
+        rows = np.concatenate([scaled_jacobian(mechanism, q), np.eye(n)[list(joints)]])
+        _, s, Vt = np.linalg.svd(rows, full_matrices=False)
+        kept = Vt[s > TOGETHER * s[0]]
+        after -= units * (kept.T @ (kept @ (qd / units)))
+    after[list(joints)] = 0.0
+    least = np.maximum(STOPPED * np.abs(qd), AT_REST * np.abs(qd).max(initial=0.0))
+    also = [j for j, _ in mechanism.dry if j not in joints and abs(after[j]) <= least[j]]
+    after[also] = 0.0
+    return after, also
 
 
 def held_forces(moving: Mechanism, multipliers: Array) -> Array:
@@ -216,7 +270,7 @@ def margins(
         shares = [_shares(mechanism, mode, helpers, each) for each in q]
         if len(mode.held) > 1:
             left = [_shared(x, low, high, s, bounded) for x, s in zip(forces, shares, strict=True)]
-            return -np.array(left)[:, None]
+            return -np.array([missed for missed, _ in left])[:, None]
         ends = np.array([[x.low, x.high] for x in bounded])
         pairs = np.array(shares) * ends  # (k, helpers, 2)
         low = low + pairs.min(axis=-1).sum(axis=-1, keepdims=True)
@@ -235,8 +289,11 @@ def _shares(mechanism: Mechanism, mode: Mode, helpers: Sequence[int], q: Array) 
 
 def _shared(
     force: Array, low: Array, high: Array, shares: Array, bounded: Sequence[Bounds]
-) -> float:
-    """The same of one state where several joints are held: by a linear program."""
+) -> tuple[float, Array]:
+    """By how much what holds misses its bounds where several joints are held: a linear program.
+
+    And the rates (held) with which the joints start where it does, the duals of that.
+    """
     from scipy.optimize import linprog
 
     count = len(shares)
@@ -248,4 +305,31 @@ def _shared(
     kept = np.isfinite(b)
     ranges = [*((x.low, x.high) for x in bounded), (None, None)]
     found = linprog(np.r_[np.zeros(count), 1.0], A[kept], b[kept], bounds=ranges)
-    return math.inf if found.fun is None else float(found.fun)
+    rates = np.zeros(2 * len(force))
+    if found.fun is None:
+        return -math.inf, rates[: len(force)]
+    rates[kept] = -found.ineqlin.marginals
+    return float(found.fun), rates[: len(force)] - rates[len(force) :]
+
+
+def starting_at(
+    mechanism: Mechanism,
+    standing: Standing,
+    q: Array,
+    forces: Array,
+    limits: Mapping[int, Bounds],
+    place: int,
+) -> dict[int, int]:
+    """The joints that are held no longer where a margin passes zero, and which way they start."""
+    mode, still = standing
+    helpers = [joint for joint in still if joint not in mode.held]
+    count = len(mode.held)
+    rates = np.zeros(count)
+    rates[place % count] = 1.0 if place < count else -1.0  # it needs less than low, or more
+    shares = _shares(mechanism, mode, helpers, q) if helpers else np.zeros((0, count))
+    if helpers and count > 1:
+        low, high = (np.array([getattr(limits[j], x) for j in mode.held]) for x in ("low", "high"))
+        _, rates = _shared(forces, low, high, shares, [limits[joint] for joint in helpers])
+    each = dict(zip([*mode.held, *helpers], [*rates, *(shares @ rates)], strict=True))
+    least = STARTED * max(map(abs, each.values()))
+    return {joint: 1 if rate > 0.0 else -1 for joint, rate in each.items() if abs(rate) > least}

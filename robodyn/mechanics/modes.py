@@ -25,6 +25,8 @@ NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touc
 
 T = TypeVar("T", float, Any)
 
+BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
+
 
 class Mode(NamedTuple):
     """Which joints are held, which slip and which way, which press the stop of which side."""
@@ -123,3 +125,19 @@ def moving_mode(
     ways = ((j, qd[j] or qdd[j]) for j, _ in mechanism.dry)
     slips = tuple((j, 1 if way > 0.0 else -1) for j, way in ways if way)
     return Mode((), slips, pressed(mechanism, q, qd))
+
+
+def falls_over(mechanism: Mechanism, before: Sequence[float], after: Sequence[float]) -> bool:
+    """Whether friction that falls with the rate may rise and fall between two states (q, qd, ...).
+
+    Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`: no
+    method sees from there that it comes.
+    """
+    n = mechanism.n
+    for joint, friction, _ in mechanism.slips:
+        v, then, width = before[n + joint], after[n + joint], friction.stribeck
+        if width is not None and abs(then - v) > max(0.5 * abs(v), width):
+            nearest = min(abs(v), abs(then)) if v * then > 0.0 else 0.0
+            if nearest < BELL * width:
+                return True
+    return False

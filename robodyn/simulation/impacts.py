@@ -16,14 +16,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.closed_form import closure_jacobian, mass_matrix
+from robodyn.dynamics.dense_dynamics import responses
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
-SINGULAR = 1e-12  # relative singular value of K below which it is none
+SINGULAR = 1e-12  # relative singular value below which impulses depend on one another
 
 
 def rates_after(
@@ -37,16 +37,10 @@ def rates_after(
 
     Raises SingularError where no impulses throw all of them back.
     """
-    n, r, count = mechanism.n, len(mechanism.rows), len(touches)
-    K = np.zeros((n + r, n + r))
-    K[:n, :n] = mass_matrix(mechanism, q)
-    Psi = closure_jacobian(mechanism, q)
-    K[:n, n:], K[n:, :n] = Psi.T, Psi
-    R = np.zeros((count, n + r))
-    for row, (joint, side) in zip(R, touches, strict=True):
-        row[joint] = -side
-    jumps = np.linalg.lstsq(K, R.T, rcond=SINGULAR)[0][:n]  # of qd by each impulse
-    W, v = R[:, :n] @ jumps, R[:, :n] @ qd
+    count, joints = len(touches), [joint for joint, _ in touches]
+    ways = -np.array([side for _, side in touches], float)  # in which stops are left
+    jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
+    W, v = ways[:, None] * jumps[joints], ways * qd[joints]
     bounced = v + np.array(restitutions) * v
     least = -SLACK * float(np.abs(v).max(initial=0.0))
     for size in range(count + 1):
@@ -56,6 +50,6 @@ def rates_after(
             p[own] = np.linalg.lstsq(W[np.ix_(own, own)], -bounced[own], rcond=SINGULAR)[0]
             if (p >= 0.0).all() and (W @ p + bounced >= least).all():
                 return np.asarray(qd + jumps @ p)
-    joints = ", ".join(mechanism.link_names[joint] for joint, _ in touches)
+    names = ", ".join(mechanism.link_names[joint] for joint in joints)
     limit = "no impulses throw all of them back"
-    raise SingularError(f"impact of {joints}", where=mechanism.source, limit=limit)
+    raise SingularError(f"impact of {names}", where=mechanism.source, limit=limit)

@@ -8,8 +8,9 @@ as an event.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,14 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
 from robodyn.dynamics.sticking import (
     AT_REST,
+    Standing,
     bounds,
     held_forces,
     margins,
     mode_at,
     resting,
+    starting_at,
+    stopped,
     touching,
 )
 from robodyn.errors import InputError
@@ -31,6 +35,7 @@ from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, pressed, pushes
 from robodyn.scene.scene import Limits
@@ -40,6 +45,10 @@ from robodyn.simulation.run_torques import applied_torques
 Array = NDArray[np.float64]
 End = tuple[int, int]  # a joint and a side
 
+INSTANT = 8.0  # roundings of the time that are none
+DOUBTS = 3  # times that a joint is let leave its end
+KINK = 1e-14  # of the time of a run: so much beyond a kink the torques are those that follow it
+BLUR = 0.1  # part of its rate that a joint thrown back so little may lose or gain
 ENDLESS = 1e-10  # of the time of a run: bounces that end within this part of it are over at once
 
 
@@ -55,17 +64,26 @@ class Guard(NamedTuple):
 class Phases:
     """How a mechanism goes from mode to mode, from the state y = (q, qd, ...) at t = 0.
 
+    Steps may miss angles and rates by `small`.
+
     Raises InputError for a state beyond an end, or a run backwards: what has come to rest does not
     tell from where.
     """
 
-    def __init__(self, mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float) -> None:
+    def __init__(
+        self, mechanism: Mechanism, actuation: Actuation, y: Array, t_end: float, small: float
+    ) -> None:
         if t_end < 0.0:
             limit = "must not be negative: dry friction and stops have no motion backwards"
             raise InputError("time", value=t_end, limit=limit)
         self.mechanism, self.actuation, self.t_end = mechanism, actuation, t_end
+        self.small = small
+        self._reach(0.0)
         self.limits, self.dry = dict(mechanism.limits), dict(mechanism.dry)
         self.found: list[Event] = []
+        self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
+        self.thrown: dict[int, float] = {}  # how fast a joint left its end last
+        self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
         for joint, side, end in beyond(mechanism, q.tolist()):
             raise InputError(
@@ -92,8 +110,18 @@ class Phases:
         return y[:n], y[n : 2 * n]
 
     def _torque(self, t: float, y: Array) -> Array:
-        tau: Array = applied_torques(self.mechanism, self.actuation, np.array([t]), y[None])[0]
+        tau: Array = self._torques(np.array([t]), y[None])[0]
         return tau
+
+    def _torques(self, t: Array, y: Array) -> Array:
+        """(k, n); where the phase begins on a kink those that follow it."""
+        return applied_torques(self.mechanism, self.actuation, np.maximum(t, self.after), y)
+
+    def _reach(self, t: float) -> None:
+        """A phase begins at t: if on a kink, its torques are those a little later."""
+        self.after = -math.inf
+        if t == 0.0 or kink_at(self.actuation.kinks, t) is not None:
+            self.after = t + max(KINK * abs(self.t_end), INSTANT * math.ulp(t))
 
     # -- modes -------------------------------------------------------------------------------------
 
@@ -103,14 +131,16 @@ class Phases:
         rests: set[int],
         touches: set[End],
         pushing: set[End],
-        starting: tuple[int, int] | None = None,
+        starting: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
         """The mode in which the state goes on, and what ends it."""
+        self._reach(t)
         q, qd = self._split(self.y)
         tau, sorts = self._torque(t, self.y), (sorted(rests), sorted(touches))
         self.mode, self.still = mode_at(
             self.mechanism, q, qd, tau, *sorts, tuple(sorted(pushing)), starting, t
         )
+        self.started = (rests | {joint for joint, _ in touches}) - set(self.still)
         self.touches = {end for end in touches if end[0] in self.still}
         self.bounds = {
             joint: bounds(self.mechanism, joint, [s for j, s in self.touches if j == joint])
@@ -127,8 +157,8 @@ class Phases:
                 compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
                 kind = "inside" if stop.stiffness is None else compliant
                 self.guards.append(Guard(kind, joint, side))
-        count = self._margins(np.array([t]), self.y[None]).shape[1] if self.still else 0
-        self.guards += [Guard("holds", k, 0) for k in range(count)]
+        left = self._margins(np.array([t]), self.y[None])[0].tolist() if self.still else []
+        self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         self.functions = [self._function(guard, t) for guard in self.guards]
 
     def _function(self, guard: Guard, t: float) -> EventFunction:
@@ -137,7 +167,12 @@ class Phases:
         size = float(self._size(guard, np.array([t]), self.y[None])[0])
         if guard.kind in ("inside", "presses", "apart"):
             size += float(self.mechanism.arrays.units[guard.joint])
-        offset = here if abs(here) <= NEAR * size else 0.0  # it is zero there, but for rounding
+        offset = 0.0
+        if abs(here) <= NEAR * size:  # it is zero there, but for rounding
+            offset = min(here, 0.0)
+            if self.idle or self.doubts:  # what is below the tolerance ended a phase at once
+                fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
+                offset -= max(self.small, INSTANT * math.ulp(t) * fastest)
         name = f"{guard.kind} {guard.joint} {guard.side}"
         sizes = partial(self._size, guard)
         return EventFunction(
@@ -178,7 +213,7 @@ class Phases:
     def _forces(self, t: Array, y: Array) -> Array:
         """What holds each held joint, (k, held)."""
         n = self.mechanism.n
-        tau = applied_torques(self.mechanism, self.actuation, t, y)
+        tau = self._torques(t, y)
         solution = forward_dynamics_and_forces(self.moving, y[:, :n], y[:, n : 2 * n], tau, t)
         return held_forces(self.moving, solution.multipliers)
 
@@ -199,6 +234,9 @@ class Phases:
 
     def next(self, t: float, y: Array, place: int) -> Array:
         """The phase that follows at the state y at t, where the guard at a place ended one."""
+        self.idle = self.idle + 1 if t - self.begun <= INSTANT * math.ulp(t) else 0
+        self.begun = t
+        self._reach(t)
         before = self._energy(self.moving, y)
         guard, q, qd = self.guards[place], *self._split(y)
         rests = {joint for joint in self.still if joint in self.dry}
@@ -209,18 +247,28 @@ class Phases:
             pushing.add((guard.joint, guard.side))
         if guard.kind == "slips":
             rests.add(guard.joint)
-            self._tell(t, y, guard.joint, "stops")
         fastest = float(np.abs(qd).max(initial=0.0))
         hits = [
             (joint, side)
             for joint, side in touching(self.mechanism, q, qd)
             if side * qd[joint] > AT_REST * fastest and (joint, side) not in touches
         ]
-        if guard.kind == "inside":
+        ends = guard.kind == "inside"
+        meets = ends and guard.side * qd[guard.joint] > 0.0
+        # a joint that starts from rest slips at least until its rate is more than is missed
+        begins = guard.kind == "slips" and bool(self.idle) and guard.joint in self.started
+        self.doubts = self.doubts + 1 if begins or (ends and not meets) else 0
+        if meets:
             hits = sorted({*hits, (guard.joint, guard.side)})
+        if self.doubts == DOUBTS:  # the method cannot tell how far it is thrown back: it rests
+            touches.add((guard.joint, guard.side))
         y = y.copy()
-        for joint in rests | {joint for joint, _ in touches}:
-            y[self.mechanism.n + joint] = 0.0
+        q, qd = self._split(y)
+        for joint, side in hits:  # rounding must not grow from bounce to bounce
+            q[joint] = dict(self.limits[joint].ends)[side]
+        if standing := sorted(rests | {joint for joint, _ in touches}):
+            qd[:], also = stopped(self.mechanism, q, qd, standing)
+            rests |= set(also)
         self.y = y
         if hits:
             self.y = self._impact(t, y, hits, touches)
@@ -228,20 +276,24 @@ class Phases:
             still = AT_REST * float(np.abs(qd).max(initial=0.0))
             rests = {joint for joint in rests if abs(qd[joint]) <= still}
             touches = {end for end in touches | set(hits) if abs(qd[end[0]]) <= still}
-        was = self.mode
-        self._enter(t, rests, touches, pushing, self._starting(guard))
-        self._note(t, was, guard)
+        was, stood = self.mode, set(self.still)
+        starting = self._starting(guard, t, y)
+        if begins and self.doubts < DOUBTS:
+            starting = {guard.joint: guard.side}
+        self._enter(t, rests, touches, pushing, starting)
+        self._note(t, was, stood)
         if len(y) > 2 * self.mechanism.n:  # what is lost at once is work as well
             self.y[-1] += self._energy(self.moving, self.y) - before
         return self.y
 
-    def _starting(self, guard: Guard) -> tuple[int, int] | None:
-        """The joint that what holds it holds no longer, and which way it starts."""
-        held = self.mode.held
-        if guard.kind != "holds" or guard.joint >= 2 * len(held):
-            return None
-        way = 1 if guard.joint < len(held) else -1  # the force that it needs is below, or above
-        return held[guard.joint % len(held)], way
+    def _starting(self, guard: Guard, t: float, y: Array) -> dict[int, int]:
+        """The joints that what holds them holds no longer, and which way they start."""
+        if guard.kind != "holds":
+            return {}
+        q, _ = self._split(y)
+        forces = self._forces(np.array([t]), y[None])[0]
+        standing = Standing(self.mode, self.still)
+        return starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
         """The state after an impact; bounces that would end at once are over."""
@@ -257,8 +309,10 @@ class Phases:
             leaves, back = -side * after[joint], side * qdd[joint]
             if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
                 lasts = 2.0 * leaves / (back * (1.0 - e[k]))
-                if lasts < ENDLESS * abs(self.t_end):
+                shown = self._resolves(joint, side * qd[joint], back)
+                if not shown or lasts < ENDLESS * abs(self.t_end):
                     e[k], over = 0.0, True
+            self.thrown[joint] = float(leaves)
         if over:
             after = rates_after(self.mechanism, q, qd, ends, e)
         y = y.copy()
@@ -269,19 +323,26 @@ class Phases:
                 y[self.mechanism.n + joint] = 0.0
         return y
 
+    def _resolves(self, joint: int, v: float, back: float) -> bool:
+        """Whether a joint that meets its end with v was thrown back so far that steps show it."""
+        before = self.thrown.get(joint, 0.0)
+        return (
+            before**2 >= 2.0 * back * self.small or abs(v - before) <= BLUR * before or not before
+        )
+
     def _energy(self, moving: Mechanism, y: Array) -> float:
         KE, PE = closed_form.energies(moving, *self._split(y))
         return float(KE + PE)
 
-    def _note(self, t: float, was: Mode, guard: Guard) -> None:
+    def _note(self, t: float, was: Mode, stood: set[int]) -> None:
         """Tell what changed."""
         for joint, side in set(self.mode.pressed) - set(was.pressed):
             self._tell(t, self.y, joint, f"meets its {end_word(side)}")
         for joint, side in set(was.pressed) - set(self.mode.pressed):
             self._tell(t, self.y, joint, f"leaves its {end_word(side)}")
-        if guard.kind == "holds":
-            for joint in sorted(set(was.held) - set(self.mode.held)):
-                self._tell(t, self.y, joint, "starts")
+        for joint in self.dry:
+            if (joint in stood) != (joint in self.still):
+                self._tell(t, self.y, joint, "starts" if joint in stood else "stops")
 
     def _tell(self, t: float, y: Array, joint: int, what: str) -> None:
         name = f"{self.mechanism.link_names[joint]} {what}"

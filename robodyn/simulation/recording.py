@@ -126,7 +126,8 @@ class Recorder:
                 t, y = stop.t, stop.y
         self.report.evaluations = self.ended + solver.nfev
         if self.times is None:
-            self._row(np.array([t]), y[None])
+            if t != self.last_row:
+                self._row(np.array([t]), y[None])
         else:
             self._due(t, y, lambda times: between()(times).T)
         self.steps.append((np.array([t]), y[None]))

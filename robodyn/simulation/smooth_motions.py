@@ -125,7 +125,7 @@ class SmoothMotions:
 
 def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
     """From the state y at t = 0, phase by phase."""
-    t, idle = 0.0, 0
+    t = 0.0
     while True:
         recorder.begin_phase(phases.moving, phases.functions)
         outcome = smooth.run(phases.moving, t, y, recorder)
@@ -136,9 +136,8 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
             recorder.report.ended_by = why
             recorder.end_row()
             return Outcome.LIMIT
-        idle = idle + 1 if stopped.t == t else 0
-        if idle == MOST_IDLE:
-            return Outcome.CHATTERING
         t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
+        if phases.idle == MOST_IDLE:
+            return Outcome.CHATTERING
         if t == smooth.t_end:
             return Outcome.FINISHED

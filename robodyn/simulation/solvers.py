@@ -16,6 +16,7 @@ projected states up to the square of that change.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
@@ -27,6 +28,8 @@ from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolv
 from robodyn.loops.projection import Projection
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import NEAR, kink_at, next_stop
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.right_hand_side import NearSingular, RightHandSide
@@ -78,6 +81,7 @@ def projected(method: str) -> type[OdeSolver]:
             leaves: Sequence[float] = (),
             told: Steps | None = None,
             near: NearSingular | None = None,
+            slipping: Mechanism | None = None,
             **options: Any,
         ) -> None:
             super().__init__(fun, t0, y0, t_bound, **options)
@@ -92,9 +96,11 @@ def projected(method: str) -> type[OdeSolver]:
             self.kinks = sorted(kinks)
             self.leaves = leaves
             self.told = told
+            self._slipping = slipping  # whose friction a step may leap over
             self._jumped = False  # whether the torque may have, at self.t
             self._options = options
             self.steps = 0
+            self._longest = math.inf  # s, of the next step
             self._tolerances: tuple[Any, Array] | None = None  # as they were given
             self._stiff_steps = 0
             self._rates = fun  # not counted
@@ -120,11 +126,14 @@ def projected(method: str) -> type[OdeSolver]:
                 self._restart()
             end = self.t_bound
             begun = self.t, self.y, self.f if method in EXPLICIT else None
+            self._begun = self.y
             stop = next_stop(self.kinks, self.leaves, self.t, end, NEAR)
             if fresh and self.leaves and method in MULTISTEP:
                 stop = self.t + FIRST * (stop - self.t)
             self._bound(stop)
             self._hold()
+            if self._longest < abs(self.t_bound - self.t):
+                self._bound(self.t + self.direction * self._longest)
             try:
                 success, message = self._take_step()
             except ValueError as error:  # an implicit method met a rate that is not finite
@@ -143,6 +152,14 @@ def projected(method: str) -> type[OdeSolver]:
                     return self._step_impl()
                 if y is not self.y:
                     self._accept(y)
+            if self._slipping is not None:
+                moved = self.t - begun[0]
+                if falls_over(self._slipping, begun[1].tolist(), self.y.tolist()):
+                    self._longest = 0.5 * abs(moved)
+                    self.t, self.y, self.f = begun
+                    self._restart()
+                    return self._step_impl()
+                self._longest = math.inf
             self.steps += 1
             if edge < np.inf:
                 self._watch_stability()
@@ -212,6 +229,8 @@ def projected(method: str) -> type[OdeSolver]:
 
         def _dense_output_impl(self) -> DenseOutput:
             dense = super()._dense_output_impl()
+            if base is LSODA:  # whose polynomial misses where the step began by its tolerance
+                dense = _JoinedOutput(dense, self._begun)
             return dense if self.projection is None else _ProjectedOutput(dense, self.projection)
 
         def _bound(self, t: float) -> None:
@@ -272,6 +291,7 @@ def solver_of(
         atol=each,
         projection=side.projection if projects else None,
         near=side.near,
+        slipping=recorder.mechanism if recorder.mechanism.slips else None,
         observer=recorder.step,
         kinks=actuation.kinks,
         leaves=actuation.leaves,
@@ -279,6 +299,21 @@ def solver_of(
         max_step=max_step,
     )
     return solver
+
+
+class _JoinedOutput(DenseOutput):
+    """A solver's dense output, which begins where the step did."""
+
+    def __init__(self, dense: DenseOutput, begun: Array) -> None:
+        super().__init__(dense.t_old, dense.t)
+        self._dense, self._missed = dense, begun - dense(dense.t_old)
+
+    def _call_impl(self, t: Array) -> Array:
+        left = (self.t - t) / (self.t - self.t_old)
+        y: Array = self._dense(t) + (
+            self._missed[:, None] * left if t.ndim else self._missed * left
+        )
+        return y
 
 
 class _ProjectedOutput(DenseOutput):

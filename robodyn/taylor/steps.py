@@ -18,15 +18,13 @@ from robodyn.loops.misses import Misses
 from robodyn.loops.projection import FloatClosing
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.taylor import PARTS, Chunk, Status
 
 Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
-
-
-BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
 
 
 class Steps(NamedTuple):
@@ -217,7 +215,7 @@ class SteppingEngine:
         miss *= (self.order + 1) * self.lightest
         while h >= 4.0 * math.ulp(t):
             x = h * direction
-            falls = self._falls_over(state, new)
+            falls = falls_over(self.mechanism, state, new)
             if not falls and self._agrees(series, x, t + x, new, relative, miss / h):
                 if not self.mechanism.bends_inside:
                     break
@@ -227,20 +225,6 @@ class SteppingEngine:
             h *= 0.5
             new = self.states(state, series, np.array([h * direction]))[0].tolist()
         return h, new
-
-    def _falls_over(self, state: list[float], new: list[float]) -> bool:
-        """Whether friction that falls with the rate may rise and fall between two states.
-
-        Its bell exp(-(v/stribeck)^2) and all derivatives vanish where v is some times `stribeck`.
-        """
-        n = self.mechanism.n
-        for joint, friction, _ in self.mechanism.slips:
-            v, after, width = state[n + joint], new[n + joint], friction.stribeck
-            if width is not None and abs(after - v) > max(0.5 * abs(v), width):
-                nearest = min(abs(v), abs(after)) if v * after > 0.0 else 0.0
-                if nearest < BELL * width:
-                    return True
-        return False
 
     def _land(
         self,
