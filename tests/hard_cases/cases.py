@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
-from hard_cases import many_events
+from hard_cases import contacts, many_events
 from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -516,6 +516,14 @@ def grazes() -> Iterator[Row]:
         yield Row(case, hard, "crossings where there are none", 0.0, invented)
 
 
+def bounces_without_end() -> Iterator[Row]:
+    yield from (Row(*found) for found in contacts.zeno())
+
+
+def long_stick_slip() -> Iterator[Row]:
+    yield from (Row(*found) for found in contacts.stick_slip())
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -533,4 +541,6 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     near_misses,
     events_at_one_instant,
     grazes,
+    bounces_without_end,
+    long_stick_slip,
 ]
