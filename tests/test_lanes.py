@@ -369,7 +369,7 @@ def test_flips_are_where_events_find_them(engine) -> None:
 def alone(mechanism: Mechanism, y, t_end, aims, ends, lane=0, angle=0.0) -> str:
     """A single motion without torques."""
     given = Motions(mechanism, y[None], np.zeros((1, mechanism.n)), np.array([angle]))
-    return single(given, 0, t_end, aims, ends, lane)
+    return single(given, 0, t_end, aims, ends, lane, {}, np.zeros(0))
 
 
 class TestSingle:

@@ -65,8 +65,8 @@ def single(
         motion = run(None, events)
         report, t = motion.report, motion.t
         told[::2] = [report.events.get(name, 0) for name in events]
-        for event in reversed(motion.events):
-            told[1 + 2 * [*events].index(event.name)] = event.t
+        first = {event.name: event.t for event in reversed(motion.events)}  # contacts among them
+        told[1::2] = [first.get(name, math.nan) for name in events]
         inner &= len(t) > 1
         if inner:
             parts = np.arange(QUARTERS) / QUARTERS
