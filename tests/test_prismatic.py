@@ -714,7 +714,7 @@ def test_a_displacement_is_no_angle(robodyn, tmp_path):
 # What scenes may say
 # ---------------------------------------------------------------------------------------------
 
-SLIDING = """links:
+WRITTEN = """links:
   - {name: crank, m: 1, l: 0.3, r: 0.1, I: 0.01}
   - {name: lever, m: 1, l: 1, r: 0.5, I: 0.1, from: [0, -0.4]}
   - {name: boom, joint: prismatic, axis: [1, 0.5], m: 1, l: 0.4, r: 0.2, I: 0.02, from: lever,
@@ -747,14 +747,14 @@ WORDS = {
 
 def test_mutated_scenes_with_joints_that_slide_are_refused() -> None:
     """Each by the file and its line, and nothing of it is read; over a hundred of them."""
-    build(from_text(SLIDING, "my.yaml"))
-    texts = [SLIDING.replace(word, slip, 1) for word, slips in WORDS.items() for slip in slips]
+    build(from_text(WRITTEN, "my.yaml"))
+    texts = [WRITTEN.replace(word, slip, 1) for word, slips in WORDS.items() for slip in slips]
     rng = random.Random(FIRST)
     keys = ["joint", "axis", "link", "through", "along", "aligned", "force", "speed", "length"]
     for key in keys:  # misspelt, given twice, or with a value that is none of its kind
-        texts += [SLIDING.replace(f"{key}:", f"{key}{rng.choice('xs_1')}:", 1)]
-        texts += [SLIDING.replace(f"{key}:", f"{key}: {wrong}, {key}:", 1) for wrong in (0, "[]")]
-        texts += [SLIDING.replace(f"{key}: ", f"{key}: {wrong}", 1) for wrong in ("!x ", "*b ")]
+        texts += [WRITTEN.replace(f"{key}:", f"{key}{rng.choice('xs_1')}:", 1)]
+        texts += [WRITTEN.replace(f"{key}:", f"{key}: {wrong}, {key}:", 1) for wrong in (0, "[]")]
+        texts += [WRITTEN.replace(f"{key}: ", f"{key}: {wrong}", 1) for wrong in ("!x ", "*b ")]
     assert len(texts) >= 100
     for text in texts:
         with pytest.raises(DescriptionError) as caught:
