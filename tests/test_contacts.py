@@ -564,6 +564,9 @@ def brute_force(mechanism: Mechanism, q: np.ndarray, tau: np.ndarray) -> list[np
     return found
 
 
+STATES = 6
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_accelerations_from_rest_against_all_choices(seed: int) -> None:
     numbers = random.Random(seed)
@@ -576,10 +579,10 @@ def test_accelerations_from_rest_against_all_choices(seed: int) -> None:
         kind = "joint: prismatic, axis: [1, 0.5], " if slides else ""
         links.append(f"  - {{name: a{k}, {kind}m: 1, l: 0.5, r: 0.2, I: 0.1, {friction}}}")
     mechanism = scene("gravity: 9.81\nlinks:\n" + "\n".join(links) + "\n")
-    q = np.array([[numbers.uniform(-2, 2) for _ in range(n)] for _ in range(20)])
-    tau = np.array([[numbers.uniform(-15, 15) for _ in range(n)] for _ in range(20)])
+    q = np.array([[numbers.uniform(-2, 2) for _ in range(n)] for _ in range(STATES)])
+    tau = np.array([[numbers.uniform(-15, 15) for _ in range(n)] for _ in range(STATES)])
     qdd = robodyn.forward_dynamics(mechanism, q, 0 * q, tau)  # a batch
-    for each in range(20):
+    for each in range(STATES):
         exact = brute_force(mechanism, q[each], tau[each])
         assert exact
         for one in exact:  # they are the same motion

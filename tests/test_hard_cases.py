@@ -9,7 +9,9 @@ import pytest
 from hard_cases.cases import (
     CASES,
     Row,
+    events_at_one_instant,
     long_run,
+    long_stick_slip,
     near_misses,
     parallel_bars,
     parallel_bars_by_chance,
@@ -21,6 +23,8 @@ CHOSEN = [case for case in CASES if case not in (near_misses, sines)]
 PARTS: dict[Callable[..., Iterator[Row]], int] = {
     parallel_bars: 5,
     long_run: 10,
+    long_stick_slip: 10,
+    events_at_one_instant: 4,
     parallel_bars_by_chance: 20,
 }  # `make hard` takes all of them
 

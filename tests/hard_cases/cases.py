@@ -499,10 +499,10 @@ def near_misses() -> Iterator[Row]:
 # -- 13: events ----------------------------------------------------------------------------------
 
 
-def events_at_one_instant() -> Iterator[Row]:
-    hard = "five events at one instant"
-    for method, missing, apart, unordered in many_events.at_one_instant():
-        case = f"wheel, 100 s, {method}"
+def events_at_one_instant(part: int = 1) -> Iterator[Row]:
+    hard, time = "five events at one instant", 100.0 / part
+    for method, missing, apart, unordered in many_events.at_one_instant(time):
+        case = f"wheel, {time:g} s, {method}"
         yield Row(case, hard, "events missing or invented", 0.0, missing)
         yield Row(case, hard, "farthest apart, s", 1e-10, apart)
         yield Row(case, hard, "out of order", 0.0, unordered)
@@ -520,8 +520,8 @@ def bounces_without_end() -> Iterator[Row]:
     yield from (Row(*found) for found in contacts.zeno())
 
 
-def long_stick_slip() -> Iterator[Row]:
-    yield from (Row(*found) for found in contacts.stick_slip())
+def long_stick_slip(part: int = 1) -> Iterator[Row]:
+    yield from (Row(*found) for found in contacts.stick_slip(1000.0 / part))
 
 
 CASES: list[Callable[[], Iterator[Row]]] = [

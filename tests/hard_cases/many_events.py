@@ -20,7 +20,7 @@ def wheel() -> Mechanism:
     return build(from_text(WHEEL, "wheel"))
 
 
-def at_one_instant() -> Iterator[tuple[str, float, float, float]]:
+def at_one_instant(time: float) -> Iterator[tuple[str, float, float, float]]:
     """Five functions that pass zero together: what is missing, how far apart, what is unordered."""
     events = {
         "a": "sin(q1)",
@@ -30,9 +30,9 @@ def at_one_instant() -> Iterator[tuple[str, float, float, float]]:
         "e": "sin(q1)*exp(cos(q1))",
     }
     for method in METHODS:
-        found = simulate(wheel(), [0.5], [SPEED], 100.0, None, method, 1e-12, 1e-12, events=events)
+        found = simulate(wheel(), [0.5], [SPEED], time, None, method, 1e-12, 1e-12, events=events)
         times = {name: [x.t for x in found.events if x.name == name] for name in events}
-        exact = (np.arange(1, int((0.5 + 100.0 * SPEED) / math.pi) + 1) * math.pi - 0.5) / SPEED
+        exact = (np.arange(1, int((0.5 + time * SPEED) / math.pi) + 1) * math.pi - 0.5) / SPEED
         missing = sum(abs(len(each) - len(exact)) for each in times.values())
         apart = math.nan
         if not missing:
