@@ -39,7 +39,9 @@ def watched(
     return watch
 
 
-def by_series(mechanism: Mechanism, text: str, ends: list[float]) -> EventWatch:
+def by_series(
+    mechanism: Mechanism, text: str, ends: list[float], boxed: bool = False
+) -> EventWatch:
     """The same, of steps looked at together."""
     from robodyn.events.signs import NODES
 
@@ -48,8 +50,22 @@ def by_series(mechanism: Mechanism, text: str, ends: list[float]) -> EventWatch:
     at = times[:-1, None] + np.diff(times)[:, None] * NODES
     sampled = turning(at.ravel()).reshape(*at.shape, 2)
     last = turning(times[1:])
-    watch.series(times, sampled, last, lambda j: Step(ends[j], ends[j + 1], last[j], turning))
+    half = 0.5 * np.diff(times)
+    middle, reach = turning(times[:-1] + half), np.zeros((len(half), 2))
+    reach[:, 0] = np.abs(half) + 1e-12 if boxed else np.inf
+    watch.series(
+        times,
+        np.stack([middle, reach], axis=1),
+        sampled.__getitem__,
+        last,
+        lambda j: Step(ends[j], ends[j + 1], last[j], turning),
+    )
     return watch
+
+
+def by_boxes(mechanism: Mechanism, text: str, ends: list[float]) -> EventWatch:
+    """The same, of steps whose boxes tell."""
+    return by_series(mechanism, text, ends, True)
 
 
 def check(watch: EventWatch, roots: list[float], within: float = 1e-12) -> None:
@@ -66,7 +82,7 @@ PART = math.sqrt(math.log(1e7) / 50)
 PARTS = [ONE, SOME, [x / 64 for x in range(193)]]
 
 
-@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("look", [watched, by_series, by_boxes])
 @pytest.mark.parametrize("ends", PARTS)
 @pytest.mark.parametrize("gap", [10.0**-k for k in range(3, 13)])
 def test_close_pairs(pendulum: Mechanism, look: Callable, ends: list[float], gap: float) -> None:
@@ -83,7 +99,7 @@ def test_close_pairs(pendulum: Mechanism, look: Callable, ends: list[float], gap
         assert watch.grazes["e"] == pytest.approx([first], abs=1e-6)
 
 
-@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("look", [watched, by_series, by_boxes])
 @pytest.mark.parametrize("ends", PARTS)
 @pytest.mark.parametrize("depth", [10.0**-k for k in range(2, 20)])
 def test_grazes(pendulum: Mechanism, look: Callable, ends: list[float], depth: float) -> None:
@@ -103,7 +119,7 @@ def test_grazes(pendulum: Mechanism, look: Callable, ends: list[float], depth: f
     assert not watch.grazes or depth < 1e-13
 
 
-@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("look", [watched, by_series, by_boxes])
 @pytest.mark.parametrize("ends", PARTS)
 @pytest.mark.parametrize(
     ("text", "roots"),
@@ -143,7 +159,7 @@ def test_smooth(
     check(look(pendulum, text, ends), roots, 1e-11)
 
 
-@pytest.mark.parametrize("look", [watched, by_series])
+@pytest.mark.parametrize("look", [watched, by_series, by_boxes])
 @pytest.mark.parametrize("ends", PARTS)
 @pytest.mark.parametrize(
     ("text", "roots"),
@@ -226,7 +242,7 @@ def test_random_polynomials(pendulum: Mechanism, seed: int) -> None:
     rng.shuffle(factors)
     scale = 10.0 ** rng.uniform(-30, 30)
     ends = [0.0, *sorted(rng.uniform(0, 3, rng.integers(0, 12)).tolist()), 3.0]
-    for look in (watched, by_series):
+    for look in (watched, by_series, by_boxes):
         watch = look(pendulum, "*".join([repr(scale), *factors]), ends)
         check(watch, sorted(simple), 1e-11)
 
@@ -248,7 +264,7 @@ def test_random_waves(pendulum: Mechanism, seed: int) -> None:
         roots = [
             float(mpmath.findroot(f, (grid[k], grid[k + 1]), solver="anderson")) for k in pairs
         ]
-    for look in (watched, by_series):
+    for look in (watched, by_series, by_boxes):
         for ends in (ONE, SOME):
             check(look(pendulum, text, ends), roots)
 

@@ -10,14 +10,15 @@ import ast
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.events.rounding import bound_of
+from robodyn.events.rounding import Bounded, around_of, bound_of
 from robodyn.events.smooth_parts import switches
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
@@ -25,7 +26,14 @@ from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state
 Array = NDArray[np.float64]
 Values = Callable[[Array, Array], Array]
 
-UNITS = {"deg": "pi/180", "rad": "1", "rpm": "pi/30", "ms": "1e-3", "s": "1", "mm": "1e-3"}
+UNITS = {  # times this, over that
+    "deg": (math.pi, 180.0),
+    "rad": (1.0, 1.0),
+    "rpm": (math.pi, 30.0),
+    "ms": (1e-3, 1.0),
+    "s": (1.0, 1.0),
+    "mm": (1e-3, 1.0),
+}
 _QUANTITY = re.compile(
     rf"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)({'|'.join(UNITS)})\b", re.ASCII
 )
@@ -48,11 +56,15 @@ _ARRAYS: dict[str, Callable[..., Any]] = {
 class Part:
     """A function of time and state: `values(t (k,), y (k, 2n or more))`, nan where undefined.
 
-    `noise` (k,), of the same, bounds what rounding may have added to them.
+    `noise` (k,), of the same, bounds what rounding may have added to them.  `around` has them
+    in the middle of boxes, and how far they go from there (`rounding.around_of`); or is not known.
     """
 
     values: Values
     noise: Values
+    around: Callable[[Array, Array, Array, Array], Bounded] | None = field(
+        default=None, kw_only=True
+    )
 
 
 @dataclass(frozen=True)
@@ -70,12 +82,18 @@ class EventFunction(Part):
     switches: tuple[Part, ...]
 
 
+def _number(quantity: re.Match[str]) -> str:
+    times, over = UNITS[quantity[2]]
+    return repr(float(quantity[1]) * times / over)
+
+
+@lru_cache(maxsize=256)
 def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> EventFunction:
     """The event at which a comparison becomes true, or at which a function passes zero.
 
     Raises InputError, naming `where`, for what is neither.
     """
-    plain = _QUANTITY.sub(lambda x: f"({x[1]}*{UNITS[x[2]]})", text)
+    plain = _QUANTITY.sub(_number, text)
     try:
         written = Written(plain, *state_names(mechanism.n))
     except NotAllowedError as error:
@@ -93,8 +111,11 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         way, strict = WAYS[type(tree.ops[0])], isinstance(tree.ops[0], ast.Gt | ast.Lt)
         tree = ast.BinOp(tree.left, ast.Sub(), *tree.comparators)
     n = mechanism.n
-    cuts = tuple(Part(_vectorised(x, n), bound_of(x, n)) for x in switches(tree))
-    return EventFunction(_vectorised(tree, n), bound_of(tree, n), name, way, strict, cuts)
+    cuts = tuple(
+        Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
+    )
+    made = _vectorised(tree, n), bound_of(tree, n)
+    return EventFunction(*made, name, way, strict, cuts, around=around_of(tree, n))
 
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:

@@ -1,13 +1,13 @@
-"""How much rounding may have added to an expression's value: a running analysis of its errors.
+"""How far an expression is from its value at a point: where rounding is all, or in a box.
 
-Times and states are right to a few spacings of floats of the largest among them; each operation
-hands errors on by its derivatives and adds a rounding of its own.
+Each operation hands on how far its operands may be off by its largest slopes in that reach, and
+adds a rounding of its own.  None of the expression's switches (`smooth_parts.py`) may pass zero in
+the reach: what jumps stays as it is at the point.
 """
 
 from __future__ import annotations
 
 import ast
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,23 +19,28 @@ Bounded = tuple[Any, Any]  # values, and bounds of their errors
 
 EPS = float(np.finfo(float).eps)
 STATE = 8.0 * EPS  # of the largest of the angles, or rates, that a series or an interpolant adds
-SLOPES: dict[str, Callable[[Any, Any], Any]] = {  # of functions, by their argument and value
-    "sin": lambda x, value: np.abs(np.cos(x)),
-    "cos": lambda x, value: np.abs(np.sin(x)),
-    "tan": lambda x, value: 1.0 + value**2,
-    "asin": lambda x, value: 1.0 / np.sqrt(1.0 - x**2),
-    "acos": lambda x, value: 1.0 / np.sqrt(1.0 - x**2),
-    "atan": lambda x, value: 1.0 / (1.0 + x**2),
-    "sinh": lambda x, value: np.cosh(x),
-    "cosh": lambda x, value: np.abs(np.sinh(x)),
-    "tanh": lambda x, value: 1.0 - value**2,
-    "exp": lambda x, value: value,
-    "sqrt": lambda x, value: 0.5 / value,
-    "abs": lambda x, value: 1.0,
-    "sign": lambda x, value: 0.0,
-    "floor": lambda x, value: 0.0,
+# of functions, by their argument, how far it may be off, and the value
+SLOPES: dict[str, Callable[[Any, Any, Any], Any]] = {
+    "sin": lambda x, dx, value: np.minimum(np.abs(np.cos(x)) + dx, 1.0),
+    "cos": lambda x, dx, value: np.minimum(np.abs(np.sin(x)) + dx, 1.0),
+    "tan": lambda x, dx, value: 1.0 + np.maximum(np.tan(x - dx) ** 2, np.tan(x + dx) ** 2),
+    "asin": lambda x, dx, value: 1.0 / np.sqrt(_positive(1.0 - (np.abs(x) + dx) ** 2)),
+    "acos": lambda x, dx, value: 1.0 / np.sqrt(_positive(1.0 - (np.abs(x) + dx) ** 2)),
+    "atan": lambda x, dx, value: 1.0 / (1.0 + _positive(np.abs(x) - dx) ** 2),
+    "sinh": lambda x, dx, value: np.cosh(np.abs(x) + dx),
+    "cosh": lambda x, dx, value: np.sinh(np.abs(x) + dx),
+    "tanh": lambda x, dx, value: 1.0 - np.tanh(_positive(np.abs(x) - dx)) ** 2,
+    "exp": lambda x, dx, value: np.exp(x + dx),
+    "sqrt": lambda x, dx, value: 1.0 / (value + np.sqrt(_positive(x - dx))),
+    "abs": lambda x, dx, value: 1.0,
+    "sign": lambda x, dx, value: 0.0,
+    "floor": lambda x, dx, value: 0.0,
 }
 ARRAYS: dict[str, Callable[..., Any]] = {"asin": np.arcsin, "acos": np.arccos, "atan": np.arctan}
+
+
+def _positive(x: Any) -> Any:
+    return np.maximum(x, 0.0)
 
 
 def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
@@ -44,17 +49,36 @@ def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
     def bound(t: Array, y: Array) -> Array:
         with np.errstate(all="ignore"):
             largest = [float(np.abs(part).max()) for part in (y[:, :n], y[:, n : 2 * n])]
-
-            def known(name: str) -> Bounded:
-                if name == "t":
-                    return t, EPS * np.abs(t)
-                rate = name.startswith("qd")
-                column = int(name.lstrip("qd")) + n * rate
-                return y[:, column], STATE * largest[rate]
-
-            return np.asarray(_bounded(tree, known)[1] + np.zeros(len(t)))
+            off = np.repeat(STATE * np.array([largest]), n)
+            found = _bounded(tree, _known(t, t, y, off[None], n))[1]
+            return np.asarray(found + np.zeros(len(t)))
 
     return bound
+
+
+def around_of(tree: ast.expr, n: int) -> Callable[[Array, Array, Array, Array], Bounded]:
+    """An expression's values (k,) in the middle of boxes, and how far they go from there.
+
+    Those are times from begin (k,) to end, and states as far as dy (k, 2n..) from y.
+    """
+
+    def around(begin: Array, end: Array, y: Array, dy: Array) -> Bounded:
+        with np.errstate(all="ignore"):
+            return _bounded(tree, _known(begin, end, y, dy, n))
+
+    return around
+
+
+def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[str], Bounded]:
+    def known(name: str) -> Bounded:
+        if name == "t":
+            half = 0.5 * (end - begin)
+            t = begin + half
+            return t, np.abs(half) + EPS * np.abs(t)
+        column = int(name.lstrip("qd")) + n * name.startswith("qd")
+        return y[:, column], dy[:, column]
+
+    return known
 
 
 def _bounded(node: ast.expr, known: Callable[[str], Bounded]) -> Bounded:
@@ -89,24 +113,33 @@ def _operated(op: ast.operator, left: Bounded, right: Bounded) -> Bounded:
         case ast.Sub():
             value, error = a - b, da + db
         case ast.Mult():
-            value, error = a * b, np.abs(a) * db + np.abs(b) * da
+            value, error = a * b, abs(a) * db + abs(b) * da + da * db
         case ast.Div():
             value = np.divide(a, b)
-            error = (da + np.abs(value) * db) / np.abs(b)
+            error = np.divide(da + abs(value) * db, _positive(abs(b) - db))
         case ast.Mod():
             value, error = np.mod(a, b), da + np.abs(np.floor(np.divide(a, b))) * db
         case _:
             return _power(left, right)
-    return value, error + EPS * np.abs(value)
+    return value, error + EPS * abs(value)
 
 
 def _power(base: Bounded, exponent: Bounded) -> Bounded:
     (a, da), (b, db) = base, exponent
     value = np.power(a, b)
-    error = np.abs(b * np.power(a, b - 1.0)) * da
-    if np.any(db):
-        error = error + np.abs(value * np.log(np.abs(a))) * db
-    return value, error + 2.0 * EPS * np.abs(value)
+    ends = _positive(abs(a) - da), abs(a) + da
+    varies = bool(np.any(db))
+
+    def largest(p: Any) -> Any:
+        """Of the powers of a in its reach."""
+        powers = [np.power(x, y) for x in ends for y in ((p - db, p + db) if varies else (p,))]
+        return np.maximum.reduce(np.broadcast_arrays(*powers))
+
+    error = (abs(b) + db) * largest(b - 1.0) * da
+    if varies:
+        steepest = np.maximum(*(np.abs(np.log(x)) for x in ends))
+        error = error + largest(b) * steepest * db
+    return value, error + 2.0 * EPS * abs(value)
 
 
 def _called(name: str, args: list[Bounded]) -> Bounded:
@@ -125,12 +158,14 @@ def _called(name: str, args: list[Bounded]) -> Bounded:
         case "atan2":
             b, db = others[0]
             value = np.arctan2(x, b)
-            error = (np.abs(b) * dx + np.abs(x) * db) / (x**2 + b**2)
+            nearest = _positive(np.abs(x) - dx) ** 2 + _positive(np.abs(b) - db) ** 2
+            error = ((np.abs(b) + db) * dx + (np.abs(x) + dx) * db) / nearest
         case "log":
-            b, db = others[0] if others else (math.e, 0.0)
-            value = np.log(x) / np.log(b)
-            error = (dx / np.abs(x) + np.abs(value / b) * db) / np.abs(np.log(b))
+            value, error = np.log(x), np.divide(dx, _positive(np.abs(x) - dx))
+            if others:
+                base = _called("log", others)
+                return _operated(ast.Div(), (value, error + 2.0 * EPS * np.abs(value)), base)
         case _:
             value = (ARRAYS.get(name) or getattr(np, name))(x)
-            error = SLOPES[name](x, value) * dx
+            error = SLOPES[name](x, dx, value) * dx
     return value, error + 2.0 * EPS * np.abs(value)

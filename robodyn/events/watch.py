@@ -1,7 +1,8 @@
 """Watches a run for events: finds each within its step, in order, and ends the run where one does.
 
 Of the steps of a series all are looked at together: where a function has one certain sign along a
-step, and the sign that it had before, nothing happened.  The others are looked at one by one.
+step, and the sign that it had before, nothing happened.  Mostly a box that the state stays in tells
+so; else the series does.  The others are looked at one by one.
 """
 
 from __future__ import annotations
@@ -121,35 +122,71 @@ class EventWatch:
         return APART * abs(self.t_end)
 
     def series(
-        self, times: Array, sampled: Array, ends: Array, step: Callable[[int], Step]
+        self,
+        times: Array,
+        boxes: Array,
+        sampled: Callable[[Signs], Array],
+        ends: Array,
+        step: Callable[[int], Step],
     ) -> tuple[int, Stop] | None:
-        """Steps from times[j] to times[j + 1], with states (m, nodes, N) at Chebyshev's points.
+        """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
-        `ends` (m, N) are those at their ends, brought back onto closures; `step(j)` has one whole.
-        Tells in which of them the run ends, and how.
+        Those are their middles and how far they reach.  `sampled` has, of steps by their places,
+        the states (k, nodes, N) at Chebyshev's points, `ends` (m, N) are those at their ends,
+        brought back onto closures; `step(j)` has one whole.  Tells in which of them the run ends,
+        and how.
         """
-        m, nodes = sampled.shape[:2]
-        at = times[:-1, None] + np.diff(times)[:, None] * NODES
-        at = np.concatenate([at.ravel(), times[1:]])
-        y = np.concatenate([sampled.reshape(m * nodes, -1), ends])
-        looks = (self._looked_at(function, at, y, m) for function in self.watched)
-        doubtful = self._doubtful(list(looks), m)
-        for j, places in enumerate(doubtful):
-            self.begin(j, places)
+        box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
+        known = [self._boxed(function, *box) for function in self.watched]
+        if not all(signs.all() for signs in known):
+            left = np.flatnonzero(~np.logical_and.reduce(known))
+            self._look(known, left, times, sampled(left), ends[left])
+        doubtful = self._doubtful(known)
+        for j, places in sorted(doubtful.items()):
+            places = self.begin(j, places)
             stop = self.step(step(j), places) if places else None
             if stop is not None:
                 return j, stop
         self.seen()
         return None
 
-    def _doubtful(self, known: list[Signs], m: int) -> list[list[int]]:
-        """In which of m steps which functions may pass zero, as their known signs (m,) tell."""
+    def _boxed(self, function: EventFunction, *box: Array) -> Signs:
+        """The signs (m,) that a function keeps along steps, as far as boxes tell; else 0."""
+        sure: Any = 1
+        for part in (*function.switches, function):
+            if part.around is None:
+                return np.zeros(len(box[0]), np.int64)
+            value, reach = part.around(*box)
+            sure = sure * (np.abs(value) > reach)
+        return np.where(sure, np.sign(value), 0).astype(np.int64)
+
+    def _look(
+        self, known: list[Signs], places: Signs, times: Array, sampled: Array, ends: Array
+    ) -> None:
+        """Find the signs of functions along the steps at `places`, as far as samples tell."""
+        m, nodes = sampled.shape[:2]
+        begin = times[places]
+        at = begin[:, None] + (times[places + 1] - begin)[:, None] * NODES
+        at = np.concatenate([at.ravel(), times[places + 1]])
+        y = np.concatenate([sampled.reshape(m * nodes, -1), ends])
+        for function, signs in zip(self.watched, known, strict=True):
+            found = signs[places]
+            if not found.all():
+                looked = self._looked_at(function, at, y, m)
+                signs[places] = np.where(found, found, looked)
+
+    def _doubtful(self, known: list[Signs]) -> dict[int, list[int]]:
+        """In which steps which functions may pass zero, as their known signs (m,) tell."""
         self._known = known
-        doubtful: list[list[int]] = [[] for _ in range(m)]
+        doubtful: dict[int, list[int]] = {}
         for i, signs in enumerate(known):
-            before = np.append(self.signs[i], signs[:-1])
-            for j in np.flatnonzero((signs != before) | (signs == 0)).tolist():
-                doubtful[j].append(i)
+            first = int(signs[0])
+            if self._goes_on(i, first) and (signs == first).all():
+                continue
+            changes = signs[1:] != signs[:-1]
+            passes = np.concatenate([[first != self.signs[i]], changes]) | (signs == 0)
+            for j in passes.nonzero()[0].tolist():
+                doubtful.setdefault(j, []).append(i)
         return doubtful
 
     def _looked_at(self, function: EventFunction, at: Array, y: Array, m: int) -> Signs:
@@ -172,7 +209,7 @@ class EventWatch:
                 signs = np.where(certain(inner, missed + margin), signs, 0)
         return signs
 
-    def near(self, steps: Sequence[Any]) -> list[list[int]]:
+    def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
         """For steps of an explicit method, which functions may pass zero in each, by its stages."""
         m = len(steps)
         both, h = two_guesses(steps), np.array([step.h_previous for step in steps])
@@ -188,13 +225,22 @@ class EventWatch:
                     noise += MARGIN * np.abs(better).max(axis=1)
                     known = np.where(known, certain(better, noise), 0)
             found.append(known)
-        return self._doubtful(found, m)
+        return self._doubtful(found)
 
-    def begin(self, j: int, places: Sequence[int]) -> None:
-        """Know the signs at the start of step j of those looked at together."""
+    def begin(self, j: int, places: Sequence[int]) -> list[int]:
+        """Know the signs at the start of step j of those looked at together.
+
+        Tells at which places the step itself is to be looked at: where a sign is not known, or not
+        that of before.
+        """
         for i in places:
             if j and self._known[i][j - 1]:
                 self.signs[i] = int(self._known[i][j - 1])
+        return [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
+
+    def _goes_on(self, i: int, sign: int) -> bool:
+        """Whether nothing happens where a function has a sign for certain."""
+        return sign != 0 and self.signs[i] in (0, sign) and self._touched[i] is None
 
     def seen(self) -> None:
         """Know the signs at the end of the steps looked at together."""
@@ -202,6 +248,7 @@ class EventWatch:
             if known[-1]:
                 self.signs[i] = int(known[-1])
 
+    @np.errstate(all="ignore")  # values may be huge, or none
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []

@@ -37,7 +37,8 @@ Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n), of o
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
-KEPT = 16  # steps that are looked at together for events
+KEPT = 512  # joints of steps that are looked at together for events
+KEPT_AT_FIRST = 8  # steps, where an event ends the run: those beyond the end are lost
 MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
 NEVER = 1e4  # times the steps that a run may take: even if they grew as much it would not end
@@ -96,7 +97,10 @@ class Recorder:
             self._together([solver])
         else:
             self.kept.append(KeptStep(solver))
-            if len(self.kept) == KEPT or solver.status != "running":
+            most = max(1, min(64, KEPT // self.mechanism.n))
+            if self.events.stops:
+                most = min(most, max(KEPT_AT_FIRST, self.report.steps))
+            if len(self.kept) >= most or solver.status != "running":
                 self.catch_up()
 
     def catch_up(self) -> None:
@@ -107,9 +111,9 @@ class Recorder:
 
     def _together(self, steps: Sequence[Any]) -> None:
         assert self.events is not None
-        for j, places in enumerate(self.events.near(steps)):
-            self.events.begin(j, places)
-            self._step(steps[j], places)
+        near = self.events.near(steps)
+        for j, step in enumerate(steps):
+            self._step(step, self.events.begin(j, near.get(j, ())))
         self.events.seen()
 
     def _step(self, solver: Any, places: Sequence[int] = ()) -> None:

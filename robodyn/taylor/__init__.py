@@ -11,16 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import RobodynError
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+if TYPE_CHECKING:
+    from robodyn.taylor.step_boxes import Kept
 
+Array = NDArray[np.float64]
+
+STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state
 
 
@@ -42,8 +45,7 @@ class Chunk(NamedTuple):
     """Some steps: their ends t (m,) and states y (m, N), and rows at output times (k,), (k, N).
 
     y = (q, qd) in joint coordinates, with the work done by torques less dampers appended where it
-    was asked for.  `series` (m, order + 2, n), of engines that keep them, has how far each
-    coordinate has gone since the step's start: rho + i theta.
+    was asked for.  `kept` is what engines keep of the steps where that was asked for.
     """
 
     t: Array
@@ -51,7 +53,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    series: Complex | None = None
+    kept: Kept | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -62,10 +64,14 @@ class Chunk(NamedTuple):
 
 
 class Engine(Protocol):
-    """What advances a state by steps of the Taylor series; it `keeps` the series where asked to."""
+    """What advances a state by steps of the Taylor series; it `keeps` more where asked to.
+
+    `most` are the steps that it takes at a time.
+    """
 
     order: int
     keeps: bool
+    most: int
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
         """Up to `steps` steps from (t, y) towards `bound`; rows at `times` on the way.

@@ -21,15 +21,16 @@ from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.taylor import Chunk, NoCodeError, Status, default_order
+from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
+from robodyn.taylor.step_boxes import Kept, write_box
 
 Array = NDArray[np.float64]
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
-# what the observer is told: addresses of times, rows, ends, states and series, how many times, rows
-# so far, whether series are kept
-TABLE = ("times", "rows", "ends", "states", "series", "count", "given", "keeps")
+# what the observer is told: addresses of times, rows, ends, states, boxes and series, how many
+# times, rows so far, whether boxes and series are kept
+TABLE = ("times", "rows", "ends", "states", "boxes", "series", "count", "given", "keeps")
 
 
 class Rows(Observer):
@@ -59,6 +60,8 @@ class Rows(Observer):
         count = len(scene.state)
         wide, to = k.whole(count), scene.at(k, block, "to_q0")
         begin, direction = scene.get(k, block, "t"), scene.get(k, block, "direction")
+        there = k.room(k.numbers, count)
+        k.each(count, lambda i: k.store(k.load(k.at(to, i)), k.at(there, i)))
         with k.when(k.compare("sge", self._told(k, own, "keeps"), k.whole(1))):
             turns, orders = 2 * scene.mechanism.n, scene.order + 2
             with k.loop(k.whole(orders)) as m:
@@ -66,11 +69,11 @@ class Rows(Observer):
                 source = scene.row(k, block, m)
                 target = k.at(self._told(k, own, "series"), place)
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
-        there = k.room(k.numbers, count)
+            box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
+            write_box(scene, k, block, end, there, box)
         state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.store(end, k.at(self._told(k, own, "ends"), taken))
-        for other in (there, state):
-            k.each(count, lambda i, other=other: k.store(k.load(k.at(to, i)), k.at(other, i)))  # type: ignore[misc]
+        k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(state, i)))
         with k.forever() as done:
             given = self._told(k, own, "given")
             k.leave(k.compare("sge", given, self._told(k, own, "count")), done)
@@ -152,7 +155,7 @@ class CompiledEngine:
         self._blocks: dict[tuple[float, ...] | None, _Ready] = {}
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
-        self.keeps = False
+        self.keeps, self.most = False, STEPS
         if any(friction.stribeck is not None for _, friction, _ in mechanism.slips):
             raise NoCodeError("steps along friction that falls with the rate are held in Python")
         if not serves(mechanism):
@@ -236,13 +239,22 @@ class CompiledEngine:
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
         wanted = len(times)
-        turns = steps * (self.order + 2) * 2 * self.mechanism.n if self.keeps else 0
-        a, b, c, d, e, end = accumulate((len(TABLE), wanted, wanted * N, steps, steps * N, turns))
+        turns = steps * 2 * self.mechanism.n * self.keeps
+        sizes = (
+            len(TABLE),
+            wanted,
+            wanted * N,
+            steps,
+            steps * N,
+            2 * turns,
+            turns * (self.order + 2),
+        )
+        a, b, c, d, e, f, end = accumulate(sizes)
         if len(self._room) < end:
             self._room = np.empty(end)
         room = self._room
         table, told = room[:a].view(np.int64), room.ctypes.data
-        table[:] = *(told + 8 * x for x in (a, b, c, d, e)), wanted, 0, self.keeps
+        table[:] = *(told + 8 * x for x in (a, b, c, d, e, f)), wanted, 0, self.keeps
         room[a:b] = times
         code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
@@ -250,11 +262,12 @@ class CompiledEngine:
         found = Status.FULL if status == RUNNING else Status(int(status))
         rows = room[b : b + given * N].reshape(given, N)
         ends, states = room[c : c + taken].copy(), room[d : d + taken * N].reshape(taken, N)
-        series = None
+        kept = None
         if self.keeps:
-            room = room[e:end].reshape(steps, self.order + 2, 2 * self.mechanism.n)[:taken]
-            series = room.view(np.complex128).copy()
-        return Chunk(ends, states.copy(), times[:given], rows.copy(), found, series)
+            series = room[f:end].reshape(steps, self.order + 2, 2 * self.mechanism.n)
+            boxes = room[e:f].reshape(steps, 2, 2 * self.mechanism.n)[:taken]
+            kept = Kept(boxes, series.view(np.complex128).__getitem__)
+        return Chunk(ends, states.copy(), times[:given], rows.copy(), found, kept)
 
 
 @lru_cache(maxsize=64)

@@ -28,7 +28,7 @@ from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
-from robodyn.taylor import Chunk, Engine, NoCodeError, Status, default_order
+from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_order
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
 from robodyn.taylor.watched_steps import with_events
@@ -41,8 +41,8 @@ Array = NDArray[np.float64]
 # entries of A and P times the order, and links, up to which straight-line code serves: beyond, it
 # takes seconds to make and is more than Python compiles
 STRAIGHT, MOST_LINKS = 6000, 120
-STEPS = 128  # at a time: between them the run can be watched and interrupted
 COMPILED_STEPS = 4096
+TOGETHER = 4 * STEPS  # of those in Python that are looked at for events: looks cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 8  # where an event ends the run, at first
 CALL = 0.1  # s that a call of compiled code may take
@@ -182,7 +182,7 @@ def taylor_run(
     waits = engine == "auto" and stepping is None and seen[0] < worth
     stepping = stepping or careful()
     _check_start(mechanism, actuation, begin, y)
-    t, begun, most = begin, time.perf_counter(), STEPS
+    t, begun = begin, time.perf_counter()
     recent: list[Chunk] = []  # steps in a row that are not yet known to be held by stability
     crosses = False  # whether only the motion that leads across a change point leads on
     if closing is not None and isinstance(stepping, SteppingEngine):  # machine code tells itself
@@ -217,8 +217,8 @@ def taylor_run(
             else:
                 runner = stepping
             left = recorder.max_evaluations - recorder.report.evaluations
-            steps = STEPS if isinstance(runner, SteppingEngine) else most
-            steps = 1 if max_step < math.inf else max(1, min(steps, left + 1))
+            most = TOGETHER if watched and isinstance(runner, SteppingEngine) else runner.most
+            steps = 1 if max_step < math.inf else max(1, min(most, left + 1))
             called = time.perf_counter()
             if runner.keeps is not watched:
                 runner.keeps = watched
@@ -230,7 +230,7 @@ def taylor_run(
                 continue
             if not isinstance(runner, SteppingEngine):  # nothing halts it within a call
                 took = max(1e-9, time.perf_counter() - called)
-                most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
+                runner.most = max(1, min(COMPILED_STEPS, int(CALL / took * len(chunk.t))))
             leaps: list[int] = []
             if misses is not None and isinstance(runner, SteppingEngine):  # machine code looks too
                 times, ends = np.append(t, chunk.t), np.concatenate([y[None], chunk.y])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import starmap
+from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
-from robodyn.taylor import PARTS, Chunk, Status
+from robodyn.taylor import PARTS, STEPS, Chunk, Status
+from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
 
 Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
@@ -64,7 +66,7 @@ class SteppingEngine:
         self.lightest = min(mechanism.inertias.values())
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
-        self.keeps = False
+        self.keeps, self.most = False, STEPS
         self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
@@ -131,9 +133,10 @@ class SteppingEngine:
         ends: list[float] = []
         states: list[list[float]] = []
         rows: list[Array] = []
-        kept = array("d")
+        kept: list[bytes] = []
+        packed = Struct(f"{self.order + 2}d").pack
         due = 0
-        status, n = Status.FULL, self.mechanism.n
+        status, n, begin = Status.FULL, self.mechanism.n, t
         while len(ends) < steps:
             left = most = (bound - t) * direction
             if self.misses is not None:
@@ -164,8 +167,7 @@ class SteppingEngine:
                 due = last
             self.last = t, state, series
             if self.keeps:
-                for row in series[: 2 * n]:
-                    kept.extend(row)
+                kept.extend(starmap(packed, series[: 2 * n]))
             t, state = end, new
             ends.append(t)
             states.append(state)
@@ -179,11 +181,16 @@ class SteppingEngine:
                 break
         made = np.array(states).reshape(len(states), len(y))
         row_y = np.concatenate(rows) if rows else np.zeros((0, len(y)))
-        series_of = None
-        if kept:
-            parts = np.frombuffer(kept).reshape(len(ends), 2 * n, -1)
-            series_of = (parts[:, :n] + 1j * parts[:, n:]).swapaxes(1, 2)
-        return Chunk(np.array(ends), made, times[:due], row_y, status, series_of)
+        found = Chunk(np.array(ends), made, times[:due], row_y, status)
+        return found._replace(kept=self._kept(begin, y, found, kept)) if kept else found
+
+    def _kept(self, t: float, y: Array, steps: Chunk, kept: list[bytes]) -> Kept:
+        """Of steps from (t, y), by their series."""
+        parts = np.frombuffer(b"".join(kept)).reshape(len(steps.t), 2, self.mechanism.n, -1)
+        states, times = np.concatenate([y[None], steps.y]), np.concatenate([[t], steps.t])
+        h = times[1:] - times[:-1]
+        boxes = boxes_along(self.mechanism, states[:-1], states[1:], parts, h)
+        return Kept(boxes, lambda places: as_complex(parts[places]))
 
     def within(self, times: Array) -> Array:
         """See `Engine`."""

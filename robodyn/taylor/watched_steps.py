@@ -20,16 +20,22 @@ def with_events(
     events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
-    assert chunk.series is not None
-    times, starts = np.append(t, chunk.t), np.concatenate([y[None], chunk.y[:-1]])
+    assert chunk.kept is not None
+    series = chunk.kept.series
+    times = np.concatenate([[t], chunk.t])
     forward = 1.0 if times[1] > times[0] else -1.0
 
     def step(j: int) -> Step:
         begin, end = float(times[j]), float(times[j + 1])
-        return Step(begin, end, chunk.y[j], engine.dense(begin, starts[j], end))
+        return Step(begin, end, chunk.y[j], engine.dense(begin, chunk.y[j - 1] if j else y, end))
 
-    sampled = states_along(mechanism, starts, chunk.series, np.diff(times), NODES)
-    found = events.series(times, sampled, chunk.y[:, : sampled.shape[-1]], step)
+    def sampled(places: NDArray[np.int64]) -> Array:
+        h = times[places + 1] - times[places]
+        starts = np.where(places[:, None] > 0, chunk.y[places - 1], y)
+        return states_along(mechanism, starts, series(places), h, NODES)
+
+    ends = chunk.y[:, : 2 * mechanism.n]
+    found = events.series(times, chunk.kept.boxes, sampled, ends, step)
     if found is None:
         return chunk, engine.within, None
     j, stop = found

@@ -1,0 +1,138 @@
+"""A box that the state stays in along a step, from the step's series.
+
+z = rho + i theta turns a direction at the rate w = Im(z'/z).  From the rate w0 at the start it goes
+away by Im(D/z), where D = z' - i w0 z is zero at the start:
+
+    |w - w0| <= sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k / (1 - sum_{k>0} |z_k| h^k),
+
+and the angle from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0) is D.
+Sizes |z| are |rho| + |theta|, and a joint's box is that of its own coordinate and the one below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.placed import states_along
+from robodyn.events.watch import MISSED
+from robodyn.mechanics.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from robodyn.engines.assembler import Kernel, Word
+    from robodyn.engines.machine_steps import Scene
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
+
+
+class Kept(NamedTuple):
+    """What an engine keeps of m steps, until it advances again.
+
+    `boxes` (m, 2, 2n) are the middles of q and qd, and how far they go from there; `series(places)`
+    (k, order + 2, n) is rho + i theta of steps.
+    """
+
+    boxes: Array
+    series: Callable[[NDArray[np.int64]], Complex]
+
+
+def boxes_along(mechanism: Mechanism, y: Array, ends: Array, parts: Array, h: Array) -> Array:
+    """The boxes (m, 2, 2n) of steps h (m) from y (m, 2n or more) to `ends`, by their series.
+
+    Those are rho and theta, in `parts` (m, 2, n, order + 2).
+    """
+    n, last, length = mechanism.n, parts.shape[-1] - 1, np.abs(h)
+    turns = np.ones((n, 1))
+    turns[list(mechanism.slides)] = 0.0
+    table = parts.transpose(1, 2, 3, 0).copy()  # all steps side by side: that is fast
+    rates = table[1, :, 1] * turns
+    powers = np.multiply.accumulate(np.broadcast_to(length, (last, len(h))))
+    terms = table[:, :, 1:]
+    terms *= powers  # z_k h^k, k > 0
+    stray = terms[::-1] * np.stack([rates, -rates])[:, :, None]
+    stray[:, :, :-1] += terms[:, :, 1:] * (np.arange(2.0, last + 1)[:, None] / length)
+    far, away = (np.abs(each, out=each).sum(axis=(0, 2)) for each in (stray, terms))
+    with np.errstate(all="ignore"):
+        apart = far * (1.0 + SLACK) / np.maximum(1.0 - away * turns, 0.0) + SLACK * np.abs(rates)
+    own = apart.copy()
+    for k, above in enumerate(mechanism.above):
+        if above is not None:
+            own[k] += apart[above]
+    start = y[:, : 2 * n].T
+    half = 0.5 * h * start[n:]
+    middle, reach = start.copy(), np.concatenate([np.abs(half) + length * own, own])
+    middle[:n] += half
+    reach += SLACK * np.abs(start)
+    if mechanism.rows:
+        there = states_along(mechanism, y, as_complex(parts), h, np.ones(1))[:, 0]
+        reach += MISSED * np.abs(there - ends[:, : 2 * n]).T
+    return np.stack([middle, reach]).transpose(2, 0, 1)
+
+
+def as_complex(parts: Array) -> Complex:
+    """rho + i theta (m, order + 2, n) of parts (m, 2, n, order + 2)."""
+    series: Complex = (parts[:, 0] + 1j * parts[:, 1]).swapaxes(1, 2)
+    return series
+
+
+def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box: Word) -> None:
+    """The same of the step from the block's state to the time `end` and the state `there`."""
+    mechanism, n = scene.mechanism, scene.mechanism.n
+    x = k.subtract(end, scene.get(k, block, "t"))
+    h, zero, one, last = k.intrinsic("fabs", x), k.number(0.0), k.number(1.0), scene.order + 1
+    slack = k.number(SLACK)
+
+    def size(*parts: Word) -> Word:
+        return k.add(*(k.intrinsic("fabs", part) for part in parts))
+
+    def pairs(row: Word) -> list[tuple[Word, Word]]:
+        return [(k.load(k.at(row, 2 * j)), k.load(k.at(row, 2 * j + 1))) for j in range(n)]
+
+    turns = [j not in mechanism.slides for j in range(n)]
+    rates = [
+        theta if turn else zero
+        for (_, theta), turn in zip(pairs(scene.row(k, block, 1)), turns, strict=True)
+    ]
+    with k.loop(k.whole(last), k.whole(1)) as m:
+        power, level = k.carried(h), k.carried(k.number(2.0))
+        now, later = pairs(scene.row(k, block, m)), pairs(scene.row(k, block, k.add(m, k.whole(1))))
+        far: list[Word] = []
+        away: list[Word] = []
+        for (rho, theta), (re, im), w in zip(now, later, rates, strict=True):
+            re = k.add(k.multiply(level, re), k.multiply(w, theta))
+            im = k.subtract(k.multiply(level, im), k.multiply(w, rho))
+            for sums, parts in ((far, (re, im)), (away, (rho, theta))):
+                sums.append(k.carried(zero))
+                k.becomes(sums[-1], k.add(sums[-1], k.multiply(size(*parts), power)))
+        k.becomes(power, k.multiply(power, h))
+        k.becomes(level, k.add(level, one))
+    apart = []
+    for j, pair in enumerate(pairs(scene.row(k, block, last))):
+        tail, w = k.multiply(size(*pair), power), k.intrinsic("fabs", rates[j])
+        total = k.multiply(k.add(far[j], k.multiply(w, tail)), k.number(1.0 + SLACK))
+        if turns[j]:
+            left = k.subtract(one, k.add(away[j], tail))
+            total = k.divide(total, k.select(k.less(zero, left), left, zero))
+        apart.append(k.add(total, k.multiply(slack, w)))
+    if scene.closes:
+        scene.put(k, block, "x", x)
+        k.line(f"call void @evaluate({block})")
+    for j, above in enumerate(mechanism.above):
+        own = apart[j] if above is None else k.add(apart[j], apart[above])
+        q, qd = (scene.get(k, block, f"{name}{j}") for name in ("q", "qd"))
+        half = k.multiply(k.multiply(k.number(0.5), x), qd)
+        turned = k.add(k.intrinsic("fabs", half), k.multiply(h, own))
+        for place, start, middle, reach in ((j, q, k.add(q, half), turned), (n + j, qd, qd, own)):
+            reach = k.add(reach, k.multiply(slack, k.intrinsic("fabs", start)))
+            if scene.closes:
+                series = scene.get(k, block, f"to_{'q' if place < n else 'qd'}{j}")
+                missed = k.intrinsic("fabs", k.subtract(series, k.load(k.at(there, place))))
+                reach = k.add(reach, k.multiply(k.number(MISSED), missed))
+            k.store(middle, k.at(box, place))
+            k.store(reach, k.at(box, 2 * n + place))
