@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from bench_frontier import frontier, taylor_process
-from bench_motions import many_loops, motions, series_engines
+from bench_motions import many_loops, motions, series_engines, watched_runs
 from bench_sweep import sweeps
 from numpy.typing import NDArray
 
@@ -339,6 +339,7 @@ MEASURES = [
     series_engines,
     many_loops,
     motions,
+    watched_runs,
     sweeps,
 ]
 

@@ -16,6 +16,7 @@ from scipy.integrate import ode
 import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
+from robodyn.engines import machine
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
@@ -153,4 +154,28 @@ def series_engines(bench: Any) -> list[Any]:
         )
         row = compared(f"step of the series, straight-line, {what}", times, 20, "arrays")
         rows.append(replace(row, ours=f"{row.ours}; generated in {1e3 * made:.3g} ms"))
+    return rows
+
+
+def watched_runs(bench: Any) -> list[Any]:
+    """A run that is watched for an event which does not happen, against the same run without.
+
+    In machine code 10 s take half a millisecond, of which calls alone are a part: there it is 40 s.
+    """
+    from bench import compared, in_turn
+
+    rows = []
+    ways = [("DOP853", "auto", 10.0), ("taylor", "python", 10.0)]
+    if machine.available():
+        ways.append(("taylor", "compiled", 40.0))
+    for scene, start in (("2r", [0.5, 0.8]), ("four-bar", [1.0])):
+        mechanism = robodyn.load(ROOT / f"robots/{scene}.yaml")
+        q, rest = robodyn.assemble(mechanism, np.array(start)), np.zeros(mechanism.n)
+        for method, engine, time in ways:
+            run = partial(robodyn.simulate, mechanism, q, rest, time, method=method, engine=engine)
+            watched = partial(run, events={"high": "q1 > 2000deg"})
+            assert watched().report.events == {"high": 0}
+            times = in_turn(watched, run, 3 if bench.quick else 35)
+            name = f"an event, {scene}, {time:g} s, {method} {engine}".removesuffix(" auto")
+            rows.append(compared(name, times, 1, "without", bound=1.2))
     return rows
