@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
-from robodyn.events.pieces import States, along, signs_along
+from robodyn.events.pieces import States, along, remembered, signs_along
 from robodyn.events.signs import NODES, Budget, Stretch, bracket, certain
 
 Array = NDArray[np.float64]
@@ -252,7 +252,7 @@ class EventWatch:
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []
-        states = _remembered(step.states)
+        states = remembered(step.states)
         for i in range(len(self.watched)) if places is None else places:
             passed += [(t, apart, i) for t, apart in self._crossings(i, step, states)]
         if not passed:
@@ -337,18 +337,3 @@ def _listed(times: Sequence[float]) -> str:
 
 def _state(step: Step, t: float) -> Array:
     return step.y if t == step.end else step.states(np.array([t]))[0]
-
-
-def _remembered(states: States) -> States:
-    """The same, which keeps the last answers: functions of an event are asked at the same times."""
-    kept: dict[bytes, Array] = {}
-
-    def remembered(t: Array) -> Array:
-        key = t.tobytes()
-        if key not in kept:
-            if len(kept) > 64:
-                kept.clear()
-            kept[key] = states(t)
-        return kept[key]
-
-    return remembered
