@@ -32,7 +32,7 @@ Complex = NDArray[np.complex128]
 
 
 class Pair(NamedTuple):
-    """What joins two links: a pin, or a line along a unit vector of a frame (None: the ground's)."""
+    """What joins two links: a pin, or a line along a unit vector of a frame (None: ground)."""
 
     pin: PlanarPoint | None
     along: complex = 1.0 + 0j
