@@ -11,17 +11,23 @@ from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import InputError
-from robodyn.kinematics.points import link_turns, named_points, point_jacobian, unit_rates
+from robodyn.kinematics.points import (
+    NamedPoint,
+    link_turns,
+    named_points,
+    point_jacobian,
+    unit_rates,
+)
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
     transmission_angles,
     transmission_loops,
 )
-from robodyn.mechanics.mechanism import load
+from robodyn.mechanics.mechanism import Mechanism, load
 
-_OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
-Of = Annotated[list[str] | None, Option("--of", metavar="[NAME=]POINT", help=_OF)]
+POINTS = "[NAME=]POINT"
+OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
 _LINKS = "Each link's angle, its rate and acceleration."
 _TRANSMISSION = "The transmission angle of each loop, rad."
 _RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
@@ -31,7 +37,7 @@ _JACOBIAN = "How far each point goes with each actuated joint."
 def points(
     model: Model,
     states: States = None,
-    of: Of = None,
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
@@ -93,3 +99,12 @@ def points(
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     evaluate(mechanism, states, quantities, columns, compute, format, out, adds=True)
+
+
+def points_given(
+    mechanism: Mechanism, of: list[str] | None, trace: list[str] | None = None
+) -> list[NamedPoint]:
+    """The points of --of, and of --trace, which is another name of it; none without them."""
+    found = {"--of": of or [], "--trace": trace or []}
+    named = [named_points(mechanism, texts, where) for where, texts in found.items() if texts]
+    return [point for points in named for point in points]

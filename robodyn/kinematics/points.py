@@ -7,6 +7,7 @@ coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each
 from __future__ import annotations
 
 import cmath
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -51,11 +52,16 @@ def named_points(
 ) -> list[NamedPoint]:
     """The points that are written as POINT or NAME=POINT; the scene's, else all tips, for none.
 
-    A place LINK@x,y without a name is point1, ..., by its place in the list.  Raises InputError,
-    naming `where`, for a point that is not there and for two of one name.
+    A text may have several, with commas between them.  A place LINK@x,y without a name is point1,
+    ..., by its place in the list.  Raises InputError, naming `where`, for a point that is not there
+    and for two of one name.
     """
     places = places_of(mechanism.description)
-    texts = texts or list(places.points) or [f"tip{k + 1}" for k in range(mechanism.n)]
+    texts = (
+        [x for text in texts for x in _listed(places, text)]
+        or list(places.points)
+        or [f"tip{k + 1}" for k in range(mechanism.n)]
+    )
     found: dict[str, Point] = {}
     for k, text in enumerate(texts, start=1):
         name, point = _named(places, text, k, where)
@@ -65,6 +71,12 @@ def named_points(
         found[name] = point
     tree = Tree(mechanism.description.links)
     return [NamedPoint(name, point, tree.point(point)) for name, point in found.items()]
+
+
+def _listed(places: Places, text: str) -> list[str]:
+    """The points of a text, at commas but for those after an @."""
+    whole = not text or text in places.links
+    return [text] if whole else re.findall(r"[^,@]*@[^,]*,[^,]*|[^,]+|(?<=,)$", text)
 
 
 def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
