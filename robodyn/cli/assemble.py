@@ -63,6 +63,7 @@ def assemble(
         except AssemblyError:  # of the scene's own, or where one branch reaches farther
             if not found:
                 raise
+    barred: set[str] = set()
     for name, (q_there, *_) in found:
         for joint, side, end in beyond(mechanism, q_there.tolist(), turns=True):
             where = f"q{joint + 1} ({mechanism.link_names[joint]})"
@@ -71,11 +72,13 @@ def assemble(
                 value = float(q_there[joint])
                 raise AssemblyError(where, where=mechanism.source, value=value, limit=limit)
             note(f"Note: {name}: {where} = {float(q_there[joint]):.9g} {limit}")
+            barred.add(name)
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
     if range:
-        _write_ranges(mechanism, found, format, out)
+        reached = [branch for branch in found if branch[0] not in barred]
+        _write_ranges(mechanism, reached, format, out)
         return
     branches = [_content(mechanism, *item) for item in found]
     chosen = default_format(format, out)
