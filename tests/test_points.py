@@ -321,10 +321,10 @@ def test_the_range_of_a_crank_is_the_law_of_cosines(seed: int) -> None:
 def test_limits_of_any_joint_end_a_range(robodyn: Run, scene: Callable) -> None:
     text = (ROOT / BAR).read_text()
     mech = rd.load(ROOT / BAR)
-    q = rd.assemble(mech, [1.0]).tolist()
+    q = rd.assemble(mech, [2.2]).tolist()
     limits = f"limits: {{min: {q[2] - 0.2!r}, max: {q[2] + 0.1!r}}}, name: rocker"
     path = scene(text.replace("name: rocker", limits))
-    rows = robodyn("assemble", path, "--q", 1, "--range").rows
+    rows = robodyn("assemble", path, "--q", 2.2, "--range").rows
     assert [row["branch"] for row in rows] == ["open"]  # the other is beyond the limits
     assert [rows[0][x] for x in ("joint", "low_end", "high_end")] == [
         "q1",
