@@ -166,6 +166,8 @@ class Tips:
         return np.array(found)[:, :2, self.joints]
 
     def terms(self) -> dict[str, Callable[..., Array]]:
+        if not self.frames:
+            return {}
         return {
             "point": self.places,
             "point velocity": self.velocities,
