@@ -163,7 +163,8 @@ class Tips:
         pin.updateFramePlacements(self.model, self.data)
         kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         found = [pin.getFrameJacobian(self.model, self.data, x, kind) for x in self.frames]
-        return np.array(found)[:, :2, self.joints]
+        # of one joint it is no matrix
+        return np.array(found).reshape(len(found), 6, -1)[:, :2, self.joints]
 
     def terms(self) -> dict[str, Callable[..., Array]]:
         if not self.frames:
