@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from robodyn.errors import InputError as InputError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
+    from robodyn.kinematics.points import points as points
     from robodyn.loops.assembly import assemble as assemble
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
@@ -75,6 +76,7 @@ _ROOMS = {
         "pin_forces",
     ],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
+    "kinematics.points": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism", "load"],
     "dynamics.motor_loads": ["motor_loads"],

@@ -8,10 +8,8 @@ from conftest import FOUR_BAR, ROOT
 
 import oracles
 import robodyn
-from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError
-from robodyn.pictures.bodies import at
-from robodyn.pictures.motion_frames import FINER, frames, time_decimals, traced_point
+from robodyn.pictures.motion_frames import FINER, frames
 
 ARM = robodyn.load(ROOT / "robots/2r.yaml")
 FOUR = robodyn.load(ROOT / "robots/four-bar.yaml")
@@ -86,43 +84,3 @@ def test_what_has_no_frames(t: list[float], parts: tuple[str, ...]) -> None:
 
 
 # Traced points
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("forearm", 0.8 * np.exp(0.3j) + 0.6 * np.exp(1.0j)),
-        ("tip1", 0.8 * np.exp(0.3j)),
-        ("joint2", 0.8 * np.exp(0.3j)),
-        ("joint1", 0.0),
-        ("centre2", 0.8 * np.exp(0.3j) + 0.25 * np.exp(1.0j)),
-    ],
-)
-def test_traced_points(name: str, expected: complex) -> None:
-    X = placed(ARM, np.array([0.3, 0.7])).X
-    points, k = traced_point(ARM, name)
-    assert complex(at(points[k], X)) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    "name", ["", "tip", "tip0", "tip3", "Tip1", "elbow", "tip1 ", "centre99999999"]
-)
-def test_points_that_are_none(name: str) -> None:
-    with pytest.raises(InputError, match=r"--trace.*upper arm, forearm.*to 2"):
-        traced_point(ARM, name)
-
-
-def test_a_link_named_like_a_point_is_the_link() -> None:
-    from robodyn.mechanics.mechanism import build
-    from robodyn.scene.description import from_text
-
-    text = (
-        "links:\n  - {name: tip2, m: 1, l: 1, r: 0, I: 0}\n  - {name: b, m: 1, l: 2, r: 0, I: 0}\n"
-    )
-    mech = build(from_text(text, "x.yaml"))
-    assert traced_point(mech, "tip2") == (mech.tips, 0)
-
-
-@pytest.mark.parametrize(("span", "decimals"), [(10, 2), (0.1, 4), (1e-5, 4), (1000, 0), (0, 2)])
-def test_decimals_of_the_time(span: float, decimals: int) -> None:
-    assert time_decimals(np.array([3.0, 3.0 + span])) == decimals

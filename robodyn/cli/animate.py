@@ -12,20 +12,21 @@ from typer import Option
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.files import input_argument, output_file
 from robodyn.cli.options import Model, Size
+from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.drawing import drawing
-from robodyn.pictures.motion_frames import Frames, frames, traced_point
+from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.rails import at
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
-_TRACE = "Paths of points: links (their tips), or tip2, centre1, joint3; by commas."
+_TRACE = "The same as --of."
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
 _SPEED = "Seconds of the motion in one second."
 
@@ -34,21 +35,22 @@ def animate(
     model: Model,
     states: Annotated[str, input_argument("CSV", "Rows with t and q1..; - is stdin.")],
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
-    trace: Annotated[str | None, Option("--trace", metavar="POINTS", help=_TRACE)] = None,
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
+    trace: Annotated[list[str] | None, Option("--trace", metavar=POINTS, help=_TRACE)] = None,
     fps: Annotated[float, Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
     speed: Annotated[float, Option("--speed", metavar="X", help=_SPEED)] = 1.0,
     size: Size = None,
 ) -> None:
     """A motion as a moving picture, in real time.
 
-    The rows are those that simulate, torque and others write: t and q1.., or the q of the actuated
-    joints alone; with qd1.. what is between rows is smoother.  A gif plays anywhere, an html page
-    holds everything in itself and can be halted and turned by hand (it needs no extra), an mp4
-    needs the program ffmpeg.
+    --of draws the paths of points behind it.  The rows are those that simulate, torque and others
+    write: t and q1.., or the q of the actuated joints alone; with qd1.. what is between rows is
+    smoother.  A gif plays anywhere, an html page holds everything in itself and can be halted and
+    turned by hand (it needs no extra), an mp4 needs the program ffmpeg.
 
     \b
     Examples:
-      robodyn animate robots/four-bar.yaml run.csv --trace coupler,centre2 -o run.html
+      robodyn animate robots/four-bar.yaml run.csv --of coupler,centre2 -o run.html
       robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
     """
     suffix = Path(out).suffix.lower()
@@ -61,8 +63,7 @@ def animate(
         raise InputError("--speed", value=speed, limit="must be > 0 and finite")
     extent = parse_size(size)
     mechanism = load(model)
-    wanted = [name.strip() for name in trace.split(",")] if trace is not None else []
-    traced = [traced_point(mechanism, name) for name in wanted]
+    traced = points_given(mechanism, of, trace)
     check_directory(out)
     if suffix != ".html":
         check_matplotlib(f"an animation ({suffix[1:]})")
@@ -73,7 +74,7 @@ def animate(
         shown_frames = _read(mechanism, states, fps, speed)
     drawn = drawing(mechanism, shown_frames.q)
     X = placed(mechanism, shown_frames.fine).X
-    traces = [at(points[k], X) for points, k in traced]
+    traces = [at(each.point, X) for each in traced]
     from robodyn.cli.animation_files import Film, write_gif, write_mp4, write_page
 
     if suffix == ".html":

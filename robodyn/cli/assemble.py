@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from typer import Option
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd
+from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd, Text
 from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
 from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
@@ -17,8 +18,10 @@ from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.modes import beyond, end_word
 from robodyn.scene.scene import BRANCHES
+from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
+_RANGE = "How far each actuated joint can go from there, in place of the points."
 VECTORS = ("q", "qd", "qdd")
 PARTS = ("joint", "tip", "centre")
 COMPONENTS = ("x", "y", "vx", "vy")
@@ -29,6 +32,7 @@ def assemble(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
+    range: Annotated[bool, Option("--range", help=_RANGE)] = False,
     format: OutputFormat = None,
     out: Out = None,
 ) -> None:
@@ -39,10 +43,15 @@ def assemble(
     both are told, one a row, the scene's own first.  For each link there are the position (m)
     and velocity (m/s) of its joint, its tip and its centre of gravity.
 
+    With --range it tells in place of that how far each actuated joint can go from there, the others
+    held: its least and largest angle (rad) or displacement (m), and what ends each way, a dead
+    centre, a change point, a limit of a joint, or nothing but a full turn.
+
     \b
     Examples:
       robodyn assemble robots/four-bar.yaml --q 60deg
       robodyn assemble robots/slider-crank.yaml --q 50deg --qd 10 --format json
+      robodyn assemble robots/five-bar.yaml --q 120deg,60deg --range
     """
     mechanism = load(model)
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
@@ -54,6 +63,7 @@ def assemble(
         except AssemblyError:  # of the scene's own, or where one branch reaches farther
             if not found:
                 raise
+    barred: set[str] = set()
     for name, (q_there, *_) in found:
         for joint, side, end in beyond(mechanism, q_there.tolist(), turns=True):
             where = f"q{joint + 1} ({mechanism.link_names[joint]})"
@@ -62,9 +72,14 @@ def assemble(
                 value = float(q_there[joint])
                 raise AssemblyError(where, where=mechanism.source, value=value, limit=limit)
             note(f"Note: {name}: {where} = {float(q_there[joint]):.9g} {limit}")
+            barred.add(name)
     kind = loop_rates.singular_kind(mechanism, found[0][1][0])
     if kind:
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
+    if range:
+        reached = [branch for branch in found if branch[0] not in barred]
+        _write_ranges(mechanism, reached, format, out)
+        return
     branches = [_content(mechanism, *item) for item in found]
     chosen = default_format(format, out)
     if chosen == "csv":
@@ -77,6 +92,23 @@ def assemble(
         slides = mechanism.slides
         tables = [table for branch in branches for table in _tables(branch, slides)]
         write_structure(chosen, out, content, lambda: tables)
+
+
+def _write_ranges(
+    mechanism: Mechanism,
+    found: list[tuple[str, list[np.ndarray]]],
+    format: Format | None,
+    out: Text,
+) -> None:
+    """Where each actuated joint can go, one a row, from each way to assemble."""
+    columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
+    with row_writer(default_format(format, out), out, columns) as writer:
+        for name, (q, *_) in found:
+            for joint, low, high, low_end, high_end in joint_ranges(mechanism, q):
+                ends: list[float | str] = [name, f"q{joint + 1}"]
+                for last, end in ((low, low_end), (high, high_end)):
+                    ends += ["" if end == "nothing" else last, end]
+                writer.write_row(ends)
 
 
 def _branches(mechanism: Mechanism, whole: bool) -> list[tuple[str, tuple[str, ...] | None]]:

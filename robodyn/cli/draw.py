@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -10,18 +11,28 @@ from typer import Option
 from robodyn.cli.figures import parse_size, picture_format, save, write_characters
 from robodyn.cli.options import Ascii, Model, OutputPicture, PictureOut, Q, Qd, Qdd, Size, States
 from robodyn.cli.output import note
+from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.states import (
     Quantity,
+    Source,
     complete,
-    open_input,
     overflow,
+    read_columns,
     remarks,
     single_state,
     table_source,
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.pictures.drawing import Drawing, drawing, drawing_lines, first_pose, span
+from robodyn.pictures.drawing import (
+    Drawing,
+    Trace,
+    drawing,
+    drawing_lines,
+    first_pose,
+    span,
+    traced,
+)
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -44,6 +55,7 @@ def draw(
     qdd: Qdd = None,
     tau: Tau = None,
     forces: Annotated[bool, Option("--forces", help=_FORCES)] = False,
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
     labels: Annotated[Labels | None, Option("--labels", help="Beside each link.")] = None,
     poses: Annotated[int, Option("--poses", metavar="N", help=_POSES)] = DEFAULT_POSES,
     size: Size = None,
@@ -56,7 +68,7 @@ def draw(
     Circles are joints, quartered circles centres of gravity, hatched lines the ground; a slider
     moves between walls.  Without --q the scene's `start`, all angles zero, or the first pose
     found that closes.  Of the rows of STATES the last is drawn in full, and others, evenly chosen,
-    pale behind it.
+    pale behind it.  --of marks points, and draws their paths through all rows.
 
     With --forces: m1 g is the weight of link 1, r1 the force on link 1 at its own joint, f1 that
     on the side of closure 1 that the scene names first, as in `reactions`.
@@ -84,10 +96,14 @@ def draw(
     chosen = picture_format(format, out)
     if forces and chosen == "text":
         raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
+    marked = points_given(mechanism, of)
     found: list[Force] = []
+    traces: list[Trace] = []
     with remarks():
         if states is not None:
-            drawn = drawing(mechanism, _chosen_rows(mechanism, states, poses))
+            rows, chosen_rows = _rows(mechanism, states, poses, whole=bool(marked))
+            drawn = drawing(mechanism, rows[chosen_rows])
+            traces = traced(mechanism, marked, rows)
         elif forces:
             if q is None:
                 raise InputError("--q", limit="missing: --forces needs a state")
@@ -99,13 +115,14 @@ def draw(
             drawn = drawing(mechanism, pose)
         else:
             drawn = drawing(mechanism, single_state(mechanism, [Quantity("q", q, True)])[0])
+    traces = traces or traced(mechanism, marked, drawn.q[-1:])
     texts = list(map(shown, mechanism.link_names))
     if labels != "names":
         texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
     if chosen == "text":
 
         def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
-            return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours))
+            return drawing_lines(drawn, texts, width, height - 2, plain, bool(colours), traces)
 
         write_characters(lines, ascii, out)
         return
@@ -115,11 +132,13 @@ def draw(
     scale = metres_a_newton(found, span(mechanism, drawn.q))
     room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
     around = [f.place + scale * f.force + d for f in found for d in (room, -room)]
+    around += [z for trace in traces for z in trace.path.tolist()]
     picture = Picture(drawn, extent, around)
     last = len(drawn.q) - 1
     for k in range(last):
         picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
     picture.show(last)
+    picture.trace(traces)
     picture.annotate(last, texts, found, scale)
     save(picture.figure, out, chosen)
 
@@ -146,16 +165,23 @@ def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, 
     return drawn, found
 
 
-def _chosen_rows(mechanism: Mechanism, states: str, poses: int) -> np.ndarray:
-    """Closed configurations (T, n) of a table's rows, evenly chosen, the last one included."""
-    from robodyn.tables.table import Reader
+def _rows(
+    mechanism: Mechanism, states: str, poses: int, whole: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closed configurations (T, n) of a table, and which of them are drawn.
 
-    with open_input(states) as (stream, name):
-        reader = Reader(stream, name)
-        source = table_source(mechanism, Quantity("q", None, True), reader.header, name)
-        blocks = [chunk.values for chunk in reader.chunks(source.columns)]
-    values = np.concatenate([np.zeros((0, len(source.columns))), *blocks])
+    These are evenly chosen, the last one included; without `whole` the others are left out.
+    """
+
+    def columns(header: Sequence[str], name: str) -> Sequence[str]:
+        sources.append(table_source(mechanism, Quantity("q", None, True), header, name))
+        return sources[0].columns
+
+    sources: list[Source] = []
+    values, _, name = read_columns(states, columns)
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no state")
     wanted = np.unique(np.linspace(len(values) - 1, 0, min(poses, len(values))).round().astype(int))
-    return complete(mechanism, [source], [values[wanted]])[0]
+    if not whole:
+        values, wanted = values[wanted], np.arange(len(wanted))
+    return complete(mechanism, sources, [values])[0], wanted

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robodyn.cli.figures import new_figure
-from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.colour_scale import COLOURS
+from robodyn.pictures.drawing import Drawing, Trace
 from robodyn.pictures.picture_plan import (
     frame,
     head_places,
@@ -110,6 +111,15 @@ class Picture:
             if shape.kind in GHOSTS and body.link is not None:
                 patch = self._polygon(shape.kind, z, shape.closed, body.link)
                 patch.set(alpha=strength, zorder=2 + 0.001 * pose + 1e-5 * b, linewidth=0.6)
+
+    def trace(self, traces: Sequence[Trace]) -> None:
+        """The paths of points, with a cross and the name at the end of each."""
+        for k, (name, z) in enumerate(traces):
+            colour = COLOURS[(k + 1) % len(COLOURS)]
+            self.axes.plot(z.real, z.imag, color=colour, lw=1.3, zorder=2.5)
+            end = z[-1]
+            self.axes.plot(end.real, end.imag, "+", color=colour, ms=9.0, mew=1.8, zorder=9)
+            self._text(end + self.extent(name) * 0.7, name, colour, 9)
 
     def annotate(
         self,

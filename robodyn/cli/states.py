@@ -195,12 +195,14 @@ def evaluate(
     format: Format | None,
     out: str | None,
     either: Sequence[Quantity] = (),
+    adds: bool = False,
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
-    given, the first where none is.
+    given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
+    table without rows is refused.
     """
     import numpy as np
 
@@ -243,12 +245,18 @@ def evaluate(
 
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
+        there = next((x for x in columns if adds and x in reader.header), None)
+        if there is not None:
+            limit = "is in the table already; give the point another name, --of NAME=POINT"
+            raise InputError(f"column {there}", where=name, limit=limit)
         used = wanted(reader.header)
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         times = ["t"] if mechanism.timed and "t" in reader.header else []
         chunks = reader.chunks([*(x for source in sources for x in source.columns), *times])
         with remarks(), row_writer(format, out, columns, reader.header, units) as writer:
+            rows = 0
             for chunk in chunks:
+                rows += len(chunk.lines)
                 try:
                     writer.write_rows(chunk.lines, results_of(chunk.values))
                 except RobodynError:
@@ -260,6 +268,8 @@ def evaluate(
                             error.add_place(f"{name}: line {chunk.line_numbers[k]}")
                             raise
                         writer.write_rows([line], computed)
+            if adds and not rows:
+                raise InputError("no rows", where=name, limit="the header is followed by no state")
 
 
 def read_columns(

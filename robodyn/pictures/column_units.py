@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 _COLUMNS = {
     "s": "t flip flip_time",
-    "rad": "q e",
-    "rad/s": "qd motor_speed",
-    "rad/s²": "qdd",
+    "rad": "q e angle transmission",
+    "rad/s": "qd motor_speed w",
+    "rad/s²": "qdd wd",
     "N m": "tau tc rm mz shake_m motor",
     "N": "fx fy rx ry shake_fx shake_fy",
     "J": "KE PE energy",
@@ -27,6 +27,8 @@ _COLUMNS = {
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
+_OF_POINT = re.compile("_([va]?[xy])$")
+POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²"}  # by the letter after the point's name
 ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
@@ -51,7 +53,9 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
     `units` are those of the scene, where it is known.
     """
     column = re.sub("_(end|min|max)$", "", name)
-    return units.get(column) or UNITS.get(quantity_of(column), "")
+    of_point = _OF_POINT.search(column)
+    unit = units.get(column) or UNITS.get(quantity_of(column), "")
+    return unit or (POINTS[of_point[1][0]] if of_point else "")
 
 
 def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:

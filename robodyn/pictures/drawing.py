@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.errors import AssemblyError, RobodynError
+from robodyn.kinematics.points import NamedPoint
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
@@ -66,6 +67,19 @@ class Drawing(NamedTuple):
             corners += [(z.real.min(), z.imag.min()), (z.real.max(), z.imag.max())]
         (left, bottom), (right, top) = np.min(corners, axis=0), np.max(corners, axis=0)
         return float(left), float(bottom), float(right), float(top)
+
+
+class Trace(NamedTuple):
+    """A point by its name, and where it is at some poses, (T,) m."""
+
+    name: str
+    path: Complex
+
+
+def traced(mechanism: Mechanism, points: Sequence[NamedPoint], q: Array) -> list[Trace]:
+    """The paths of points through the poses q (T, n)."""
+    X = placed(mechanism, q).X
+    return [Trace(point.name, at(point.point, X)) for point in points]
 
 
 def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
@@ -166,13 +180,17 @@ def drawing_lines(
     height: int,
     ascii: bool = False,
     colour: bool = False,
+    traces: Sequence[Trace] = (),
 ) -> list[str]:
     """The poses of a mechanism to scale, as at most `height` lines of `width` characters at most.
 
     Outlines of links, supports and guides, an o for each joint, and the links' `names`, if any,
-    at the last pose.
+    at the last pose; the paths of `traces`, with a + and the name at the end.
     """
     left, bottom, right, top = drawn.box()
+    for _, z in traces:
+        left, right = min(left, z.real.min()), max(right, z.real.max())
+        bottom, top = min(bottom, z.imag.min()), max(top, z.imag.max())
     canvas = Canvas(width, height, ascii)
     stretch = canvas.up / canvas.across / TALL  # dots up for one across
     scale = min((canvas.width - 1) / (right - left), (canvas.height - 1) / (top - bottom) / stretch)
@@ -190,6 +208,10 @@ def drawing_lines(
                 canvas.line(dots(line), drawn.bodies[b].link or 0)
             elif shape.kind == "joint":
                 joints.append(dots(z).mean())
+    for k, (name, z) in enumerate(traces):
+        canvas.line(dots(z), k + 1)
+        column, row = canvas.cell(dots(z)[-1])
+        canvas.text(column, row, f"+ {name}", k + 1)
     for joint in joints:
         canvas.text(*canvas.cell(joint), "o")
     for k, name in enumerate(names):

@@ -1,10 +1,8 @@
-"""The poses of a motion at the times of an animation's frames, and the points that it traces."""
+"""The poses of a motion at the times of an animation's frames."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +11,12 @@ from numpy.typing import NDArray
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
 from robodyn.loops.closing import close_positions
-from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
-from robodyn.tables.csv_fields import shown
+from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
 MOST_FRAMES = 20_000
 FINER = 4  # points of a trace from frame to frame
-PARTS = ("joint", "tip", "centre")
 
 
 class Frames(NamedTuple):
@@ -70,19 +66,3 @@ def frames(
 def time_decimals(t: Array) -> int:
     """Decimals of a second that tell two hundred times of t apart."""
     return max(0, min(4, math.ceil(-math.log10((t[-1] - t[0]) / 200.0)))) if t[-1] > t[0] else 2
-
-
-def traced_point(mechanism: Mechanism, name: str) -> tuple[Sequence[PlanarPoint], int]:
-    """Tips, joints or centres, and which of them: of `tip2`, `centre1`, `joint3`, or a link's name.
-
-    Raises InputError for any other name.
-    """
-    links = joint_index(mechanism)
-    if name in links:
-        return mechanism.tips, links[name]
-    match = re.fullmatch(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", name)
-    if match is None or not 1 <= int(match[2]) <= mechanism.n:
-        limit = f"must be a link ({', '.join(links)}) or one of tip1, centre1, joint1, ..."
-        raise InputError("--trace", value=shown(name), limit=f"{limit} to {mechanism.n}")
-    points = mechanism.pivots, mechanism.tips, mechanism.centres
-    return points[PARTS.index(match[1])], int(match[2]) - 1

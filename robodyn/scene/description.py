@@ -14,7 +14,8 @@ from robodyn.errors import DescriptionError, Fault
 from robodyn.scene import yaml_tree
 from robodyn.scene.contact_values import ContactReader
 from robodyn.scene.grammar import Key
-from robodyn.scene.quantities import parse_coupling, parse_number
+from robodyn.scene.point_values import PointReader
+from robodyn.scene.quantities import parse_coupling
 from robodyn.scene.scene import (
     BRANCHES,
     FRAMES,
@@ -33,7 +34,7 @@ from robodyn.scene.scene import (
 )
 from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
-from robodyn.scene.yaml_values import TooManyFaults, ValueReader
+from robodyn.scene.yaml_values import TooManyFaults
 
 
 def read(path: str | Path) -> Description:
@@ -61,22 +62,17 @@ def from_tree(root: Node | None, source: str) -> Description:
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
-class _Reader(SignalReader, ContactReader):
+class _Reader(PointReader, SignalReader, ContactReader):
     """Walks the tree of a scene; a method each for the kinds of the grammar that need one."""
 
     missing: ClassVar[dict[str, Any]] = {
-        **ValueReader.missing,
-        "link_name": 0,
-        "moving_point": Point(0, 0j),
-        "pair": (Point(None, 0j),) * 2,
+        **PointReader.missing,
         "varying": 0.0,
         "varying_vector": (0.0, 0.0),
     }
 
     def __init__(self) -> None:
         super().__init__()
-        self.index: dict[str, int] = {}  # link name -> index
-        self.lengths: dict[int, float] = {}
         self.closures = 0  # how many were read
 
     # -- the scene ---------------------------------------------------------------------------
@@ -88,6 +84,9 @@ class _Reader(SignalReader, ContactReader):
             self.fault("links", listed, "must name at least one link", "[]")
         self.count, self.source = len(entries), source
         self.survey(entries)
+        named = next((node for key, node in root.pairs if key.text == "points"), None)
+        if named is not None:
+            self.name_points(named, "points")
         values = self.form("scene", root, "")
         links = tuple(self.linked(k, value) for k, value in enumerate(values["links"] or ()))
         self.cycles(links, entries)
@@ -106,6 +105,7 @@ class _Reader(SignalReader, ContactReader):
             springs=values["springs"] or (),
             loads=values["loads"] or (),
             couplings=values["couplings"] or (),
+            points=tuple(self.places.points.items()),
         )
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:
@@ -133,13 +133,13 @@ class _Reader(SignalReader, ContactReader):
     # -- links -------------------------------------------------------------------------------
 
     def survey(self, entries: list[Node]) -> None:
-        """Names and lengths first: `from` may name the tip of a link further down the file."""
+        """Names and lengths first: `from` may name a point of a link further down the file."""
         for i, entry in enumerate(entries):
             given = dict(_scalars(entry))
             if "joint" in given and given["joint"].text == JOINTS[1]:
                 self.slides.add(i)
-            with suppress(ValueError):
-                self.lengths[i] = parse_number(given["l"].text if "l" in given else "")
+            if isinstance(entry, Mapping):
+                self.survey_link(i, {key.text: value for key, value in reversed(entry.pairs)})
             if "name" not in given:
                 continue
             name = given["name"]
@@ -196,55 +196,6 @@ class _Reader(SignalReader, ContactReader):
                 self.fault(place, entries[link], f"hangs from itself: {' -> '.join(names)}")
             grounded.update(path)
 
-    # -- points ------------------------------------------------------------------------------
-
-    def tip(self, link: int) -> Point:
-        return Point(link, complex(self.lengths.get(link, 0.0)))
-
-    def point(self, node: Node, place: str) -> Point:
-        """A ground point [x, y], a link's tip NAME, or {link: NAME, at: [x, y]}."""
-        if isinstance(node, Sequence):
-            return Point(None, self.vector(node, place))
-        if isinstance(node, Scalar):
-            link = self.link_name(node, place)
-            return Point(None, 0j) if link is None else self.tip(link)
-        return Point(**self.form("point", node, place))
-
-    def moving_point(self, node: Node, place: str) -> Point:
-        if isinstance(node, Sequence):
-            self.fault(place, node, "must be a point of a link")
-        return self.point(node, place)
-
-    def link_name(self, node: Node, place: str) -> int | None:
-        name = self.name(node, place)
-        if name and name not in self.index:
-            self.fault(place, node, f"names no link{self.nearest(name, list(self.index))}", name)
-        return self.index.get(name)
-
-    def joints(self, node: Node, place: str) -> tuple[int, ...]:
-        found: set[int] = set()
-        for i, item in enumerate(self.items(node, place)):
-            link = self.link_name(item, f"{place}[{i}]")
-            if link in found:
-                self.fault(f"{place}[{i}]", item, "is named twice", self.shown(item))
-            elif link is not None:
-                found.add(link)
-        return tuple(sorted(found))
-
-    def pair(self, node: Node, place: str, sides: str = "points") -> tuple[Point, Point]:
-        """Two points that can move apart."""
-        nodes = self.items(node, place)
-        if len(nodes) != 2:
-            if isinstance(node, Sequence):
-                limit = f"must name two {sides}, [POINT, POINT]"
-                self.fault(place, node, limit, f"{len(nodes)} {sides}")
-            return Point(None, 0j), Point(None, 0j)
-        first, second = (self.point(item, f"{place}[{k}]") for k, item in enumerate(nodes))
-        if first.link == second.link:
-            whole = "the ground" if first.link is None else "one link"
-            self.fault(place, node, f"joins two points of {whole}; {sides} must move apart")
-        return first, second
-
     # -- closures, springs, loads ------------------------------------------------------------
 
     def closure(self, node: Node, place: str) -> Closure:
@@ -294,7 +245,7 @@ class _Reader(SignalReader, ContactReader):
             link, torque = values["link"], values["torque"]
             plain = isinstance(torque, float)
             return Moment(link, torque) if plain else Moment(link, 0.0, torque)
-        point = Point(values["link"], values["at"])
+        point = values["point"] if "point" in values else Point(values["link"], values["at"])
         parts = values["force"]
         constant = [x if isinstance(x, float) else 0.0 for x in parts]
         x, y = (None if isinstance(part, float) else part for part in parts)

@@ -51,7 +51,7 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "link": {"prismatic_link": ("axis",), "revolute_link": ()},
     "spring": {"slide_spring": ("joint", "length"), "joint_spring": ("joint",), "point_spring": ()},
-    "load": {"torque": ("torque",), "force": ()},
+    "load": {"torque": ("torque",), "point_force": ("point",), "force": ()},
     "closure": {"slider": ()},
     "point": {"link_point": ()},
     "moving_point": {"link_point": ()},
@@ -85,7 +85,19 @@ _LINK = {
     ),
 }
 
-
+FORCE = {
+    "force": Key(
+        "varying_vector",
+        "[Fx, Fy], each a number, an expression or a table",
+        "N",
+        symbol="F: force of {}",
+    ),
+    "frame": Key(
+        "frame",
+        "ground: it keeps its direction; link: it turns with the link",
+        default="ground",
+    ),
+}
 FORMS = {
     "scene": Form(
         "A planar mechanism: rigid links, pins and sliders. SI units.",
@@ -122,6 +134,11 @@ FORMS = {
                 listed=True,
             ),
             "loads": Key("load", "list of forces and torques on links", "", "none", True),
+            "points": Key(
+                "points",
+                "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
+                default="none",
+            ),
         },
     ),
     "revolute_link": Form(
@@ -167,7 +184,7 @@ FORMS = {
     "slider": Form(
         "A point of a link that stays on a line: a slider, or a pin in a slot.",
         {
-            "point": Key("moving_point", "NAME for a link's tip, or {link, at}"),
+            "point": Key("moving_point", "a point of a link: its name, or {link, at}"),
             "on": Key("line", "the line"),
             "aligned": Key(
                 "angle",
@@ -200,22 +217,16 @@ FORMS = {
     "joint_spring": joint_spring_form("angle", "angle", "rad", "N m"),
     "slide_spring": joint_spring_form("length", "number", "m", "N"),
     "force": Form(
-        "A force at a point of a link.",
+        "A force at a place of a link.",
         {
             "link": Key("link_name", "the link that it acts on"),
             "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-            "force": Key(
-                "varying_vector",
-                "[Fx, Fy], each a number, an expression or a table",
-                "N",
-                symbol="F: force of {}",
-            ),
-            "frame": Key(
-                "frame",
-                "ground: it keeps its direction; link: it turns with the link",
-                default="ground",
-            ),
+            **FORCE,
         },
+    ),
+    "point_force": Form(
+        "A force at a point.",
+        {"point": Key("moving_point", "a point of a link: its name, or {link, at}"), **FORCE},
     ),
     "torque": Form(
         "A torque on a link.",

@@ -225,6 +225,7 @@ class Description(NamedTuple):
     springs: tuple[Spring | JointSpring, ...] = ()
     loads: tuple[Load | Moment, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    points: tuple[tuple[str, Point], ...] = ()  # by their names
 
 
 def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:

@@ -46,6 +46,7 @@ def _other_kinds() -> dict[str, Schema]:
         "vector": {**pair, "items": {"type": "number"}},
         "direction": {**_ref("vector"), "contains": {"not": {"const": 0}}},
         "angle": {"anyOf": [_ref("number"), {"type": "string", "pattern": f"^(?:{angle})$"}]},
+        "points": {"type": "object", "additionalProperties": _ref("moving_point")},
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
         "coupling": {"type": "string", "pattern": r"^\s*q\s*[0-9][0-9\s]*=\s*\S"},

@@ -33,6 +33,7 @@ _INNER: dict[str, str | None] = {
     "pair": "point",
     "varying_vector": "varying",
 } | dict.fromkeys(("joints", "assembly", "couplings"))
+_BY_NAME = {"start": "angle", "points": "moving_point"}  # mappings by names, and what they hold
 
 
 @dataclass(slots=True)
@@ -170,9 +171,9 @@ def _numbers(
     elif isinstance(node, yaml_tree.Mapping):
         given = {key.text: value for key, value in node.pairs}
         prefix = f"{name}." if name else ""
-        keys = {} if kind == "start" else form_of(str(kind), given).keys
+        keys = {} if kind in _BY_NAME else form_of(str(kind), given).keys
         for text, value in given.items():
-            key = keys.get(text, Key("angle", ""))
+            key = keys.get(text, Key(_BY_NAME.get(str(kind), "number"), ""))
             if key.listed and isinstance(value, Sequence):
                 for k, item in enumerate(value.items):
                     yield from _numbers(_Place(value, k), item, f"{prefix}{text}[{k}]", key.kind)

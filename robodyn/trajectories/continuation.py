@@ -45,17 +45,21 @@ RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
 NEAR = 1e-3  # and below this part one is near
 DEAD = 1e-5  # a least singular value below this part of the loop's size is at a singular point
 TOGETHER = 1e-5  # rad, how far apart states on both sides of a change point may be, at 1e-8 in u
-STUCK = (
-    "too near a change point to tell the branches apart: end before it, or run across",
-    "that is as far as they can be closed on this branch",
-)
+STUCK = {
+    "change point": (
+        "too near a change point to tell the branches apart: end before it, or run across"
+    ),
+    "dead centre": "that is as far as they can be closed on this branch",
+}
 
 
 class PathEndError(AssemblyError):
-    """The loops cannot be closed beyond a part `u` of the path."""
+    """The loops cannot be closed beyond a part `u` of the path: a dead centre, a change point."""
 
-    def __init__(self, mechanism: Mechanism, u: float, q: Array, reason: str) -> None:
-        self.u = u
+    def __init__(
+        self, mechanism: Mechanism, u: float, q: Array, reason: str, kind: str = "dead centre"
+    ) -> None:
+        self.u, self.q, self.kind = u, q, kind
 
         def shown(k: int) -> str:
             slides = k in mechanism.slides
@@ -151,7 +155,7 @@ class _Follower:
         for piece, end in stops:
             node = self._node(u, q, piece, self._held(u, piece))
             if node is None or (self._square and not node.sign):
-                kind = "dead centre" if self._size(q) > DEAD else "change point"
+                kind = self._kind(q, DEAD)
                 reason = f"a {kind}, from which the passive joints can go on in two ways"
                 raise self._ends(u, q, reason)
             h, moved = FIRST_STEP * (end - u), 0.0
@@ -162,7 +166,7 @@ class _Follower:
                 if found is None:
                     h = 0.4 * step
                     if h < least:
-                        raise self._ends(node.u, node.q, STUCK[self._size(node.q) > NEAR])
+                        raise self._ends(node.u, node.q, STUCK[self._kind(node.q, NEAR)])
                     continue
                 easy, following = found
                 taken.append((node, following, piece))
@@ -301,6 +305,10 @@ class _Follower:
         s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
         return float(s[-1] / loop_size(self.mechanism))
 
+    def _kind(self, q: Array, near: float) -> str:
+        """What ends a path at q, where Psi is singular if its least part is below `near`."""
+        return "dead centre" if self._size(q) > near else "change point"
+
     def _sign(self, columns: Array) -> float:
         return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0
 
@@ -313,4 +321,4 @@ class _Follower:
         if driven > freedoms:
             reason = f"{driven} joints are actuated, more than the freedoms ({freedoms}), so "
             reason += "their angles depend on one another"
-        return PathEndError(self.mechanism, u, q, reason)
+        return PathEndError(self.mechanism, u, q, reason, self._kind(q, NEAR))

@@ -11,6 +11,7 @@ import numpy as np
 from bench_frontier import ROOT, Array
 
 import robodyn
+from robodyn.kinematics.points import point_jacobian
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -71,6 +72,12 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
     passing = (np.abs(C) @ np.abs(rates))[..., 0] + weight + np.abs(arrays.damping * qd)
     passing += np.abs(robodyn.other_forces(mechanism, q, qd))
     bias, T = (C @ rates)[..., 0] + G, freedoms(mechanism)
+    of = [f"tip{k + 1}" for k in range(mechanism.n)]
+    x, v, a = robodyn.points(mechanism, q, qd, qdd, of)[1:]
+    J = point_jacobian(mechanism, mechanism.tips, q)
+    reach = np.abs(J).sum(axis=-1)
+    fast = np.abs(rates).sum(axis=-2)[..., None]
+    bent = reach * (np.abs(accelerations).sum(axis=-2)[..., None] + fast**2)
     torques = np.zeros_like(q)
     torques[..., list(mechanism.actuated)] = qdd[..., list(mechanism.actuated)]
     return {
@@ -89,6 +96,10 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
         ),
         "M reduced": Compared(T.T @ M @ T, (q,), np.abs(T.T) @ np.abs(M) @ np.abs(T)),
         "bias reduced": Compared(bias @ T, (q, qd), passing @ np.abs(T)),
+        "point": Compared(x, (q,), x),
+        "point velocity": Compared(v, (q, qd), reach * fast),
+        "point acceleration": Compared(a, (q, qd, qdd), bent),
+        "point Jacobian": Compared(J, (q,), J),
         "driven": Compared(  # qdd by torques of the actuated joints, of any size
             robodyn.forward_dynamics(mechanism, q, qd, torques),
             (q, qd, torques),

@@ -6,7 +6,7 @@ Closures are its rigid constraints between two joints.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -30,10 +30,13 @@ class Model:
         self.model.gravity.linear = np.array([gravity.real, gravity.imag, 0.0])
         self.ids: dict[int | None, int] = {None: 0}
         self._hang(description, None)
+        ids = [self.ids[k] for k in range(len(links))]
+        frames = tip_frames(self.model, ids, [link.l for link in links])
         self.data = self.model.createData()
         joints = [self.model.joints[self.ids[k]].idx_v for k in range(len(links))]
         self.joints = np.array(joints)
         self.back = np.argsort(self.joints)  # theirs[back] of ours
+        self.tips = Tips(self.model, frames, self.joints, self._turned, self._turned)
         self.closures = pin.StdVec_RigidConstraintModel()
         for closure in description.closures:
             if closure.along is not None:
@@ -60,6 +63,9 @@ class Model:
                 self.model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
                 self.ids[k] = joint
                 self._hang(description, k)
+
+    def _turned(self, values: Array) -> Array:
+        return values[self.back]
 
     def M(self, q: Array) -> Array:
         full = np.triu(pin.crba(self.model, self.data, q[self.back]))
@@ -107,6 +113,70 @@ class Model:
         return torques
 
 
+def tip_frames(model: pin.Model, joints: Sequence[int], lengths: Sequence[float]) -> list[int]:
+    """A frame at the tip of each link, by the joint that moves it; to be added before the data."""
+    kind = pin.FrameType.OP_FRAME
+    return [
+        model.addFrame(pin.Frame(f"tip {k}", joint, _placed(complex(length)), kind))
+        for k, (joint, length) in enumerate(zip(joints, lengths, strict=True))
+    ]
+
+
+class Tips:
+    """How tips move, by forward kinematics: its places, velocities, classical accelerations.
+
+    `configuration` and `rates` make its own of ours, `joints` are the places of its rates.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        frames: Sequence[int],
+        joints: Array,
+        configuration: Callable[[Array], Array],
+        rates: Callable[[Array], Array],
+    ) -> None:
+        self.model, self.frames, self.joints = model, frames, joints
+        self.data = model.createData()
+        self.configuration, self.rates = configuration, rates
+
+    def places(self, q: Array) -> Array:
+        pin.framesForwardKinematics(self.model, self.data, self.configuration(q))
+        return np.array([self.data.oMf[frame].translation[:2] for frame in self.frames])
+
+    def velocities(self, q: Array, qd: Array) -> Array:
+        pin.forwardKinematics(self.model, self.data, self.configuration(q), self.rates(qd))
+        return np.array([self._of(pin.getFrameVelocity, frame) for frame in self.frames])
+
+    def accelerations(self, q: Array, qd: Array, qdd: Array) -> Array:
+        state = self.configuration(q), self.rates(qd), self.rates(qdd)
+        pin.forwardKinematics(self.model, self.data, *state)
+        call = pin.getFrameClassicalAcceleration
+        return np.array([self._of(call, frame) for frame in self.frames])
+
+    def _of(self, call: Callable[..., pin.Motion], frame: int) -> Array:
+        kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        return call(self.model, self.data, frame, kind).linear[:2]
+
+    def jacobian(self, q: Array) -> Array:
+        pin.computeJointJacobians(self.model, self.data, self.configuration(q))
+        pin.updateFramePlacements(self.model, self.data)
+        kind = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        found = [pin.getFrameJacobian(self.model, self.data, x, kind) for x in self.frames]
+        # of one joint it is no matrix
+        return np.array(found).reshape(len(found), 6, -1)[:, :2, self.joints]
+
+    def terms(self) -> dict[str, Callable[..., Array]]:
+        if not self.frames:
+            return {}
+        return {
+            "point": self.places,
+            "point velocity": self.velocities,
+            "point acceleration": self.accelerations,
+            "point Jacobian": self.jacobian,
+        }
+
+
 class Exported:
     """The URDF that `robodyn export` writes, joints found by their names.
 
@@ -120,6 +190,9 @@ class Exported:
         self.model = pin.buildModelFromXML(text, mimic=bool(following))
         gravity = mechanism.gamma
         self.model.gravity.linear = np.array([gravity.real, gravity.imag, 0.0])
+        lengths = [link.l for link in mechanism.description.links]
+        ids = [self.model.getJointId(name) for name in names]
+        frames = [] if following else tip_frames(self.model, ids, lengths)
         self.data = self.model.createData()
         self.free = [k for k in range(mechanism.n) if k not in following]
         joints = [self.model.joints[self.model.getJointId(names[k])] for k in self.free]
@@ -128,6 +201,7 @@ class Exported:
         self.joints = np.array([joint.idx_v for joint in joints])
         self.back = np.argsort(self.joints)
         self.damping = np.array(self.model.damping)[self.joints]
+        self.tips = Tips(self.model, frames, self.joints, self.configuration, self.rates)
 
     def configuration(self, q: Array) -> Array:
         found, free = np.empty(self.model.nq), q[self.free]
@@ -168,6 +242,7 @@ class Exported:
             "tau": self.torques,
             "qdd": self.accelerations,
             "driven": self.driven,
+            **self.tips.terms(),
         }
 
 
@@ -188,6 +263,7 @@ def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:
         "bias": model.bias,
         "tau": closed if mechanism.rows else model.torques,
         "qdd": model.accelerations,
+        **model.tips.terms(),
     }
 
 

@@ -1,0 +1,110 @@
+"""`robodyn points`: where points are, and how they move."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from typer import Option
+
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
+from robodyn.cli.states import Quantity, evaluate
+from robodyn.dynamics.closed_form import point_motion
+from robodyn.errors import InputError
+from robodyn.kinematics.points import (
+    NamedPoint,
+    link_turns,
+    named_points,
+    point_jacobian,
+    unit_rates,
+)
+from robodyn.kinematics.transmission import (
+    rate_ratios,
+    ratio_named,
+    transmission_angles,
+    transmission_loops,
+)
+from robodyn.mechanics.mechanism import Mechanism, load
+
+POINTS = "[NAME=]POINT"
+OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
+_LINKS = "Each link's angle, its rate and acceleration."
+_TRANSMISSION = "The transmission angle of each loop, rad."
+_RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
+_JACOBIAN = "How far each point goes with each actuated joint."
+
+
+def points(
+    model: Model,
+    states: States = None,
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
+    q: Q = None,
+    qd: Qd = None,
+    qdd: Qdd = None,
+    links: Annotated[bool, Option("--links", help=_LINKS)] = False,
+    transmission: Annotated[bool, Option("--transmission", help=_TRANSMISSION)] = False,
+    ratio: Annotated[list[str] | None, Option("--ratio", metavar="A/B", help=_RATIO)] = None,
+    jacobian: Annotated[bool, Option("--jacobian", help=_JACOBIAN)] = False,
+    format: OutputFormat = None,
+    out: Out = None,
+) -> None:
+    """Where points are, how fast they move, and how they speed up.
+
+    Columns of each point P: P_x,P_y (m), P_vx,P_vy (m/s), P_ax,P_ay (m/s^2), along the ground's
+    axes; rows of STATES pass through with these added.  Without --of they are of the scene's
+    `points`, or of all tips.
+
+    --links adds angle1,w1,wd1 of each link (rad, rad/s, rad/s^2), from the ground's X axis;
+    --transmission adds transmission1 of each loop (rad), 90 degrees where a force is handed on
+    best; --ratio adds one column a ratio; its inverse is the mechanical advantage.  --jacobian adds
+    P_Jx1,P_Jy1 (m/rad) for each actuated joint, so that P_vx is their sum times the joints' rates.
+
+    \b
+    Examples:
+      robodyn points robots/four-bar.yaml --q 60deg --qd 5 --of P=coupler@0.3,0.1
+      robodyn points robots/four-bar.yaml --q 60deg --of rocker --transmission --ratio rocker/crank
+      robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
+    """
+    mechanism = load(model)
+    named = named_points(mechanism, of or (), "--of")
+    places = [point.point for point in named]
+    columns = [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
+    if jacobian:
+        driven = [k + 1 for k in mechanism.actuated]
+        columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
+    if links:
+        columns += [f"{x}{k + 1}" for k in range(mechanism.n) for x in ("angle", "w", "wd")]
+    loops = transmission_loops(mechanism) if transmission else {}
+    if transmission and not loops:
+        limit = "no loop of this scene is closed by three pairs in a row"
+        raise InputError("--transmission", where=mechanism.source, limit=limit)
+    columns += [f"transmission{c + 1}" for c in loops]
+    ratios = [ratio_named(mechanism, text) for text in ratio or ()]
+    columns += [each.name for each in ratios]
+
+    def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
+        x, v, a = point_motion(mechanism, places, q, qd, qdd)
+        parts = [np.concatenate([x, v, a], axis=-1).reshape(len(q), -1)]
+        if jacobian:
+            rows = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
+            parts.append(rows.reshape(len(q), -1))
+        if links:
+            turns = np.stack(link_turns(mechanism, q, qd, qdd), axis=-1)
+            parts.append(turns.reshape(len(q), -1))
+        if loops:
+            parts.append(transmission_angles(mechanism, list(loops.values()), q))
+        if ratios:
+            parts.append(rate_ratios(mechanism, ratios, q, qd))
+        return np.concatenate(parts, axis=-1)
+
+    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    evaluate(mechanism, states, quantities, columns, compute, format, out, adds=True)
+
+
+def points_given(
+    mechanism: Mechanism, of: list[str] | None, trace: list[str] | None = None
+) -> list[NamedPoint]:
+    """The points of --of, and of --trace, which is another name of it; none without them."""
+    found = {"--of": of or [], "--trace": trace or []}
+    named = [named_points(mechanism, texts, where) for where, texts in found.items() if texts]
+    return [point for points in named for point in points]

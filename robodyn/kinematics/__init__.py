@@ -1,0 +1,1 @@
+"""Where everything is: points along a motion, angles of links, transmission, ranges of joints."""

@@ -1,0 +1,148 @@
+"""Points of a mechanism by name, how they move, and how its links turn.
+
+A point is p = const + c X (`placed.py`), so p' = c X' and dp/dq = c dX/dx J; in the minimal
+coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each of these at 1.
+"""
+
+from __future__ import annotations
+
+import cmath
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import point_motion, points_of
+from robodyn.dynamics.placed import absolute_rates, as_states, columns, frame_rates, placed
+from robodyn.errors import InputError
+from robodyn.loops.loop_rates import loop_velocities
+from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.scene.point_names import Places, places_of
+from robodyn.scene.scene import Point
+from robodyn.scene.yaml_values import nearest
+from robodyn.tables.csv_fields import shown
+
+Array = NDArray[np.float64]
+
+WAYS = "a link (its tip), tip2, centre1, joint3, LINK@x,y or a point of the scene"
+
+
+class NamedPoint(NamedTuple):
+    """A point of a link by its name: in the frame of the link, and in terms of X."""
+
+    name: str
+    own: Point
+    point: PlanarPoint
+
+
+class PointMotion(NamedTuple):
+    """How points (p of them) move: position m, velocity m/s, acceleration m/s^2, (..., p, 2)."""
+
+    names: tuple[str, ...]
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+def named_points(
+    mechanism: Mechanism, texts: Sequence[str] = (), where: str = "of"
+) -> list[NamedPoint]:
+    """The points that are written as POINT or NAME=POINT; the scene's, else all tips, for none.
+
+    A text may have several, with commas between them.  A place LINK@x,y without a name is point1,
+    ..., by its place in the list.  Raises InputError, naming `where`, for a point that is not there
+    and for two of one name.
+    """
+    places = places_of(mechanism.description)
+    texts = (
+        [x for text in texts for x in _listed(places, text)]
+        or list(places.points)
+        or [f"tip{k + 1}" for k in range(mechanism.n)]
+    )
+    found: dict[str, Point] = {}
+    for k, text in enumerate(texts, start=1):
+        name, point = _named(places, text, k, where)
+        if name in found:
+            limit = f"{name} is named twice: name one anew, NAME={shown(text)}"
+            raise InputError(where, value=shown(text), limit=limit)
+        found[name] = point
+    tree = Tree(mechanism.description.links)
+    return [NamedPoint(name, point, tree.point(point)) for name, point in found.items()]
+
+
+def _listed(places: Places, text: str) -> list[str]:
+    """The points of a text, at commas but for those after an @."""
+    whole = not text or text in places.links
+    return [text] if whole else re.findall(r"[^,@]*@[^,]*,[^,]*|[^,]+|(?<=,)$", text)
+
+
+def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
+    """The name and the point of the k-th text."""
+    given, equals, written = text.partition("=")
+    known = text in places.links or not equals
+    name, written = ("", text.strip()) if known else (given.strip(), written.strip())
+    try:
+        point = places.point(written)
+    except ValueError as error:
+        raise InputError(where, value=shown(text), limit=str(error)) from None
+    if point is None:
+        word = written.rpartition("@")[0] or written
+        limit = f"names no point{nearest(word, [*places.points, *places.links])} ({WAYS})"
+        raise InputError(where, value=shown(text), limit=limit)
+    if name and (limit := places.not_free(name)):
+        raise InputError(where, value=shown(text), limit=f"{name} {limit}")
+    return name or (f"point{k}" if "@" in written else written), point
+
+
+def points(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike | None = None,
+    qdd: ArrayLike | None = None,
+    of: Sequence[str] = (),
+) -> PointMotion:
+    """How points move along states q, qd, qdd (..., n), closed; rates not given are zero.
+
+    `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; the scene's, else all tips,
+    where it is empty.  Raises InputError for a point that is not there, and for shapes.
+    """
+    named = named_points(mechanism, of)
+    moved = point_motion(mechanism, [point for *_, point in named], q, qd, qdd)
+    return PointMotion(tuple(name for name, *_ in named), *moved)
+
+
+def point_jacobian(mechanism: Mechanism, points: Sequence[PlanarPoint], q: ArrayLike) -> Array:
+    """dp/dq of points, (..., p, 2, n), m/rad or 1."""
+    at = placed(mechanism, q)
+    moved = columns(
+        mechanism, points_of(mechanism, points).c, at.X[..., None, :], at.E[..., None, :]
+    )
+    moved = moved @ mechanism.arrays.J
+    return np.stack([moved.real, moved.imag], axis=-2)
+
+
+def unit_rates(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """N (..., n, a): the rates of all joints where one of the a actuated joints moves at 1.
+
+    Raises SingularError at a dead centre or change point.
+    """
+    q = as_states(mechanism, "q", q)
+    each = np.eye(len(mechanism.actuated))
+    found = loop_velocities(
+        mechanism, q[..., None, :], np.broadcast_to(each, (*q.shape[:-1], *each.shape))
+    )
+    return np.swapaxes(found, -1, -2)
+
+
+def link_turns(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """The angle rad, rate rad/s and acceleration rad/s^2 of each link's frame, each (..., n)."""
+    alpha = frame_rates(mechanism, placed(mechanism, q).x)  # as rates go, so go the angles
+    phases = [cmath.phase(phase) for phase in Tree(mechanism.description.links).phases]
+    rates = (absolute_rates(mechanism, x, name) for x, name in ((qd, "qd"), (qdd, "qdd")))
+    w, wd = (frame_rates(mechanism, x) for x in rates)
+    return alpha + np.array(phases), w, wd

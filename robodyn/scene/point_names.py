@@ -1,0 +1,77 @@
+"""Points as people write them, in scenes and in options.
+
+`rocker` is the tip of a link, `tip2`, `centre1` and `joint3` are those of the links 2, 1 and 3,
+`coupler@0.5,0.2` is a place in the frame of a link, and a scene may name points of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from robodyn.errors import InputError
+from robodyn.scene.quantities import parse_vector
+from robodyn.scene.scene import Description, Point
+from robodyn.tables.csv_fields import shown
+
+PARTS = ("joint", "tip", "centre")
+_PART = re.compile(rf"({'|'.join(PARTS)})([0-9]{{1,6}})", re.ASCII)
+_NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
+
+
+@dataclass
+class Places:
+    """The links by their names, where their tips and centres are in their frames, m, and points."""
+
+    links: Mapping[str, int]
+    tip: Callable[[int], complex]
+    centre: Callable[[int], complex]
+    points: dict[str, Point] = field(default_factory=dict)
+
+    def point(self, text: str) -> Point | None:
+        """The point that is written, None for a name that is not known.
+
+        Raises ValueError where what follows an @ is no place.
+        """
+        if text in self.links:
+            return Point(self.links[text], self.tip(self.links[text]))
+        if text in self.points:
+            return self.points[text]
+        link, at, offset = text.rpartition("@")
+        if at and link in self.links:
+            return Point(self.links[link], _vector(offset, link))
+        part = _PART.fullmatch(text)
+        if part is None or not 1 <= int(part[2]) <= len(self.links):
+            return None
+        k = int(part[2]) - 1
+        return Point(k, {"joint": lambda _: 0j, "tip": self.tip, "centre": self.centre}[part[1]](k))
+
+    def not_free(self, name: str) -> str:
+        """Why a point must not have this name; empty where it may."""
+        if not _NAME.fullmatch(name):
+            return "must be a letter, then letters, digits, _ or -"
+        if name in self.links:
+            return "is the name of a link"
+        return "is the name of a part of a link" if _PART.fullmatch(name) else ""
+
+
+def places_of(description: Description) -> Places:
+    """The places of a scene."""
+    links = description.links
+    return Places(
+        {link.name: k for k, link in enumerate(links)},
+        lambda k: complex(links[k].l),
+        lambda k: links[k].r,
+        dict(description.points),
+    )
+
+
+def _vector(offset: str, link: str) -> complex:
+    try:
+        values = parse_vector(offset, where="", angles=False)
+    except InputError:
+        values = []
+    if len(values) != 2:
+        raise ValueError(f"must have x,y (m) after the @, as in {shown(link)}@0.5,0.2")
+    return complex(*values)

@@ -1,0 +1,128 @@
+"""Where each actuated joint can go from a pose, the other actuated joints held."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import SingularError
+from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import Limits
+from robodyn.trajectories.continuation import PathEndError
+from robodyn.trajectories.joint_paths import ConstantSpeed
+from robodyn.trajectories.loop_path import LoopPath, OpenPath
+
+Array = NDArray[np.float64]
+
+FARTHEST = 4.0  # sides of all loops, beyond which nothing ends a displacement
+BESIDE = 1e-6  # rad or m, from a dead centre to the last state that could be closed
+SHORT = 1e-9  # part of a way by which one that ends is cut, to be followed again
+
+
+class JointRange(NamedTuple):
+    """Of one joint: the least and the largest q (rad or m), and what ends each way.
+
+    That is `full turn`, `dead centre`, `change point`, `limit of q2`, or `nothing`: q is then as
+    far as it was looked for.
+    """
+
+    joint: int
+    low: float
+    high: float
+    low_end: str
+    high_end: str
+
+
+def joint_ranges(mechanism: Mechanism, q: Array) -> list[JointRange]:
+    """The range of each actuated joint from the closed configuration q (n,), on its branch.
+
+    A joint that ends nowhere has the range of a full turn about q.  Compliant stops give way, and
+    are no ends.
+    """
+    found = []
+    for place, joint in enumerate(mechanism.actuated):
+        (low, low_end), (high, high_end) = (_way(mechanism, q, place, way) for way in (-1.0, 1.0))
+        if low_end == high_end == "full turn":
+            low, high = q[joint] - np.pi, q[joint] + np.pi
+        found.append(JointRange(joint, low, high, low_end, high_end))
+    return found
+
+
+def _way(mechanism: Mechanism, q: Array, place: int, sign: float) -> tuple[float, str]:
+    """How far an actuated joint can go one way, and what ends it."""
+    joint, moved = mechanism.actuated[place], list(mechanism.actuated)
+    if not mechanism.rows:  # no other joint follows
+        place, moved = joint, list(range(mechanism.n))
+
+    def path(ahead: Array) -> OpenPath | LoopPath:
+        way = ConstantSpeed(q[moved], ahead)
+        return LoopPath(mechanism, way, q) if mechanism.rows else OpenPath(mechanism, way)
+
+    slides = joint in mechanism.slides
+    ended, ahead = "nothing" if slides else "full turn", np.zeros(len(moved))
+    sides = sum(row.size for row in mechanism.rows) + mechanism.unit
+    ahead[place] = sign * (FARTHEST * sides if slides else 2.0 * np.pi)
+    try:
+        followed = path(ahead)
+    except PathEndError as error:
+        ended, ahead = error.kind, ahead * error.u
+        if ended == "dead centre" and error.u:
+            ahead[place] += _left(mechanism, error.q, place)
+        if not (mechanism.limits and error.u > SHORT):
+            return float(q[joint] + ahead[place]), ended
+        followed = path(ahead * (1.0 - SHORT))
+    for k, limit in mechanism.limits:
+        for side, end in limit.ends if limit.stiffness is None else ():
+            u = _first_beyond(followed, k, side, end + _turns(q, k, limit, mechanism))
+            if u is not None:
+                ended, ahead = f"limit of q{k + 1}", ahead * u
+                if u == 0.0:
+                    return float(q[joint]), ended
+                followed = path(ahead)
+    return float(q[joint] + ahead[place]), ended
+
+
+def _left(mechanism: Mechanism, q: Array, place: int) -> float:
+    """From a state beside a dead centre the way to it, rad or m.
+
+    There q(x) is a root of what is left, so that q'' = q' / (2 (end - x)).
+    """
+    rate = np.zeros(len(mechanism.actuated))
+    rate[place] = 1.0
+    try:
+        q1 = loop_velocities(mechanism, q, rate)
+        q2 = loop_accelerations(mechanism, q, q1, 0.0 * rate)
+    except SingularError:
+        return 0.0
+    left = float(0.5 * (q1 @ q1) / (q1 @ q2)) if q1 @ q2 else math.inf
+    return left if abs(left) < BESIDE else 0.0
+
+
+def _turns(q: Array, joint: int, limit: Limits, mechanism: Mechanism) -> float:
+    """The whole turns, rad, by which the limits of a joint lie off where it is."""
+    if joint in mechanism.slides or limit.low is None or limit.high is None:
+        return 0.0
+    return math.tau * round(float(q[joint] - 0.5 * (limit.low + limit.high)) / math.tau)
+
+
+def _first_beyond(path: OpenPath | LoopPath, joint: int, side: int, end: float) -> float | None:
+    """The first part of a path at which a joint passes an end, if it does."""
+
+    def past(u: Array) -> Array:
+        return np.asarray(side * (path.evaluate(u)[0][:, joint] - end))
+
+    u = path.grid()[0]
+    after = np.flatnonzero(past(u) > 0.0)
+    if not after.size:
+        return None
+    if not after[0]:
+        return float(u[0])
+    low, high = u[after[0] - 1], u[after[0]]
+    while high - low > 4 * math.ulp(high):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if past(np.array([middle]))[0] > 0.0 else (middle, high)
+    return float(low)
