@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
+from robodyn.cli.options import Model, Q, Qd, States, Tau
+from robodyn.cli.output import RowOptions
 from robodyn.cli.states import Quantity, evaluate, loop_columns
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.loops.loop_rates import check_way_on
@@ -17,8 +18,7 @@ def accel(
     q: Q = None,
     qd: Qd = None,
     tau: Tau = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """The accelerations that torques cause, and the pin forces.
 
@@ -42,4 +42,4 @@ def accel(
         return np.concatenate([solution.qdd, forces], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, format, out)
+    evaluate(mechanism, states, quantities, columns, compute, rows)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States
+from robodyn.cli.options import Model, Q, Qd, States
+from robodyn.cli.output import RowOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
 from robodyn.mechanics.mechanism import load
@@ -15,8 +16,7 @@ def energy(
     states: States = None,
     q: Q = None,
     qd: Qd = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """Kinetic energy, potential energy and their sum.
 
@@ -34,4 +34,4 @@ def energy(
         return np.stack([KE, PE, KE + PE], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
-    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, format, out)
+    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, rows)

@@ -39,6 +39,11 @@ Qdd = Annotated[Text, vector("--qdd", _QDD)]
 Tau = Annotated[Text, vector("--tau", _TAU)]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
+_EXTREMES = (
+    "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
+    "rows count equally."
+)
+Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
 _PARTS = "Default: table on a terminal, json in a pipe."
 OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
 Out = Annotated[Text, output_file("--out", "-o", help="Write here, all or nothing.")]

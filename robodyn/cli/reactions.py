@@ -7,7 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, Text, vector
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
+from robodyn.cli.output import RowOptions
 from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.errors import InputError
@@ -26,8 +27,7 @@ def reactions(
     qd: Qd = None,
     qdd: Qdd = None,
     tau: Tau = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
 
@@ -91,7 +91,7 @@ def reactions(
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, format, out, either)
+    evaluate(mechanism, states, quantities, columns, compute, rows, either)
 
 
 def _name(mechanism: Mechanism, q: np.ndarray) -> None:

@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO
 
-from robodyn.cli.options import Format
-from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
+from robodyn.cli.output import RowOptions, note, numbers_overflow_in_silence
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -192,8 +191,7 @@ def evaluate(
     quantities: Sequence[Quantity],
     columns: Sequence[str],
     compute: Callable[..., Array],
-    format: Format | None,
-    out: str | None,
+    options: RowOptions,
     either: Sequence[Quantity] = (),
     adds: bool = False,
 ) -> None:
@@ -202,7 +200,7 @@ def evaluate(
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused.
+    table without rows is refused, as it is where the options want a summary of them.
     """
     import numpy as np
 
@@ -237,7 +235,7 @@ def evaluate(
             used = wanted([])
             state = [x[None] for x in single_state(mechanism, used)]
             row = results(used, state, np.zeros(1))[0].tolist()
-        with row_writer(format, out, columns, units=units) as writer:
+        with options.writer(columns, units=units) as writer:
             writer.write_row(row)
         return
 
@@ -253,7 +251,7 @@ def evaluate(
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         times = ["t"] if mechanism.timed and "t" in reader.header else []
         chunks = reader.chunks([*(x for source in sources for x in source.columns), *times])
-        with remarks(), row_writer(format, out, columns, reader.header, units) as writer:
+        with remarks(), options.writer(columns, reader.header, units) as writer:
             rows = 0
             for chunk in chunks:
                 rows += len(chunk.lines)
@@ -268,7 +266,7 @@ def evaluate(
                             error.add_place(f"{name}: line {chunk.line_numbers[k]}")
                             raise
                         writer.write_rows([line], computed)
-            if adds and not rows:
+            if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
 
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
-from robodyn.cli.output import row_writer
+from robodyn.cli.options import Model, Q, Qd, Qdd, States
+from robodyn.cli.output import RowOptions
 from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -21,8 +21,7 @@ def torque(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """The torques that a motion needs, and the pin forces.
 
@@ -51,7 +50,7 @@ def torque(
         row = [*tau, *motor_values(mechanism, tau, rates)]
         if not all(map(math.isfinite, row)):
             raise overflow()
-        with row_writer(format, out, columns + motors, units=scene_units(mechanism)) as writer:
+        with rows.writer(columns + motors, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
 
@@ -71,7 +70,7 @@ def torque(
             parts.append(np.stack(motor_values(mechanism, *map(list, joints)), axis=-1))
         return np.concatenate(parts, axis=-1)
 
-    evaluate(mechanism, states, quantities, columns, compute, format, out)
+    evaluate(mechanism, states, quantities, columns, compute, rows)
 
 
 def _single_state(
