@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Model, Q, Qd, States
-from robodyn.cli.output import RowOptions
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
-from robodyn.mechanics.mechanism import load
 
 
 def energy(
@@ -16,7 +16,8 @@ def energy(
     states: States = None,
     q: Q = None,
     qd: Qd = None,
-    rows: RowOptions = RowOptions(),
+    force: Force = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """Kinetic energy, potential energy and their sum.
 
@@ -27,7 +28,7 @@ def energy(
       robodyn energy robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn energy robots/2r.yaml motion.csv | cut -d, -f1,6-
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
 
     def compute(q: np.ndarray, qd: np.ndarray, **_: np.ndarray) -> np.ndarray:
         KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)

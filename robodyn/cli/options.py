@@ -39,6 +39,11 @@ Qdd = Annotated[Text, vector("--qdd", _QDD)]
 Tau = Annotated[Text, vector("--tau", _TAU)]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
+_DIFFERENTIATE = (
+    "Finds the rates and accelerations that STATES lacks by splines (quintic, ends not-a-knot) "
+    "through t; takes 6 rows or more, all of them into memory; angles must run on past a turn."
+)
+Differentiate = Annotated[bool, Option("--differentiate", help=_DIFFERENTIATE)]
 _EXTREMES = (
     "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
     "rows count equally."

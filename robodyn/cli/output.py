@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 
-from robodyn.cli.options import Extremes, Format, Out, OutputFormat, StructuredFormat
+from robodyn.cli.options import Differentiate, Extremes, Format, Out, OutputFormat, StructuredFormat
 from robodyn.errors import printable, printable_lines
 from robodyn.pictures.column_units import TURNING, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
@@ -74,14 +74,22 @@ class RowOptions:
     out: Out = None
 
     def writer(
-        self, columns: Sequence[str], header: Sequence[str] = (), units: Mapping[str, str] = TURNING
+        self,
+        columns: Sequence[str],
+        header: Sequence[str] = (),
+        units: Mapping[str, str] = TURNING,
+        summary: Summary | None = None,
     ) -> AbstractContextManager[Writer]:
         """A writer of rows, or of what is asked for in their place: see `row_writer`."""
-        return row_writer(self.format, self.out, columns, header, units, self.summary())
+        summary = extremes_writer if self.extremes else summary
+        return row_writer(self.format, self.out, columns, header, units, summary)
 
-    def summary(self) -> Summary | None:
-        """What takes the place of the rows."""
-        return extremes_writer if self.extremes else None
+
+@dataclass(frozen=True)
+class StateOptions(RowOptions):
+    """What becomes of rows of states."""
+
+    differentiate: Differentiate = False
 
 
 def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:

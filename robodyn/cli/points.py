@@ -8,7 +8,7 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.options import Model, Q, Qd, Qdd, States
-from robodyn.cli.output import RowOptions
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import InputError
@@ -46,7 +46,7 @@ def points(
     transmission: Annotated[bool, Option("--transmission", help=_TRANSMISSION)] = False,
     ratio: Annotated[list[str] | None, Option("--ratio", metavar="A/B", help=_RATIO)] = None,
     jacobian: Annotated[bool, Option("--jacobian", help=_JACOBIAN)] = False,
-    rows: RowOptions = RowOptions(),
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.
 

@@ -15,6 +15,7 @@ from typer import Option
 
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
+from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Extremes, Model, Number, Q, Qd, Quiet, Text
 from robodyn.cli.output import default_format, extremes_writer, maker, note
 from robodyn.cli.signals import watching
@@ -26,7 +27,7 @@ from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
@@ -50,6 +51,7 @@ def simulate(
     duration: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None,
     every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None,
     points: Points = None,
+    force: Force = None,
     sources: TorqueOptions = TorqueOptions(),
     events: EventOptions = EventOptions(),
     how: RunOptions = RunOptions(),
@@ -84,7 +86,7 @@ def simulate(
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control computed-torque \\
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
     settings = how.settings()
     torques, duration = torque_source(mechanism, sources, duration)
     watched = events.watch(mechanism, duration)

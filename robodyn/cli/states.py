@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO
 
-from robodyn.cli.output import RowOptions, note, numbers_overflow_in_silence
+from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -45,6 +45,11 @@ class Source:
     values: list[float]  # from the option
     columns: list[str]  # from the table; zero values where both are empty
     whole: bool  # all joints, or the actuated ones
+
+    @property
+    def given(self) -> bool:
+        """Whether it is told at all."""
+        return bool(self.columns) or self.quantity.option is not None
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
@@ -191,16 +196,17 @@ def evaluate(
     quantities: Sequence[Quantity],
     columns: Sequence[str],
     compute: Callable[..., Array],
-    options: RowOptions,
+    options: StateOptions,
     either: Sequence[Quantity] = (),
     adds: bool = False,
+    summary: Summary | None = None,
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused, as it is where the options want a summary of them.
+    table without rows is refused, as it is where there is a `summary` in place of the rows.
     """
     import numpy as np
 
@@ -231,6 +237,8 @@ def evaluate(
         return results(used, complete(mechanism, sources, given), t)
 
     if states is None:
+        if options.differentiate:
+            raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
         with remarks():
             used = wanted([])
             state = [x[None] for x in single_state(mechanism, used)]
@@ -250,8 +258,16 @@ def evaluate(
         used = wanted(reader.header)
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         times = ["t"] if mechanism.timed and "t" in reader.header else []
-        chunks = reader.chunks([*(x for source in sources for x in source.columns), *times])
-        with remarks(), options.writer(columns, reader.header, units) as writer:
+        if options.differentiate:
+            from robodyn.cli.found_rates import found_rates
+
+            sources, chunks = found_rates(mechanism, reader, sources, bool(times))
+        else:
+            _tell_rest(sources, reader.header, name)
+            taken = [x for source in sources for x in source.columns]
+            chunks = reader.chunks([*taken, *times])
+        rows_to = options.writer(columns, reader.header, units, summary)
+        with remarks(), rows_to as writer:
             rows = 0
             for chunk in chunks:
                 rows += len(chunk.lines)
@@ -268,6 +284,14 @@ def evaluate(
                         writer.write_rows([line], computed)
             if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
+
+
+def _tell_rest(sources: Sequence[Source], header: Sequence[str], source: str) -> None:
+    """A warning where a table tells times and positions, and a motion is taken for rest."""
+    rates = [x for x in sources if x.quantity.name in ("qd", "qdd")]
+    if "t" in header and sources[0].columns and not any(x.given for x in rates):
+        names = " and ".join(x.quantity.name for x in rates)
+        note(f"Warning: {source}: has t, but no {names}: taken as zero; see --differentiate")
 
 
 def read_columns(
