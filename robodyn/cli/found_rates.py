@@ -1,4 +1,4 @@
-"""The rates and accelerations that a table of states lacks, by splines through its times."""
+"""The rates and accelerations that a table of states lacks: zero, or by splines through t."""
 
 from __future__ import annotations
 
@@ -8,11 +8,33 @@ from itertools import chain
 
 import numpy as np
 
+from robodyn.cli.output import note
 from robodyn.cli.states import Source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.csv_fields import finite, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
 from robodyn.trajectories.derivatives import FEWEST, derivative
+
+
+def taken_at_rest(
+    reader: Reader, sources: Sequence[Source], chunks: Iterator[Chunk]
+) -> Iterator[Chunk]:
+    """The chunks, with a warning where times run on, and no rates are given."""
+    rates = [x for x in sources if x.quantity.name in ("qd", "qdd")]
+    at_rest = sources[0].columns and not any(x.given for x in rates)
+    place = reader.header.index("t") if at_rest and "t" in reader.header else None
+    begin: float | None = None
+    for chunk in chunks:
+        if place is not None:
+            first, last = (finite(unquoted(split_fields(chunk.lines[k])[place])) for k in (0, -1))
+            begin = first if begin is None else begin
+            if begin is not None and last is not None and last != begin:
+                names = " and ".join(x.quantity.name for x in rates)
+                text = f"t runs on, but no {names} given: taken as zero; --differentiate finds them"
+                note(f"Warning: {reader.source}: {text}")
+                place = None
+        yield chunk
 
 
 def found_rates(

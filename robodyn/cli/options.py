@@ -40,7 +40,7 @@ Tau = Annotated[Text, vector("--tau", _TAU)]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
 _DIFFERENTIATE = (
-    "Finds the rates and accelerations that STATES lacks by splines (quintic, ends not-a-knot) "
+    "Finds the rates and accelerations that a table lacks by splines (quintic, ends not-a-knot) "
     "through t; takes 6 rows or more, all of them into memory; angles must run on past a turn."
 )
 Differentiate = Annotated[bool, Option("--differentiate", help=_DIFFERENTIATE)]

@@ -247,6 +247,7 @@ def evaluate(
             writer.write_row(row)
         return
 
+    from robodyn.cli.found_rates import found_rates, taken_at_rest
     from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
@@ -259,13 +260,10 @@ def evaluate(
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         times = ["t"] if mechanism.timed and "t" in reader.header else []
         if options.differentiate:
-            from robodyn.cli.found_rates import found_rates
-
             sources, chunks = found_rates(mechanism, reader, sources, bool(times))
         else:
-            _tell_rest(sources, reader.header, name)
             taken = [x for source in sources for x in source.columns]
-            chunks = reader.chunks([*taken, *times])
+            chunks = taken_at_rest(reader, sources, reader.chunks([*taken, *times]))
         rows_to = options.writer(columns, reader.header, units, summary)
         with remarks(), rows_to as writer:
             rows = 0
@@ -284,14 +282,6 @@ def evaluate(
                         writer.write_rows([line], computed)
             if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
-
-
-def _tell_rest(sources: Sequence[Source], header: Sequence[str], source: str) -> None:
-    """A warning where a table tells times and positions, and a motion is taken for rest."""
-    rates = [x for x in sources if x.quantity.name in ("qd", "qdd")]
-    if "t" in header and sources[0].columns and not any(x.given for x in rates):
-        names = " and ".join(x.quantity.name for x in rates)
-        note(f"Warning: {source}: has t, but no {names}: taken as zero; see --differentiate")
 
 
 def read_columns(
