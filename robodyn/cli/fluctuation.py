@@ -93,7 +93,7 @@ def _duration(t: np.ndarray, q: np.ndarray, qd: np.ndarray) -> float:
         if not (np.diff(t) > 0.0).all():
             raise InputError("t", limit="must rise from row to row")
         return float(np.ptp(t))
-    if not (qd * (q[-1] - q[0]) > 0.0).all():
+    if not qd.all() or (qd * (q[-1] - q[0]) < 0.0).any():
         limit = "needs the speed: a column t, or --qd (or columns) not zero, along the turn"
         raise InputError("the rows", limit=limit)
     paces = 1.0 / qd
