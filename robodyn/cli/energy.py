@@ -27,6 +27,7 @@ def energy(
     Examples:
       robodyn energy robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn energy robots/2r.yaml motion.csv | cut -d, -f1,6-
+      robodyn energy robots/2r.yaml motion.csv --extremes
     """
     mechanism = load_with(model, force)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from robodyn.dynamics.flywheel import Flywheel, flywheel
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.summaries import SummaryWriter
-from robodyn.tables.table_writer import Writer
 
 FLAG = "--fluctuation"
 
@@ -60,18 +60,11 @@ def _driven_joint(mechanism: Mechanism, delta: float) -> int:
 class TurnWriter(SummaryWriter):
     """Takes columns q, qd and tau of the driven joint, and tells its flywheel."""
 
-    def __init__(
-        self,
-        make: Callable[[Sequence[str]], Writer],
-        columns: Sequence[str],
-        input_header: Sequence[str] = (),
-        *,
-        delta: float,
-    ) -> None:
-        super().__init__(make, columns, input_header)
+    def __init__(self, *given: Any, delta: float) -> None:
+        super().__init__(*given)
         self._delta, self._rows = delta, list[np.ndarray]()
 
-    def take(self, values: np.ndarray) -> None:
+    def write_columns(self, values: np.ndarray) -> None:
         t = self.numeric("t")
         times = np.full(len(values), np.nan) if t is None else values[:, t]
         self._rows.append(np.column_stack([times, values[:, self._places]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -34,26 +35,23 @@ class SummaryWriter(Writer):
         columns: Sequence[str],
         input_header: Sequence[str] = (),
     ) -> None:
-        new = [name for name in columns if name not in input_header]
-        self._header = [*input_header, *new]
-        self._places = [self._header.index(name) for name in columns]
-        self._width = len(input_header)
+        super().__init__(io.BytesIO(), columns, input_header)  # which stays empty
+        self._make, self._width = make, len(input_header)
         self._passing = [k for k in range(self._width) if k not in self._places]
-        self._make = make
 
     @abstractmethod
     def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
         """What is told of the rows: columns and rows."""
 
     @abstractmethod
-    def take(self, values: Array) -> None:
-        """More rows (n, columns), NaN in columns that are not of numbers."""
+    def write_columns(self, values: Array) -> None:
+        """Take rows (n, columns), NaN in columns that are not of numbers."""
 
     def write_row(self, values: Sequence[float | str | None]) -> None:
         self.write_columns(np.array([values], float))
 
-    def write_columns(self, values: Array) -> None:
-        self.take(values)
+    def _begin(self) -> None:
+        """Nothing is written yet."""
 
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
         rows = np.full((len(lines), len(self._header)), np.nan)
@@ -63,7 +61,7 @@ class SummaryWriter(Writer):
         self._passing = [
             k for k, x in zip(self._passing, passed.T, strict=True) if not np.isnan(x).any()
         ]
-        self.take(rows)
+        self.write_columns(rows)
 
     def close(self) -> None:
         columns, rows = self.tell()
@@ -96,20 +94,13 @@ class Extremes(SummaryWriter):
     Rows count equally; of equal values the first is told.
     """
 
-    def __init__(
-        self,
-        make: Callable[[Sequence[str]], Writer],
-        columns: Sequence[str],
-        input_header: Sequence[str] = (),
-    ) -> None:
-        super().__init__(make, columns, input_header)
-        width = len(self._header)
-        self._count = 0
+    def _begin(self) -> None:
+        self._count, width = 0, len(self._header)
         self._ends = np.full((2, 3, width), np.nan)  # least and greatest: the value, its t, its q1
         self._ends[:, 0] = [[np.inf], [-np.inf]]
         self._sums = np.zeros((2, width), np.longdouble)  # of values, and of their squares
 
-    def take(self, values: Array) -> None:
+    def write_columns(self, values: Array) -> None:
         count, every = len(values), np.arange(values.shape[1])
         where = [np.full(count, np.nan)] * 2
         for k, name in enumerate(("t", "q1")):
