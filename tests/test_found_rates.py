@@ -169,6 +169,16 @@ def test_what_cannot_be_differentiated(
     assert not path.exists()
 
 
+def test_loops_that_no_joint_drives(
+    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
+) -> None:
+    free = scene(four_bar_text.replace("actuated: [crank]", "actuated: []"))
+    t = np.linspace(0.0, 0.5, 9)
+    table = text("t,q1,q2,q3", t, positions(3.0 * t))
+    given = robodyn("energy", free, "-", "--differentiate", stdin=table)
+    given.fails(2, "stdin: --differentiate: no joint is actuated")
+
+
 def test_times_too_unequal_for_floats(robodyn: Run) -> None:
     t = [0.0, 5e-324, 1e-323, 1.5e-323, 2e-323, 1.0, 2.0]
     table = text("t,q1,q2", np.array(t), np.array([[k, k * k] for k in range(7)], float))

@@ -54,14 +54,17 @@ def found_rates(
     if not base.columns:
         limit = f"needs columns {base.quantity.name}1.. in place of --{base.quantity.name}"
         raise InputError("--differentiate", where=reader.source, limit=limit)
+    whole = base.whole and not mechanism.rows
+    names = base.columns if whole else base.quantity.columns(mechanism.actuated)
+    if not names:
+        limit = "no joint is actuated, from whose motion that of the loops would follow"
+        raise InputError("--differentiate", where=reader.source, limit=limit)
     columns = list(dict.fromkeys(["t", *(name for x in sources for name in x.columns)]))
     chunks = list(reader.chunks(columns))
     values = np.concatenate([np.zeros((0, len(columns))), *(x.values for x in chunks)])
     column = dict(zip(columns, values.T, strict=True))
     _check_times(column["t"], list(chain(*(x.line_numbers for x in chunks))), reader.source)
 
-    whole = base.whole and not mechanism.rows
-    names = base.columns if whole else base.quantity.columns(mechanism.actuated)
     x = np.stack([column[name] for name in names], axis=-1)
     found: list[Source] = []
     parts: list[np.ndarray] = []
