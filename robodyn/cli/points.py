@@ -64,7 +64,7 @@ def points(
       robodyn points robots/four-bar.yaml --q 60deg --qd 5 --of P=coupler@0.3,0.1
       robodyn points robots/four-bar.yaml --q 60deg --of rocker --transmission --ratio rocker/crank
       robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
-      robodyn points robots/2r.yaml angles.csv --differentiate --extremes
+      robodyn points robots/2r.yaml states.csv --of tip2 --extremes
     """
     mechanism = load(model)
     named = named_points(mechanism, of or (), "--of")

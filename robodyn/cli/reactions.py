@@ -52,7 +52,7 @@ def reactions(
       robodyn reactions robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
       robodyn reactions robots/2r.yaml states.csv --format json
-      robodyn reactions robots/2r.yaml angles.csv --differentiate --extremes
+      robodyn reactions robots/2r.yaml states.csv --extremes
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
