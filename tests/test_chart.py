@@ -156,7 +156,7 @@ def test_units_are_those_of_the_readme() -> None:
                 told += 1
     assert told >= 20
     assert unit_of("note") == ""
-    own = {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s", "V", "A", "W"}
+    own = {"s", "rad", "rad/s", "rad/s²", "N m", "N", "J", "m", "m/s", "V", "A", "W", "kg m²"}
     assert set(UNITS.values()) == own
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States, Tau
+from robodyn.cli.loads import Force, load_with
+from robodyn.cli.options import Model, Q, Qd, States, Tau
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate, loop_columns
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.loops.loop_rates import check_way_on
-from robodyn.mechanics.mechanism import load
 
 
 def accel(
@@ -17,8 +18,8 @@ def accel(
     q: Q = None,
     qd: Qd = None,
     tau: Tau = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    force: Force = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """The accelerations that torques cause, and the pin forces.
 
@@ -31,8 +32,9 @@ def accel(
       robodyn accel robots/2r.yaml --q 30deg,45deg --tau 12,2
       robodyn accel robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
       robodyn accel robots/2r.yaml states.csv --format json
+      robodyn accel robots/2r.yaml states.csv --force tip2=0,-20 --extremes
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
     columns = [f"qdd{k + 1}" for k in range(mechanism.n)] + loop_columns(mechanism)
 
     def compute(q: np.ndarray, qd: np.ndarray, tau: np.ndarray, **t: np.ndarray) -> np.ndarray:
@@ -42,4 +44,4 @@ def accel(
         return np.concatenate([solution.qdd, forces], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, format, out)
+    evaluate(mechanism, states, quantities, columns, compute, rows)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, States
+from robodyn.cli.loads import Force, load_with
+from robodyn.cli.options import Model, Q, Qd, States
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
-from robodyn.mechanics.mechanism import load
 
 
 def energy(
@@ -15,8 +16,8 @@ def energy(
     states: States = None,
     q: Q = None,
     qd: Qd = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    force: Force = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """Kinetic energy, potential energy and their sum.
 
@@ -26,12 +27,13 @@ def energy(
     Examples:
       robodyn energy robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn energy robots/2r.yaml motion.csv | cut -d, -f1,6-
+      robodyn energy robots/2r.yaml motion.csv --extremes
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
 
     def compute(q: np.ndarray, qd: np.ndarray, **_: np.ndarray) -> np.ndarray:
         KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)
         return np.stack([KE, PE, KE + PE], axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
-    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, format, out)
+    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, rows)

@@ -39,6 +39,16 @@ Qdd = Annotated[Text, vector("--qdd", _QDD)]
 Tau = Annotated[Text, vector("--tau", _TAU)]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
+_DIFFERENTIATE = (
+    "Finds the rates and accelerations that a table lacks by splines (quintic, ends not-a-knot) "
+    "through t; takes 6 rows or more, all of them into memory; angles must run on past a turn."
+)
+Differentiate = Annotated[bool, Option("--differentiate", help=_DIFFERENTIATE)]
+_EXTREMES = (
+    "In place of the rows, of each column but t: min, max and the t and q1 there, mean, rms; "
+    "rows count equally."
+)
+Extremes = Annotated[bool, Option("--extremes", help=_EXTREMES)]
 _PARTS = "Default: table on a terminal, json in a pipe."
 OutputStructured = Annotated[StructuredFormat | None, Option("--format", help=_PARTS)]
 Out = Annotated[Text, output_file("--out", "-o", help="Write here, all or nothing.")]

@@ -6,10 +6,11 @@ import json
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 
-from robodyn.cli.options import Format, StructuredFormat
+from robodyn.cli.options import Differentiate, Extremes, Format, Out, OutputFormat, StructuredFormat
 from robodyn.errors import printable, printable_lines
 from robodyn.pictures.column_units import TURNING, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
@@ -19,6 +20,8 @@ from robodyn.tables.table_writer import WRITERS, Writer
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
+MakeWriter = Callable[..., Writer]
+Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 
 
@@ -29,22 +32,71 @@ def row_writer(
     columns: Sequence[str],
     header: Sequence[str] = (),
     units: Mapping[str, str] = TURNING,
+    summary: Summary | None = None,
 ) -> Iterator[Writer]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
 
-    A table for people tells `units` of the scene (`column_units.scene_units`).
+    A table for people tells `units` of the scene (`column_units.scene_units`).  A `summary` takes
+    the place of the rows.
     """
     format = default_format(format, out)
     with open_output(out, styled=format == "table") as stream:
-        writer = {**WRITERS, "table": TableView}[format](stream, columns, header)
-        if isinstance(writer, TableView):
-            writer.on_terminal, writer.units = on_terminal(out), units
+        make = maker(stream, format, out, units)
+        writer = make(columns, header) if summary is None else summary(make, columns, header)
         try:
             yield writer
         except Exception:
             writer.cut()
             raise
         writer.close()
+
+
+def maker(
+    stream: BinaryIO, format: Format, out: str | None, units: Mapping[str, str] = TURNING
+) -> MakeWriter:
+    """What makes a writer to the stream of columns, and of the header of an input."""
+
+    def make(columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
+        writer = {**WRITERS, "table": TableView}[format](stream, columns, header)
+        if isinstance(writer, TableView):
+            writer.on_terminal, writer.units = on_terminal(out), units
+        return writer
+
+    return make
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """How rows are written."""
+
+    extremes: Extremes = False
+    format: OutputFormat = None
+    out: Out = None
+
+    def writer(
+        self,
+        columns: Sequence[str],
+        header: Sequence[str] = (),
+        units: Mapping[str, str] = TURNING,
+        summary: Summary | None = None,
+    ) -> AbstractContextManager[Writer]:
+        """A writer of rows, or of what is asked for in their place: see `row_writer`."""
+        summary = extremes_writer if self.extremes else summary
+        return row_writer(self.format, self.out, columns, header, units, summary)
+
+
+@dataclass(frozen=True)
+class StateOptions(RowOptions):
+    """What becomes of rows of states."""
+
+    differentiate: Differentiate = False
+
+
+def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
+    """A writer of the columns' extremes; costs nothing where it is not asked for."""
+    from robodyn.tables.summaries import Extremes
+
+    return Extremes(make, columns, header)
 
 
 def default_format(format: Format | None, out: str | None) -> Format:
@@ -68,16 +120,21 @@ class TableView(Writer):
     def close(self) -> None:
         """Write the rows that wait, or the empty table that there is."""
         if self._rows or not self._tables:
-            table = Grid([with_unit(name, self.units) for name in self._header], self._rows)
+            table = Grid(list(map(self.title, self._header)), self._rows)
             self._write(render([table], self.on_terminal))
             self._rows, self._tables = [], self._tables + 1
 
     cut = close
 
+    def title(self, name: str) -> str:
+        return with_unit(name, self.units)
+
     def _texts(self, values: Array) -> list[list[str]]:
         return [[f"{x:.6g}" for x in column] for column in values.T.tolist()]
 
-    def _text(self, value: float | str) -> str:
+    def _text(self, value: float | str | None) -> str:
+        if value is None:
+            return ""
         return value if isinstance(value, str) else f"{value:.6g}"
 
     def _field(self, field: str) -> str:

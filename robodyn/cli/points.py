@@ -7,7 +7,8 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
+from robodyn.cli.options import Model, Q, Qd, Qdd, States
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import InputError
@@ -45,8 +46,7 @@ def points(
     transmission: Annotated[bool, Option("--transmission", help=_TRANSMISSION)] = False,
     ratio: Annotated[list[str] | None, Option("--ratio", metavar="A/B", help=_RATIO)] = None,
     jacobian: Annotated[bool, Option("--jacobian", help=_JACOBIAN)] = False,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.
 
@@ -64,6 +64,7 @@ def points(
       robodyn points robots/four-bar.yaml --q 60deg --qd 5 --of P=coupler@0.3,0.1
       robodyn points robots/four-bar.yaml --q 60deg --of rocker --transmission --ratio rocker/crank
       robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
+      robodyn points robots/2r.yaml states.csv --of tip2 --extremes
     """
     mechanism = load(model)
     named = named_points(mechanism, of or (), "--of")
@@ -86,8 +87,8 @@ def points(
         x, v, a = point_motion(mechanism, places, q, qd, qdd)
         parts = [np.concatenate([x, v, a], axis=-1).reshape(len(q), -1)]
         if jacobian:
-            rows = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
-            parts.append(rows.reshape(len(q), -1))
+            moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
+            parts.append(moved.reshape(len(q), -1))
         if links:
             turns = np.stack(link_turns(mechanism, q, qd, qdd), axis=-1)
             parts.append(turns.reshape(len(q), -1))
@@ -98,7 +99,7 @@ def points(
         return np.concatenate(parts, axis=-1)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
-    evaluate(mechanism, states, quantities, columns, compute, format, out, adds=True)
+    evaluate(mechanism, states, quantities, columns, compute, rows, adds=True)
 
 
 def points_given(

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import numpy as np
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States, Text, vector
+from robodyn.cli.loads import Force, load_with
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
+from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.errors import InputError
 from robodyn.loops.loop_rates import check_way_on
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
 Tau = Annotated[Text, vector("--tau", _TAU)]
@@ -26,8 +28,8 @@ def reactions(
     qd: Qd = None,
     qdd: Qdd = None,
     tau: Tau = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    force: Force = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
 
@@ -50,11 +52,12 @@ def reactions(
       robodyn reactions robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
       robodyn reactions robots/2r.yaml states.csv --format json
+      robodyn reactions robots/2r.yaml states.csv --extremes
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
         raise InputError("--qdd and --tau are both given", limit=limit)
-    mechanism = load(model)
+    mechanism = load_with(model, force)
     columns = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
     columns += [f"rm{k + 1}" for k in mechanism.slides]
     columns += [*loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
@@ -91,7 +94,7 @@ def reactions(
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, format, out, either)
+    evaluate(mechanism, states, quantities, columns, compute, rows, either)
 
 
 def _name(mechanism: Mechanism, q: np.ndarray) -> None:

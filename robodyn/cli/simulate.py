@@ -15,8 +15,9 @@ from typer import Option
 
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Number, Q, Qd, Quiet, Text
-from robodyn.cli.output import note
+from robodyn.cli.loads import Force, load_with
+from robodyn.cli.options import Extremes, Model, Number, Q, Qd, Quiet, Text
+from robodyn.cli.output import default_format, extremes_writer, maker, note
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
@@ -26,7 +27,7 @@ from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
@@ -50,11 +51,13 @@ def simulate(
     duration: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None,
     every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None,
     points: Points = None,
+    force: Force = None,
     sources: TorqueOptions = TorqueOptions(),
     events: EventOptions = EventOptions(),
     how: RunOptions = RunOptions(),
     quiet: Quiet = False,
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None,
+    extremes: Extremes = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
     """The motion that torques cause, as CSV.
@@ -77,13 +80,14 @@ def simulate(
       robodyn simulate robots/four-bar.yaml --q 60deg --tau "2*sin(3*t)" --every 0.01 -o run.csv
       robodyn simulate robots/2r.yaml --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
       robodyn simulate robots/2r.yaml --q 0,0 --quiet | robodyn torque robots/2r.yaml - | tail -1
+      robodyn simulate robots/2r.yaml --q 0,0 --force forearm=0,-20 --extremes
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 > ref.csv
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
         --kd 30,10 --tau-max 40
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control computed-torque \\
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
     settings = how.settings()
     torques, duration = torque_source(mechanism, sources, duration)
     watched = events.watch(mechanism, duration)
@@ -91,8 +95,8 @@ def simulate(
     start = [Quantity("q", q, True), Quantity("qd", qd)]
     if how.assemble:
         state, moved = assembled_state(mechanism, start)
-        units = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
-        far, fast = (f"{x:.3g} {unit}" for x, unit in zip(moved, units, strict=True))
+        each = ("rad or m", "rad/s or m/s") if mechanism.slides else ("rad", "rad/s")
+        far, fast = (f"{x:.3g} {unit}" for x, unit in zip(moved, each, strict=True))
         note(f"assembled: joints moved by up to {far} and {fast}")
     else:
         state = single_state(mechanism, start)
@@ -113,12 +117,19 @@ def simulate(
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
     with named():
         torques = over_run(mechanism, torques, begin, duration, settings.atol)
-    kept = open_output(out, partial=lambda name: note(f"what was computed is in {name}"))
+    format = default_format(None, out) if extremes else "csv"
+    units = scene_units(mechanism)
+
+    def tell(name: str) -> None:
+        note(f"what was computed is in {name}")
+
+    kept = open_output(out, partial=tell, styled=format == "table")
     with watching(duration, quiet) as watch, kept as stream:
 
         @cache
         def writer() -> Writer:  # a run that cannot start writes no header
-            return Writer(stream, _columns(mechanism, torques))
+            names, make = _columns(mechanism, torques), maker(stream, format, out, units)
+            return extremes_writer(make, names) if extremes else make(names)
 
         def sink(t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
             writer().write_columns(_rows(mechanism, moving, torques, t, y))
@@ -135,7 +146,7 @@ def simulate(
                 facts = recorder.settle()
             if estimate is not None and math.isfinite(estimate):
                 facts.error_estimate = estimate
-            writer()
+            writer().close()
             if file is not None:
                 file.write((json.dumps(asdict(facts), indent=2) + "\n").encode())
             if table is not None and watched is not None:

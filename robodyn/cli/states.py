@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO
 
-from robodyn.cli.options import Format
-from robodyn.cli.output import note, numbers_overflow_in_silence, row_writer
+from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -46,6 +45,11 @@ class Source:
     values: list[float]  # from the option
     columns: list[str]  # from the table; zero values where both are empty
     whole: bool  # all joints, or the actuated ones
+
+    @property
+    def given(self) -> bool:
+        """Whether it is told at all."""
+        return bool(self.columns) or self.quantity.option is not None
 
 
 def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
@@ -192,17 +196,17 @@ def evaluate(
     quantities: Sequence[Quantity],
     columns: Sequence[str],
     compute: Callable[..., Array],
-    format: Format | None,
-    out: str | None,
+    options: StateOptions,
     either: Sequence[Quantity] = (),
     adds: bool = False,
+    summary: Summary | None = None,
 ) -> None:
     """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
     given, the first where none is.  Where it `adds` columns, none of the table is replaced, and a
-    table without rows is refused.
+    table without rows is refused, as it is where there is a `summary` in place of the rows.
     """
     import numpy as np
 
@@ -233,14 +237,17 @@ def evaluate(
         return results(used, complete(mechanism, sources, given), t)
 
     if states is None:
+        if options.differentiate:
+            raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
         with remarks():
             used = wanted([])
             state = [x[None] for x in single_state(mechanism, used)]
             row = results(used, state, np.zeros(1))[0].tolist()
-        with row_writer(format, out, columns, units=units) as writer:
+        with options.writer(columns, units=units) as writer:
             writer.write_row(row)
         return
 
+    from robodyn.cli.found_rates import found_rates, taken_at_rest
     from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
@@ -252,8 +259,13 @@ def evaluate(
         used = wanted(reader.header)
         sources = [table_source(mechanism, x, reader.header, name) for x in used]
         times = ["t"] if mechanism.timed and "t" in reader.header else []
-        chunks = reader.chunks([*(x for source in sources for x in source.columns), *times])
-        with remarks(), row_writer(format, out, columns, reader.header, units) as writer:
+        if options.differentiate:
+            sources, chunks = found_rates(mechanism, reader, sources, bool(times))
+        else:
+            taken = [x for source in sources for x in source.columns]
+            chunks = taken_at_rest(reader, sources, reader.chunks([*taken, *times]))
+        rows_to = options.writer(columns, reader.header, units, summary)
+        with remarks(), rows_to as writer:
             rows = 0
             for chunk in chunks:
                 rows += len(chunk.lines)
@@ -268,7 +280,7 @@ def evaluate(
                             error.add_place(f"{name}: line {chunk.line_numbers[k]}")
                             raise
                         writer.write_rows([line], computed)
-            if adds and not rows:
+            if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
 
 

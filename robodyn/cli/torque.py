@@ -5,14 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Annotated
 
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Qdd, States
-from robodyn.cli.output import row_writer
-from robodyn.cli.states import Quantity, evaluate, loop_columns, option_source, overflow
+from typer import Option
+
+from robodyn.cli.loads import Force, load_with
+from robodyn.cli.options import Model, Number, Q, Qd, Qdd, States
+from robodyn.cli.output import StateOptions
+from robodyn.cli.states import (
+    Quantity,
+    evaluate,
+    loop_columns,
+    option_source,
+    overflow,
+)
 from robodyn.engines.formulas import MAX_GENERATED
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.pictures.column_units import scene_units
+
+_POWER = "The power of each actuated joint's torque."
+_FLUCTUATION = (
+    "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
+    "flywheel that holds this fluctuation of speed, such as 0.02."
+)
 
 
 def torque(
@@ -21,8 +38,12 @@ def torque(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    force: Force = None,
+    power: Annotated[bool, Option("--power", help=_POWER)] = False,
+    fluctuation: Annotated[
+        Number, Option("--fluctuation", metavar="DELTA", help=_FLUCTUATION)
+    ] = None,
+    rows: StateOptions = StateOptions(),
 ) -> None:
     """The torques that a motion needs, and the pin forces.
 
@@ -33,25 +54,48 @@ def torque(
     the pin force fx1,fy1 (N, ground axes) on the side that the scene names first, and tc1 (N m),
     the torque of each coupling.  For each actuated joint with a motor there are its torque motor1
     (N m), which is tau1/ratio, its speed motor_speed1 (rad/s), and by its constants volt1 (V), amp1
-    (A) and watt1 (W).  Rows of STATES pass through with these columns added.
+    (A) and watt1 (W).  Rows of STATES pass through with these columns added.  --power adds power1..
+    (W) = tau1 qd1 of the actuated joints.
+
+    --fluctuation DELTA takes whole turns of a machine with one actuated joint, the last row as the
+    first, and tells mean_torque (N m), energy_fluctuation dE (J): the greatest less the least of
+    the work about the mean torque, mean_speed w (rad/s): by t, else by the rates, and the inertia
+    flywheel = dE/(DELTA w^2) (kg m^2), DELTA = (w_max - w_min)/w.
 
     \b
     Examples:
       robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
       robodyn torque robots/four-bar.yaml --q 60deg --qd 5
       robodyn torque robots/2r.yaml - < states.csv | head -3
+      robodyn torque robots/2r.yaml states.csv --power --extremes
+      robodyn trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
+        robodyn torque robots/2r.yaml - --differentiate
+      robodyn torque robots/2r.yaml --q 30deg,45deg --force tip2=0,-20
+      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361 | \\
+        robodyn torque robots/four-bar.yaml - --fluctuation 0.02
     """
-    mechanism = load(model)
+    mechanism = load_with(model, force)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    if fluctuation is not None:
+        from robodyn.cli.fluctuation import tell_flywheel
+
+        if power:
+            raise InputError("--power and --fluctuation", limit="exclude each other")
+        tell_flywheel(mechanism, states, quantities, fluctuation, rows)
+        return
+
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
     loops = mechanism.rows or mechanism.passive or mechanism.switches
     motors = motor_columns(mechanism)
-    if states is None and not loops and mechanism.n <= MAX_GENERATED:
+    powers = [f"power{k + 1}" for k in mechanism.actuated if power]
+    plain = states is None and not (loops or rows.differentiate)
+    if plain and mechanism.n <= MAX_GENERATED:
         tau, rates = _single_state(mechanism, quantities)
         row = [*tau, *motor_values(mechanism, tau, rates)]
+        row += [x * v for x, v in zip(tau, rates, strict=True) if power]
         if not all(map(math.isfinite, row)):
             raise overflow()
-        with row_writer(format, out, columns + motors, units=scene_units(mechanism)) as writer:
+        with rows.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
 
@@ -59,7 +103,7 @@ def torque(
 
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, loop_forces
 
-    columns += loop_columns(mechanism) + motors
+    columns += loop_columns(mechanism) + motors + powers
 
     def compute(**motion: np.ndarray) -> np.ndarray:
         solution = inverse_dynamics_and_forces(mechanism, **motion)
@@ -69,9 +113,11 @@ def torque(
         if motors:
             joints = (np.moveaxis(x, -1, 0) for x in (solution.tau, motion["qd"]))
             parts.append(np.stack(motor_values(mechanism, *map(list, joints)), axis=-1))
+        if power:
+            parts.append(torques * motion["qd"][..., list(mechanism.actuated)])
         return np.concatenate(parts, axis=-1)
 
-    evaluate(mechanism, states, quantities, columns, compute, format, out)
+    evaluate(mechanism, states, quantities, columns, compute, rows)
 
 
 def _single_state(

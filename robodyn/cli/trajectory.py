@@ -11,8 +11,8 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli import trajectory_options as ways
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Text
-from robodyn.cli.output import note, row_writer
+from robodyn.cli.options import Model, Text
+from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
@@ -42,8 +42,7 @@ def trajectory(
         Text, Option("--every", metavar="S", help="Time between rows, s, or 10ms.")
     ] = None,
     points: Points = None,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """A reference motion of the joints, as CSV for `torque`.
 
@@ -67,6 +66,7 @@ def trajectory(
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
       robodyn trajectory robots/2r.yaml --via motion.csv --profile cubic --max-qd 90deg/s
       robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361
+      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --extremes
       robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
     """
@@ -87,7 +87,7 @@ def trajectory(
         with progress("following the loops") as watch:
             motion = _motion(mechanism, given, duration, limits, watch)
         check_ends(motion)
-        _write(motion, output_times(motion.duration, step, points), format, out)
+        _write(motion, output_times(motion.duration, step, points), rows)
 
 
 def _motion(
@@ -160,14 +160,12 @@ def _told(found: time_scaling.Shortest) -> ReferenceMotion:
     return found.motion
 
 
-def _write(
-    motion: ReferenceMotion, times: EvenTimes, format: Format | None, out: str | None
-) -> None:
+def _write(motion: ReferenceMotion, times: EvenTimes, rows: RowOptions) -> None:
     n = motion.mechanism.n
     columns = ["t", *(f"{name}{k + 1}" for name in ("q", "qd", "qdd") for k in range(n))]
     block = max(1, min(BLOCK, WORK // n**3))
-    hidden = out is None and sys.stdout.isatty()  # the rows themselves show how far they are
-    told = row_writer(format, out, columns, units=scene_units(motion.mechanism))
+    hidden = rows.out is None and sys.stdout.isatty()  # the rows themselves show how far they are
+    told = rows.writer(columns, units=scene_units(motion.mechanism))
     with told as writer, progress("writing", hidden) as show:
         for k in range(0, len(times), block):
             show(k / len(times))

@@ -15,14 +15,15 @@ if TYPE_CHECKING:
 _COLUMNS = {
     "s": "t flip flip_time",
     "rad": "q e angle transmission",
-    "rad/s": "qd motor_speed w",
+    "rad/s": "qd motor_speed w mean_speed",
     "rad/s²": "qdd wd",
-    "N m": "tau tc rm mz shake_m motor",
+    "N m": "tau tc rm mz shake_m motor mean_torque",
     "N": "fx fy rx ry shake_fx shake_fy",
-    "J": "KE PE energy",
+    "J": "KE PE energy energy_fluctuation",
     "V": "volt",
     "A": "amp",
-    "W": "watt",
+    "W": "watt power",
+    "kg m²": "flywheel",
     "m": "gap joint_x joint_y tip_x tip_y centre_x centre_y",
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
@@ -52,7 +53,7 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
 
     `units` are those of the scene, where it is known.
     """
-    column = re.sub("_(end|min|max)$", "", name)
+    column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max)$", "", name)
     of_point = _OF_POINT.search(column)
     unit = units.get(column) or UNITS.get(quantity_of(column), "")
     return unit or (POINTS[of_point[1][0]] if of_point else "")

@@ -53,6 +53,33 @@ class _Rows(NamedTuple):
     quoted: bool  # whether any has a quote, so that not every comma ends a field
 
 
+def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Array | None:
+    """The columns `places` (n, k) of n rows of `width` fields, none quoted; all finite, or None."""
+    import numpy as np  # here, so that a command that writes one row starts without it
+
+    from robodyn.tables.decimals import decimals
+
+    powers = np.fromiter(map(contains, rows, repeat("e")), bool, len(rows))
+    values = np.empty((len(powers), len(places)))
+    for chosen in (powers, ~powers):
+        lines = list(compress(rows, chosen))
+        found = None
+        if chosen is not powers and len(lines) >= FEW:
+            found = decimals(lines, width, places)
+        if found is None and lines:
+            # loadtxt parses exactly, but given columns does not mind rows of unequal length
+            if set(map(str.count, lines, repeat(","))) != {width - 1}:
+                return None
+            try:
+                found = np.loadtxt(
+                    lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
+                )
+            except ValueError:
+                return None
+        values[chosen] = found
+    return values if np.isfinite(values).all() else None
+
+
 class Reader:
     """A CSV table (RFC 4180, UTF-8) read from a binary stream; `source` names it in errors.
 
@@ -108,29 +135,7 @@ class Reader:
         """The values (n, k) of plain and faultless rows; None where there is more to them."""
         if rows.quoted or not places:
             return None
-        import numpy as np  # here, so that a command that writes one row starts without it
-
-        from robodyn.tables.decimals import decimals
-
-        powers = np.fromiter(map(contains, rows.lines, repeat("e")), bool, len(rows.lines))
-        values = np.empty((len(powers), len(places)))
-        for chosen in (powers, ~powers):
-            lines = list(compress(rows.lines, chosen))
-            found = None
-            if chosen is not powers and len(lines) >= FEW:
-                found = decimals(lines, len(self.header), places)
-            if found is None and lines:
-                # loadtxt parses exactly, but given columns does not mind rows of unequal length
-                if set(map(str.count, lines, repeat(","))) != {len(self.header) - 1}:
-                    return None
-                try:
-                    found = np.loadtxt(
-                        lines, delimiter=",", comments=None, usecols=places, ndmin=2, encoding=None
-                    )
-                except ValueError:
-                    return None
-            values[chosen] = found
-        return values if np.isfinite(values).all() else None
+        return plain_numbers(rows.lines, len(self.header), places)
 
     def _parse_slow(
         self, rows: _Rows, names: Sequence[str], places: list[int]

@@ -25,6 +25,7 @@ class Writer:
     """
 
     converts = False  # whether the input's fields are written in another way than they came
+    needs_rows = False  # whether it makes nothing of a table without rows
 
     def __init__(
         self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
@@ -36,8 +37,11 @@ class Writer:
         self._appends_only = not self.converts and len(new) == len(columns)
         self._begin()
 
-    def write_row(self, values: Sequence[float | str]) -> None:
-        """Write one row of computed columns alone, (k,), without a need for numpy."""
+    def write_row(self, values: Sequence[float | str | None]) -> None:
+        """Write one row of computed columns alone, (k,), without a need for numpy.
+
+        None is an empty field.
+        """
         self._write_rows([tuple(map(self._text, values))])
 
     def write_columns(self, values: Array) -> None:
@@ -60,6 +64,10 @@ class Writer:
         """Leave the table where it is, at the end of a line, after an error."""
         self._stream.flush()
 
+    def title(self, name: str) -> str:
+        """How the name of a column is told."""
+        return name
+
     def _merged(self, lines: Sequence[str], texts: list[list[str]]) -> Iterator[tuple[str, ...]]:
         for line, *computed in zip(lines, *texts, strict=True):
             fields = [self._field(field) for field in split_fields(line)]
@@ -73,8 +81,10 @@ class Writer:
             raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
         return [list(map(repr, column)) for column in values.T.tolist()]
 
-    def _text(self, value: float | str) -> str:
+    def _text(self, value: float | str | None) -> str:
         """How a computed value is written."""
+        if value is None:
+            return ""
         # Not repr(value): that of a numpy float names its type.
         if isinstance(value, float):
             return float.__repr__(value)
@@ -100,7 +110,7 @@ class JsonWriter(Writer):
     """A table as a JSON array, one object a line.
 
     A field of the input that reads as a finite number is one, any other is a string; a
-    computed value that is not finite is null.
+    computed value that is not finite, or not there, is null.
     """
 
     converts = True
@@ -115,7 +125,7 @@ class JsonWriter(Writer):
     def _texts(self, values: Array) -> list[list[str]]:
         return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
 
-    def _text(self, value: float | str) -> str:
+    def _text(self, value: float | str | None) -> str:
         text = super()._text(value)
         return _NULL.get(text, text)
 
@@ -138,7 +148,7 @@ class JsonWriter(Writer):
             self._separator = ",\n"
 
 
-_NULL = {"nan": "null", "inf": "null", "-inf": "null"}
+_NULL = dict.fromkeys(("nan", "inf", "-inf", ""), "null")
 _JSON_NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 
 WRITERS = {"csv": Writer, "json": JsonWriter}

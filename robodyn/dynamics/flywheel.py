@@ -1,0 +1,67 @@
+"""The flywheel that keeps a machine's speed nearly constant over a period.
+
+A crank needs the torque T(theta) over a turn, and its motor gives the mean T_m of it all the time.
+What the motor gives beyond what is needed goes into the flywheel: by a turn's part to theta
+
+    E(theta) = integral of (T_m - T) dtheta,        dE = max E - min E.
+
+Between the greatest and the least speed, whose mean is w_m, its kinetic energy changes by that,
+
+    dE = I (w_max^2 - w_min^2) / 2 = I delta w_m^2,     delta = (w_max - w_min) / w_m,
+
+so that the inertia I = dE / (delta w_m^2) holds the fluctuation delta, that of the machine itself
+being in T already.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.errors import InputError
+
+Array = NDArray[np.float64]
+
+TURN_OFF = 1e-6  # rad by which rows may miss whole turns
+TORQUE_OFF = 1e-3  # part of the torque's size by which its ends may differ
+
+
+class Flywheel(NamedTuple):
+    """What a period asks of a flywheel: N m, J, rad/s and kg m^2."""
+
+    mean_torque: float
+    energy_fluctuation: float
+    mean_speed: float
+    flywheel: float
+
+
+def flywheel(angle: Array, torque: Array, seconds: float, delta: float) -> Flywheel:
+    """The flywheel for torques (T,), N m, at angles (T,), rad, over whole turns in these seconds.
+
+    Between the rows the torque is a periodic cubic spline.  Raises InputError where the rows are no
+    period: the angles rise or fall, over whole turns, and the torque ends as it began.
+    """
+    from scipy.interpolate import CubicSpline
+
+    x = np.abs(angle - angle[0])
+    turns = round(x[-1] / math.tau)
+    if turns < 1 or abs(x[-1] - math.tau * turns) > TURN_OFF:
+        limit = f"from {angle[0]:.6g} to {angle[-1]:.6g} rad; must go over whole turns, 2 pi each"
+        raise InputError("the angle of the rows", limit=limit)
+    if not (np.diff(x) > 0.0).all():
+        raise InputError("the angle of the rows", limit="must rise, or fall, from row to row")
+    if abs(torque[-1] - torque[0]) > TORQUE_OFF * np.abs(torque).max():
+        limit = f"from {torque[0]:.6g} to {torque[-1]:.6g} N m; must end as it began, of a period"
+        raise InputError("the torque of the rows", limit=limit)
+    spline = CubicSpline(x, np.append(torque[:-1], torque[0]), bc_type="periodic")
+    work = spline.antiderivative()
+    mean = float(work(x[-1]) / x[-1])
+    crossings = spline.solve(mean, extrapolate=False)
+    places = np.concatenate([x, crossings[np.isfinite(crossings)]])
+    stored = mean * places - work(places)
+    speed = float(x[-1] / seconds)
+    dE = float(np.ptp(stored))
+    return Flywheel(mean, dE, speed, dE / (delta * speed * speed))

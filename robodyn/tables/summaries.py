@@ -1,0 +1,131 @@
+"""What is told of a table in place of its rows: of each column its least and greatest value, ..."""
+
+from __future__ import annotations
+
+import io
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robodyn.tables.csv_fields import finite, split_fields, unquoted
+from robodyn.tables.table import plain_numbers
+from robodyn.tables.table_writer import Writer
+
+if TYPE_CHECKING:
+    from robodyn.tables.table import Array
+
+EXTREMES = ("column", "min", "min_t", "min_q1", "max", "max_t", "max_q1", "mean", "rms")
+
+
+class SummaryWriter(Writer):
+    """Takes the rows that a writer takes, as numbers, and writes what is told of them at the end.
+
+    `make` makes the writer of that, from its columns; it is called when all rows are there, so that
+    a failure leaves nothing written.  A column of the input with a field that is no finite number
+    is none of numbers.
+    """
+
+    needs_rows = True
+
+    def __init__(
+        self,
+        make: Callable[[Sequence[str]], Writer],
+        columns: Sequence[str],
+        input_header: Sequence[str] = (),
+    ) -> None:
+        super().__init__(io.BytesIO(), columns, input_header)  # which stays empty
+        self._make, self._width = make, len(input_header)
+        self._passing = [k for k in range(self._width) if k not in self._places]
+
+    @abstractmethod
+    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
+        """What is told of the rows: columns and rows."""
+
+    @abstractmethod
+    def write_columns(self, values: Array) -> None:
+        """Take rows (n, columns), NaN in columns that are not of numbers."""
+
+    def write_row(self, values: Sequence[float | str | None]) -> None:
+        self.write_columns(np.array([values], float))
+
+    def _begin(self) -> None:
+        """Nothing is written yet."""
+
+    def write_rows(self, lines: Sequence[str], values: Array) -> None:
+        rows = np.full((len(lines), len(self._header)), np.nan)
+        rows[:, self._places] = values
+        passed = self._numbers(lines)
+        rows[:, self._passing] = passed
+        self._passing = [
+            k for k, x in zip(self._passing, passed.T, strict=True) if not np.isnan(x).any()
+        ]
+        self.write_columns(rows)
+
+    def close(self) -> None:
+        columns, rows = self.tell()
+        writer = self._make(columns)
+        for name, *values in rows:
+            writer.write_row([writer.title(name) if isinstance(name, str) else name, *values])
+        writer.close()
+
+    def cut(self) -> None:
+        """Nothing is written."""
+
+    def numeric(self, name: str) -> int | None:
+        """The place of a column, None where it is not there or not of numbers."""
+        place = self._header.index(name) if name in self._header else -1
+        return place if place in self._passing or place in self._places else None
+
+    def _numbers(self, lines: Sequence[str]) -> Array:
+        """The fields (n, k) of the input that pass through, NaN where one is no number."""
+        found = plain_numbers(lines, self._width, self._passing) if self._passing else None
+        if found is None:
+            fields = [split_fields(line) for line in lines]
+            texts = [[finite(unquoted(row[k])) for k in self._passing] for row in fields]
+            found = np.array(texts, float).reshape(len(lines), len(self._passing))
+        return found
+
+
+class Extremes(SummaryWriter):
+    """Of each column but t: least and greatest, the t and q1 of that row, mean and rms.
+
+    Rows count equally; of equal values the first is told.
+    """
+
+    def _begin(self) -> None:
+        self._count, width = 0, len(self._header)
+        self._ends = np.full((2, 3, width), np.nan)  # least and greatest: the value, its t, its q1
+        self._ends[:, 0] = [[np.inf], [-np.inf]]
+        self._sums = np.zeros((2, width), np.longdouble)  # of values, and of their squares
+
+    def write_columns(self, values: Array) -> None:
+        count, every = len(values), np.arange(values.shape[1])
+        where = [np.full(count, np.nan)] * 2
+        for k, name in enumerate(("t", "q1")):
+            if (place := self.numeric(name)) is not None:
+                where[k] = values[:, place]
+        for end, pick, beats in zip(
+            self._ends, (np.argmin, np.argmax), (np.less, np.greater), strict=True
+        ):
+            row = pick(values, axis=0)
+            found = np.stack([values[row, every], *(x[row] for x in where)])
+            new = beats(found[0], end[0])
+            end[:, new] = found[:, new]
+        self._count += count
+        wide = values.astype(np.longdouble)  # whose range holds the squares of all floats
+        self._sums += [wide.sum(axis=0), np.square(wide).sum(axis=0)]
+
+    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
+        rows: list[list[float | str | None]] = []
+        mean, square = self._sums / self._count
+        t, q1 = self.numeric("t"), self.numeric("q1")
+        for name in self._header:
+            if name == "t" or (k := self.numeric(name)) is None:
+                continue
+            row: list[float | str | None] = [name]
+            for value, at_t, at_q1 in self._ends[:, :, k].tolist():
+                row += [value, None if t is None else at_t, None if q1 is None else at_q1]
+            rows.append([*row, float(mean[k]), float(np.sqrt(square[k]))])
+        return EXTREMES, rows

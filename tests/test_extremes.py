@@ -1,0 +1,197 @@
+"""Extremes in place of rows, against numpy on whole tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Outcome
+
+from robodyn.tables.summaries import EXTREMES, Extremes
+from robodyn.tables.table_writer import WRITERS, Writer
+
+Run = Callable[..., Outcome]
+ARM = "robots/2r.yaml"
+
+
+def known(rows: list[dict[str, str]]) -> dict[str, list[float | None]]:
+    """What is to be told of each column, from the whole table."""
+    columns: dict[str, np.ndarray] = {}
+    for name in rows[0]:
+        try:
+            values = np.array([float(row[name]) for row in rows])
+        except ValueError:
+            continue
+        if np.isfinite(values).all():
+            columns[name] = values
+    told: dict[str, list[float | None]] = {}
+    for name, values in columns.items():
+        if name == "t":
+            continue
+        found: list[float | None] = []
+        for row in (int(np.argmin(values)), int(np.argmax(values))):
+            there = (columns[x][row] if x in columns else None for x in ("t", "q1"))
+            found += [float(values[row]), *(None if x is None else float(x) for x in there)]
+        mean = math.fsum(values) / len(values)
+        told[name] = [*found, mean, math.sqrt(math.fsum(values**2) / len(values))]
+    return told
+
+
+def assert_tells(found: list[dict[str, object]], rows: list[dict[str, str]]) -> None:
+    """Ends and where they are to the last digit, mean and rms to rounding."""
+    expected = known(rows)
+    assert [line["column"] for line in found] == list(expected)
+    for line in found:
+        assert tuple(line) == EXTREMES
+        values = [None if x in ("", None) else float(str(x)) for x in list(line.values())[1:]]
+        ends = expected[str(line["column"])]
+        assert values[:6] == ends[:6], line["column"]
+        size = max(abs(float(x)) for x in (ends[0], ends[3]) if x is not None)
+        for mine, other in zip(values[6:], ends[6:], strict=True):
+            assert mine is not None
+            assert other is not None
+            assert abs(mine - other) <= 4e-15 * size, line["column"]
+
+
+def table(seed: int, count: int) -> str:
+    """A table of states and more: numbers in all notations, text, quotes, empty fields."""
+    rng = np.random.default_rng(seed)
+    names = ["t", "q2", "note", "q1", '"a, b"', "tau1", "qd1", "qd2", "gap"]
+    lines = [",".join(names)]
+    for k in range(count):
+        x = (10.0 ** rng.uniform(-9, 2, 8) * rng.choice([-1, 1], 8)).tolist()
+        write = [repr, "{:.3e}".format, "{:.6f}".format][k * 3 // count]
+        quoted = f'"{x[3]!r}"' if k % 5 == 1 else repr(x[3])
+        gap = "" if k == count - 2 else repr(x[7])  # of numbers, but for one row
+        text = [repr(k * 0.1), write(x[0]), '"u, ""v"""', write(x[1]), quoted, "tau", x[5], x[6]]
+        lines.append(",".join(map(str, [*text, gap])))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("command", ["torque", "energy", "reactions", "points"])
+@pytest.mark.parametrize(("seed", "count"), [(1, 1), (2, 2), (3, 700)])
+def test_of_random_tables(robodyn: Run, command: str, seed: int, count: int) -> None:
+    given = table(seed, count)
+    if command == "reactions":
+        given = given.replace("tau1", "effort")
+    rows = robodyn(command, ARM, "-", stdin=given).rows
+    told = robodyn(command, ARM, "-", "--extremes", stdin=given)
+    assert_tells([dict(x) for x in told.rows], rows)
+    names = [row["column"] for row in told.rows]
+    assert "note" not in names
+    assert "t" not in names
+    assert "a, b" in names
+    assert ("gap" in names) == (count == 1)
+
+
+def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
+    given = table(5, 30)
+    rows = robodyn("torque", ARM, "-", stdin=given).rows
+    as_json = robodyn("torque", ARM, "-", "--extremes", "--format", "json", stdin=given).json
+    assert isinstance(as_json, list)
+    assert_tells(as_json, rows)
+    seen = robodyn("torque", ARM, "-", "--extremes", "--format", "table", stdin=given).out
+    lines = [line.split("  ") for line in seen.splitlines() if line.strip()]
+    heads = [x.strip() for x in lines[0] if x.strip()]
+    assert heads[:4] == ["column", "min", "min_t [s]", "min_q1 [rad]"]
+    (tau,) = ([x.strip() for x in line if x.strip()] for line in lines if "tau2 [N m]" in line)
+    assert tau[1:] == [f"{x:.6g}" for x in known(rows)["tau2"] if x is not None]
+    path = tmp_path / "extremes.csv"
+    robodyn("torque", ARM, "-", "--extremes", "-o", path, stdin=given)
+    assert_tells([dict(x) for x in csv.DictReader(io.StringIO(path.read_text()))], rows)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 91",
+        "simulate robots/four-bar.yaml --q 60deg --time 0.5 --quiet",
+        "accel robots/2r.yaml --q 1,2 --tau 3,4",
+        "torque robots/2r.yaml --q 1,2 --power",
+    ],
+)
+def test_of_what_has_no_input(robodyn: Run, command: str) -> None:
+    rows = robodyn(*command.split()).succeeds().rows
+    assert_tells([dict(x) for x in robodyn(*command.split(), "--extremes").succeeds().rows], rows)
+
+
+def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:
+    one = ("torque", "robots/pendulum.yaml", "--q", "1", "--extremes")
+    (line,) = csv.reader(robodyn(*one).succeeds().out.splitlines()[1:])
+    assert line[2:4] == ["", ""]
+    assert line[1] == line[4] == line[7] == line[8]
+    (row,) = json.loads(robodyn(*one, "--format", "json").succeeds().out)
+    assert row["min_t"] is None
+    assert row["max_q1"] is None
+
+
+def test_numbers_of_every_size(robodyn: Run) -> None:
+    huge = "q1,q2,x,y\n1,2,1.5e308,5e-324\n1,3,1.6e308,5e-324\n"
+    told = robodyn("torque", ARM, "-", "--extremes", stdin=huge).succeeds().rows
+    by = {row["column"]: [float(row[x]) for x in ("mean", "rms")] for row in told}
+    assert by["x"] == pytest.approx([1.55e308, math.sqrt(2.405) * 1e308], rel=1e-15)
+    assert by["y"] == [5e-324, 5e-324]
+
+
+@pytest.mark.parametrize("command", ["torque", "accel", "energy", "reactions", "points"])
+def test_no_rows(robodyn: Run, tmp_path: Path, command: str) -> None:
+    path = tmp_path / "out.csv"
+    given = robodyn(command, ARM, "-", "--extremes", "-o", path, stdin="q1,q2\n")
+    given.fails(2, "stdin", "no rows")
+    assert not path.exists()
+
+
+def test_a_faulty_row_leaves_nothing(robodyn: Run) -> None:
+    given = robodyn("torque", ARM, "-", "--extremes", stdin="q1,q2\n1,2\n1,x\n")
+    assert given.fails(2, "stdin: line 3", "q2 = x").out == ""
+    late = "q1\n" + "0.1\n" * 3 + "1e400\n"
+    given = robodyn("torque", "robots/four-bar.yaml", "-", "--extremes", stdin=late)
+    assert given.fails(2, "line 5").out == ""
+
+
+def test_a_run_that_does_not_finish_tells_of_what_it_has(robodyn: Run) -> None:
+    run = ["simulate", "robots/2r.yaml", "--q", "0,0", "--quiet", "--max-evals", "200"]
+    rows = robodyn(*run).fails(1).rows
+    assert len(rows) > 1
+    assert_tells([dict(x) for x in robodyn(*run, "--extremes").fails(1).rows], rows)
+
+
+def test_memory_is_that_of_a_chunk() -> None:
+    """A column that becomes text on the way, and 400 chunks in the memory of a few."""
+
+    def peak(chunks: int) -> tuple[int, list[str]]:
+        out = io.BytesIO()
+        rng = np.random.default_rng(1)
+        tracemalloc.start()
+        writer = Extremes(lambda names: Writer(out, names), ["tau1", "q1"], ["t", "note", "q1"])
+        for k in range(chunks):
+            lines = [f"{k}.5,{'x' if k == chunks - 1 else 1.5},0.25"] * 200
+            writer.write_rows(lines, rng.normal(size=(200, 2)))
+        writer.close()
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size, out.getvalue().decode().splitlines()
+
+    few, many = peak(4), peak(400)
+    assert many[0] < 1.5 * few[0]
+    assert [line.split(",")[0] for line in many[1]] == ["column", "q1", "tau1"]
+    rng = np.random.default_rng(1)
+    values = np.concatenate([rng.normal(size=(200, 2)) for _ in range(400)])
+    place = int(values[:, 0].argmin())
+    expected = [values[place, 0], place // 200 + 0.5, values[place, 1]]
+    assert [float(x) for x in many[1][2].split(",")[1:4]] == expected
+
+
+def test_an_empty_text_of_json_is_no_null() -> None:
+    out = io.BytesIO()
+    writer = WRITERS["json"](out, ["a", "b"])
+    writer.write_row(["", None])
+    writer.close()
+    assert json.loads(out.getvalue()) == [{"a": "", "b": None}]

@@ -1,0 +1,185 @@
+"""`--differentiate`: rates and accelerations from positions at times, against exact motions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import FOUR_BAR as CRANK_ROCKER
+from conftest import TWO_LINK, Outcome, relative_error
+
+import oracles
+from robodyn.trajectories.derivatives import derivative
+
+Run = Callable[..., Outcome]
+ARM, FOUR_BAR = "robots/2r.yaml", "robots/four-bar.yaml"
+
+
+def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q, qd and qdd (T, 2) of an arm, that end in the midst of moving."""
+    q = np.stack([0.4 + 2.0 * np.sin(3.0 * t), np.exp(-t) * np.cos(2.0 * t)], axis=-1)
+    qd1, qdd1 = 6.0 * np.cos(3.0 * t), -18.0 * np.sin(3.0 * t)
+    wave, other = np.cos(2.0 * t), np.sin(2.0 * t)
+    qd2 = -np.exp(-t) * (wave + 2.0 * other)
+    qdd2 = np.exp(-t) * (4.0 * other - 3.0 * wave)
+    return q, np.stack([qd1, qd2], axis=-1), np.stack([qdd1, qdd2], axis=-1)
+
+
+def text(names: str, *columns: np.ndarray) -> str:
+    rows = np.column_stack(columns).tolist()
+    return "\n".join([names, *(",".join(map(repr, row)) for row in rows)]) + "\n"
+
+
+def found(given: Outcome, *names: str) -> np.ndarray:
+    return np.array([[float(row[name]) for name in names] for row in given.rows])
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize(("order", "power"), [(1, 5), (2, 4)])
+def test_order_of_convergence(even: bool, order: int, power: int) -> None:
+    """At all rows, those at the ends too; steps that differ by up to a factor of 3."""
+    errors = []
+    for count in (40, 80, 160):
+        u = np.linspace(0.0, 1.0, count + 1)
+        t = 2.0 * (u if even else u + 0.08 * np.sin(2.0 * math.pi * u))
+        q, *exact = motion(t)
+        errors.append(np.abs(derivative(t, q, order) - exact[order - 1]).max())
+    for coarse, fine in pairwise(errors):
+        assert 2.0 ** (power - 0.6) < coarse / fine < 2.0 ** (power + 1.5)
+
+
+def test_a_quintic_motion_is_exact() -> None:
+    rng = np.random.default_rng(4)
+    t, c = np.cumsum(rng.uniform(0.01, 0.3, 25)), rng.normal(size=6)
+    line = np.polynomial.Polynomial(c)
+    for order, close in ((1, 1e-11), (2, 1e-9)):
+        known = line.deriv(order)(t)
+        assert relative_error(derivative(t, line(t)[:, None], order)[:, 0], known) < close
+
+
+def test_torques_of_an_arm(robodyn: Run) -> None:
+    t = np.linspace(0.0, 2.0, 401)
+    q, qd, qdd = motion(t)
+    known = [oracles.two_link_torque(TWO_LINK, *x) for x in zip(q, qd, qdd, strict=True)]
+    for names, columns in (("t,q1,q2", (t, q)), ("q1,q2,t,qd1,qd2", (q, t, qd))):
+        given = robodyn("torque", ARM, "-", "--differentiate", stdin=text(names, *columns))
+        assert given.succeeds().out.startswith(f"{names},tau1,tau2\n")
+        assert relative_error(found(given, "tau1", "tau2"), known) < 2e-7
+    # accelerations alone are there: the rates are found
+    given = robodyn(
+        "torque", ARM, "-", "--differentiate", stdin=text("t,q1,q2,qdd1,qdd2", t, q, qdd)
+    )
+    assert relative_error(found(given.succeeds(), "tau1", "tau2"), known) < 2e-7
+
+
+def positions(crank: np.ndarray) -> np.ndarray:
+    """All joints of the four-bar, (T, 3), by the oracle."""
+    return np.unwrap([oracles.four_bar_position(CRANK_ROCKER, x) for x in crank], axis=0)
+
+
+@pytest.mark.parametrize("command", ["torque", "reactions", "points", "energy", "accel"])
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_closed_mechanism_from_its_crank(robodyn: Run, command: str, whole: bool) -> None:
+    """All that is computed of q is as if the exact rates had been given."""
+    t = np.linspace(0.0, 1.0, 301)
+    q = 5.0 * t + 0.4 * np.sin(4.0 * t)
+    qd, qdd = 5.0 + 1.6 * np.cos(4.0 * t), -6.4 * np.sin(4.0 * t)
+    exact, table = text("t,q1,qd1,qdd1", t, q, qd, qdd), text("t,q1", t, q)
+    if whole:
+        table = text("t,q1,q2,q3", t, positions(q))
+    given = robodyn(command, FOUR_BAR, "-", "--differentiate", stdin=table).succeeds()
+    known = robodyn(command, FOUR_BAR, "-", stdin=exact).succeeds()
+    names = [x for x in given.rows[0] if x not in ("t", "q1", "q2", "q3")]
+    assert len(names) >= 3
+    assert relative_error(found(given, *names), found(known, *names)) < 1e-7
+
+
+def test_what_simulate_wrote_without_its_rates(robodyn: Run) -> None:
+    run = "simulate robots/2r.yaml --q 0,0 --tau 3,1 --time 1 --every 0.005 --method taylor --quiet"
+    rows = robodyn(*run.split()).succeeds().rows
+    table = "".join(",".join(row[x] for x in ("t", "q1", "q2")) + "\n" for row in rows)
+    given = robodyn("torque", ARM, "-", "--differentiate", stdin="t,q1,q2\n" + table).succeeds()
+    assert np.abs(found(given, "tau1", "tau2") - [3.0, 1.0]).max() < 1e-4
+
+
+def test_loads_take_the_times(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene((Path(ARM)).read_text() + 'loads: [{point: forearm, force: ["5*sin(t)", -2]}]\n')
+    t = np.linspace(0.0, 2.0, 401)
+    q, qd, qdd = motion(t)
+    given = robodyn("torque", path, "-", "--differentiate", stdin=text("q1,q2,t", q, t))
+    known = robodyn("torque", path, "-", stdin=text("t,q1,q2,qd1,qd2,qdd1,qdd2", t, q, qd, qdd))
+    tau = ("tau1", "tau2")
+    assert relative_error(found(given.succeeds(), *tau), found(known.succeeds(), *tau)) < 2e-7
+
+
+@pytest.mark.parametrize(
+    ("command", "names", "options", "missing"),
+    [
+        ("torque", "t,q1,q2", (), "qd and qdd"),
+        ("points", "q1,t,q2,x", (), "qd and qdd"),
+        ("reactions", "t,q1,q2,tau1,tau2", (), "qd"),
+        ("energy", "t,q1,q2", (), "qd"),
+        ("torque", "q1,q2", (), ""),
+        ("torque", "t,q1,q2", ("--qd", "0,0"), ""),
+        ("torque", "t,q1,q2,qd1,qd2", (), ""),
+        ("torque", "t,qd1,qd2", ("--q", "1,1"), ""),
+    ],
+)
+def test_rest_is_told(
+    robodyn: Run, command: str, names: str, options: Sequence[str], missing: str
+) -> None:
+    rows = [[0.1 * k + x for x in range(names.count(",") + 1)] for k in range(5)]
+    given = robodyn(command, ARM, "-", *options, stdin=text(names, np.array(rows)))
+    assert given.code == 0
+    told = f"Warning: stdin: t runs on, but no {missing} given: taken as zero; --differentiate"
+    assert given.err.startswith(told) if missing else given.err == ""
+    assert given.err.count("\n") == bool(missing)
+
+
+def test_states_at_one_time_are_no_motion(robodyn: Run) -> None:
+    for t in ("0.5", "x", ""):
+        table = f"t,q1,q2\n{t},1,2\n{t},3,4\n"
+        robodyn("torque", ARM, "-", stdin=table).succeeds()
+
+
+@pytest.mark.parametrize(
+    ("options", "table", "parts"),
+    [
+        (("--q", "1,2"), None, ("needs STATES",)),
+        (("-",), "q1,q2\n" + "1,2\n" * 9, ("column t is missing",)),
+        (("-",), "t,q1,q2\n0,1,2\n1,1,2\n2,1,2\n3,1,2\n4,1,2\n", ("needs 6 rows", "are 5")),
+        (("-",), "t,q1,q2\n", ("needs 6 rows",)),
+        (("-",), "t,q1,q2\n" + "1,1,2\n" * 9, ("line 3", "t = 1: must be greater")),
+        (("-",), "t,q1,q2\n0,1,2\n1,1,2\n2,1,y\n", ("line 4", "q2 = y")),
+        (("-",), "t,q1,q2,qd1,qd2,qdd1,qdd2\n", ("nothing to find",)),
+        (("-", "--q", "1,2"), "t,x\n0,0\n", ("in place of --q",)),
+        (("-", "--qd", "1,2"), "t,q1,q2\n0,1,2\n", ("in place of --qd",)),
+    ],
+)
+def test_what_cannot_be_differentiated(
+    robodyn: Run, tmp_path: Path, options: Sequence[str], table: str | None, parts: Sequence[str]
+) -> None:
+    path = tmp_path / "out.csv"
+    given = robodyn("torque", ARM, *options, "--differentiate", "-o", path, stdin=table or "")
+    given.fails(2, *parts)
+    assert not path.exists()
+
+
+def test_loops_that_no_joint_drives(
+    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
+) -> None:
+    free = scene(four_bar_text.replace("actuated: [crank]", "actuated: []"))
+    t = np.linspace(0.0, 0.5, 9)
+    table = text("t,q1,q2,q3", t, positions(3.0 * t))
+    given = robodyn("energy", free, "-", "--differentiate", stdin=table)
+    given.fails(2, "stdin: --differentiate: no joint is actuated")
+
+
+def test_times_too_unequal_for_floats(robodyn: Run) -> None:
+    t = [0.0, 5e-324, 1e-323, 1.5e-323, 2e-323, 1.0, 2.0]
+    table = text("t,q1,q2", np.array(t), np.array([[k, k * k] for k in range(7)], float))
+    robodyn("torque", ARM, "-", "--differentiate", stdin=table).fails(1)
