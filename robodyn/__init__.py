@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from robodyn.errors import InputError as InputError
     from robodyn.errors import RobodynError as RobodynError
     from robodyn.errors import SingularError as SingularError
-    from robodyn.kinematics.points import points as points
+    from robodyn.kinematics.point_motion import points as points
     from robodyn.loops.assembly import assemble as assemble
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
@@ -76,7 +76,7 @@ _ROOMS = {
         "pin_forces",
     ],
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
-    "kinematics.points": ["points"],
+    "kinematics.point_motion": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism", "load"],
     "dynamics.motor_loads": ["motor_loads"],

@@ -14,7 +14,7 @@ import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
 from robodyn.errors import DescriptionError, InputError
-from robodyn.kinematics.points import link_turns, named_points, point_jacobian, unit_rates
+from robodyn.kinematics.point_motion import link_turns, named_points, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,

@@ -14,7 +14,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import finite, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
-from robodyn.trajectories.derivatives import FEWEST, derivative
+from robodyn.trajectories.spline_rates import FEWEST, derivative
 
 
 def taken_at_rest(

@@ -12,7 +12,7 @@ from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import InputError
-from robodyn.kinematics.points import (
+from robodyn.kinematics.point_motion import (
     NamedPoint,
     link_turns,
     named_points,
