@@ -148,6 +148,8 @@ class EventWatch:
             places = self.begin(j, places)
             stop = self.step(step(j), places) if places else None
             if stop is not None:
+                for i in set(range(len(self._known))) - set(places):
+                    self.signs[i] = int(self._known[i][j]) or self.signs[i]
                 return j, stop
         self.seen()
         return None
