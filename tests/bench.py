@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from bench_frontier import frontier, taylor_process
-from bench_motions import many_loops, motions, series_engines, watched_runs
+from bench_motions import many_loops, motions, series_engines, sliding_joints, watched_runs
 from bench_sweep import sweeps
 from numpy.typing import NDArray
 
@@ -337,6 +337,7 @@ MEASURES = [
     taylor_process,
     frontier,
     series_engines,
+    sliding_joints,
     many_loops,
     motions,
     watched_runs,

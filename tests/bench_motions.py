@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import ctypes
 from dataclasses import asdict, replace
 from functools import partial
 from importlib.util import find_spec
@@ -12,11 +13,14 @@ from typing import Any
 import numpy as np
 from bench_frontier import ROOT, case
 from scipy.integrate import ode
+from test_prismatic import random_tree, text_of
 
 import robodyn
 from hard_cases.cases import n_four_bar
 from oracles import n_four_bar_exact
-from robodyn.engines import machine
+from random_mechanisms import mechanism as read
+from robodyn.engines import machine, machine_motion
+from robodyn.engines.machine_steps import Scene
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
@@ -178,4 +182,36 @@ def watched_runs(bench: Any) -> list[Any]:
             times = in_turn(watched, run, 3 if bench.quick else 35)
             name = f"an event, {scene}, {time:g} s, {method} {engine}".removesuffix(" auto")
             rows.append(compared(name, times, 1, "without", bound=1.2))
+    return rows
+
+
+def series_of_joints(joints: str, lanes: int, orders: int = 20) -> Any:
+    """Makes the series of a chain of such joints, as RPR, in machine code."""
+    n = len(joints)
+    chain = read(text_of(random_tree(1, joints, (None, *range(n - 1))), -9.81j))
+    scene = Scene(chain, Actuation((0.0,) * n), orders, work=False, closes=False)
+    code = machine_motion.compile(scene, machine_motion.Observer(), lanes)
+    assert code is not None
+    room = code.block()
+    block, address = room.reshape(-1, lanes), room.ctypes.data
+    scene.fill(block, 1e-12, 1e-12)
+    block[: 2 * n] = np.random.default_rng(0).normal(size=(2 * n, 1))
+    expand = code.code.function("expand", ctypes.c_void_p, result=None)
+    return lambda room=room: [expand(address) for _ in range(1000)]
+
+
+def sliding_joints(bench: Any) -> list[Any]:
+    """A series of joints that slide against one of as many that turn, by lanes."""
+    from bench import compared, in_turn
+
+    rows = []
+    chains = ("RP", "PR", "RPR", "RPP", "PRP", "RRP", "RPRP")
+    for lanes, bound in ((1, 1.8), (8, 1.5)) if machine.available() else ():
+        for joints in chains[:: 3 if bench.quick else 1]:
+            turning = "R" * len(joints)
+            ours, yardstick = (series_of_joints(x, lanes) for x in (joints, turning))
+            times = in_turn(ours, yardstick, 3 * bench.repeats)
+            rows.append(
+                compared(f"series of {joints}, {lanes} lanes", times, 1000, turning, bound=bound)
+            )
     return rows

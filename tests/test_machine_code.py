@@ -19,10 +19,21 @@ import robodyn as api
 from machine_sines import hard_angles, run, sine_and_cosine
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.dynamics import dense_dynamics, dynamics
-from robodyn.engines import expression, formula_rows, formulas, machine, object_cache, sines
+from robodyn.engines import (
+    expression,
+    formula_rows,
+    formulas,
+    machine,
+    machine_motion,
+    object_cache,
+    sines,
+)
 from robodyn.engines.assembler import Kernel, Module
 from robodyn.engines.expression import Expression, Graph
+from robodyn.engines.machine_motion import Observer
 from robodyn.engines.machine_rows import Rows
+from robodyn.engines.machine_steps import Scene
+from robodyn.mechanics.actuation import Actuation
 
 FAMILIES = pytest.mark.parametrize("family", ["", machine.PLAIN], ids=["this", "plain"])
 
@@ -440,3 +451,26 @@ class TestKernelLanguage:
 
         function = machine.make(write).function("pairs", ctypes.c_int64)
         assert function(30) == sum(i * j for j in range(30) for i in range(j))
+
+
+@pytest.mark.parametrize("name", ["hydraulic-boom", "spring-slider-crank", "cart-pole"])
+def test_a_series_does_not_depend_on_what_is_summed_together(name):
+    mech = api.load(ROOT / f"robots/{name}.yaml")
+    scene = Scene(mech, Actuation((0.5,) * mech.n), 12, work=True, closes=False, rate_series=True)
+    found = []
+    for lanes, together in ((1, 16), (1, 1), (1, 3), (2, 2), (4, 5), (8, 16), (8, 3)):
+
+        def write(processor, together=together):
+            return machine_motion.text(scene, Observer(), processor._replace(together=together))
+
+        code = machine.make(write, lanes=lanes)
+        block = np.zeros((scene.items, lanes))
+        scene.fill(block, 1e-9, 1e-9)
+        state = np.random.default_rng(1).uniform(0.2, 0.5, 2 * mech.n)
+        block[: 2 * mech.n] = state[:, None]
+        code.function("expand", ctypes.c_void_p, result=None)(block.ctypes.data)
+        parts = [("rows", 14 * len(scene.loop.columns)), ("rate0_0", 13 * mech.n)]
+        found.append(np.concatenate([block[scene.whole[part] :][:size] for part, size in parts]).T)
+    assert np.isfinite(found[0]).all()
+    for each in found[1:]:
+        assert (each == found[0]).all()

@@ -36,8 +36,9 @@ class Word(NamedTuple):
 class Module:
     """The text of one object: kernels, and the functions of the C library that they call."""
 
-    def __init__(self, lanes: int, short: bool = False) -> None:
+    def __init__(self, lanes: int, short: bool = False, together: int = 0) -> None:
         self.lanes = lanes
+        self.together = together  # vectors of eight numbers that a loop sums; 0: `sum_rows` does
         self.short = short  # whether what is long is written once, and called
         self.functions: dict[str, str] = {}  # by name: definitions and declarations
 

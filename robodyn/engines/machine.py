@@ -39,6 +39,7 @@ class Processor(NamedTuple):
     features: str
     lanes: int  # doubles in a vector
     fused: bool  # multiply-add in one instruction
+    together: int = 0  # sums of eight numbers that its registers hold, with what these read
 
 
 class Code:
@@ -230,7 +231,8 @@ def this_processor(family: str = "") -> Processor:
     arm = triple.startswith(("aarch64", "arm64"))
     lanes = 8 if features.get("avx512f") else 4 if features.get("avx2") else 2
     listed = ",".join(f"{'+' if on else '-'}{f}" for f, on in sorted(features.items()))
-    return Processor(name, listed, lanes, arm or bool(features.get("fma")))
+    together = {8: 16, 4: 4, 2: 2}[lanes]
+    return Processor(name, listed, lanes, arm or bool(features.get("fma")), together)
 
 
 @lru_cache(maxsize=1)

@@ -99,7 +99,7 @@ def _loaded(scene: Scene, code: Code) -> Loaded:
 
 def text(scene: Scene, observer: Observer, processor: Processor) -> str:
     """All kernels of a scene."""
-    module = Module(processor.lanes, short=True)
+    module = Module(processor.lanes, short=True, together=processor.together)
     scene.write(module)
     if scene.closing is not None:
         _write_close(scene, module, scene.closing)

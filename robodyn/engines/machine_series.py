@@ -1,11 +1,13 @@
 """The series of a step in machine code, with the order as a loop: `expand` and `evaluate`.
 
-Columns of coefficients that are summed alike stand side by side, so that one call sums many, eight
-numbers or more at a time: of many columns or many lanes.
+Columns of coefficients that are summed alike stand side by side, so that a vector of eight numbers
+sums many: of columns or of lanes.  One loop runs over the terms of several vectors: none of them
+waits for its last term then.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
@@ -17,17 +19,33 @@ from robodyn.engines.segment import Segment
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
 
-WIDE = 8  # most items that a sum takes at a time: what stands beside a run may be read
+WIDE = 8  # items that a sum takes at a time: what stands beside a run may be read
 
 
 class Run(NamedTuple):
-    """Sums of columns x, x + stride, ... with y, y + stride, ...: where they begin and end."""
+    """Sums of columns x, x + strides[0], ... with y, y + strides[1], ...: where they are."""
 
     sum: Sum
     x: int
     y: int
-    wide: int  # columns
+    wide: int  # columns of y
+    strides: tuple[int, int]
     place: int  # of its results, after what is left by the runs before it
+
+
+Weight = tuple[float, Value]  # slope, and level at the first term
+
+
+class Vector(NamedTuple):
+    """Some of the sums of x_j y_{p-j}, side by side."""
+
+    x: int  # columns after the first one of order 0
+    y: int  # after the first one of order p
+    place: int  # of its results
+    wide: int  # columns
+    terms: int  # how many more than p
+    same: bool  # one column x serves them all
+    weight: Weight | None
 
 
 def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
@@ -45,16 +63,16 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
         left = sorted(group)
         while left:
             x, y = left[0]
-            for stride in (1, 2):
+            for strides in ((1, 1), (2, 2), (0, 1)):
                 count = 1
-                while (x + count * stride, y + count * stride) in group:
+                while (x + count * strides[0], y + count * strides[1]) in group:
                     count += 1
                 if count > 1:
                     break
-            members = [(x + i * stride, y + i * stride) for i in range(count)]
-            places |= {group[pair][0]: room + pair[0] - x for pair in members}
-            wide = members[-1][0] - x + 1
-            found.append(Run(group[x, y][1], x, y, wide, room))
+            members = [(x + i * strides[0], y + i * strides[1]) for i in range(count)]
+            places |= {group[pair][0]: room + pair[1] - y for pair in members}
+            wide = members[-1][1] - y + 1
+            found.append(Run(group[x, y][1], x, y, wide, strides, room))
             room += wide + WIDE
             left = [pair for pair in left if pair not in members]
     return found, places, room
@@ -63,61 +81,120 @@ def runs(loop: LoopExpansion) -> tuple[list[Run], dict[str, int], int]:
 # -- loops over columns ----------------------------------------------------------------------------
 
 
-def _wide(module: Module) -> Module:
-    """The same of so many numbers at a time: of several columns, as each waits for its terms."""
-    wide = Module(max(8, 4 * module.lanes))
-    wide.functions = module.functions
-    return wide
+def _vectors(run: Run, module: Module, columns: int) -> Iterator[Vector]:
+    """Those of a run, the gaps between its columns left out where a column is a vector."""
+    each = max(1, WIDE // module.lanes) if module.together else run.wide
+    one = run.sum
+    weight = (one.slope, one.level + one.slope * one.first) if one.slope else None
+    x, y = one.first * columns + run.x, (one.m - one.first) * columns + run.y
+    same, terms = run.strides[0] == 0, one.last - one.first + 1
+    for i in range(0, run.wide, run.strides[1] if each == 1 else each):
+        yield Vector(x if same else x + i, y + i, run.place + i, each, terms, same, weight)
 
 
-def _write_sums(module: Module, columns: int) -> None:
-    """convolve(x, y, out, terms, wide) and weigh(x, y, out, terms, wide, level, slope).
-
-    Over so many numbers side by side: the sum of (slope j + level) x_j y_j, the rows of x going
-    up and those of y down.
-    """
-    step = columns * module.lanes
-    for name, weights in (("convolve", 0), ("weigh", 2)):
-        arguments = [*[ADDRESS] * 3, WHOLE, WHOLE, *[SCALAR] * weights]
-        k = Kernel(_wide(module), name, arguments, "void")
-        x, y, out, terms, wide, *weight = k.arguments
-        with k.loop(wide, step=k.lanes) as i:
-            begin = k.at(x, i), k.at(y, i)
-            with k.loop(terms):
-                total = k.carried(k.number(0.0))
-                xj, yj = map(k.carried, begin)
-                a = k.load(xj)
-                if weights:
-                    level = k.carried(weight[0])
-                    a = k.multiply(a, k.spread(level))
-                    k.becomes(level, k.add(level, weight[1]))
-                k.becomes(total, k.add(total, k.multiply(a, k.load(yj))))
-                k.becomes(xj, k.at(xj, step))
-                k.becomes(yj, k.at(yj, -step))
-            k.store(total, k.at(out, i))
-        k.done()
+def _batches(vectors: Sequence[Vector], least: int, most: int) -> Iterator[Sequence[Vector]]:
+    """Up to `most` that are summed together: of about as many terms, `least` of which there are."""
+    left = sorted(vectors, key=lambda vector: vector.terms)
+    while left:
+        few = left[0].terms
+        alike = [x for x in left if x.terms == few or least <= few >= x.terms - 2]
+        size = -(-len(alike) // -(-len(alike) // most))
+        yield alike[:size]
+        left = left[size:]
 
 
-def _sum_rows(
-    k: Kernel, rows: tuple[Word, Word, Word], terms: Word, wide: int, weight: tuple[Word, float]
+def _write_batch(
+    module: Module, name: str, vectors: Sequence[Vector], weights: Sequence[Weight], columns: int
 ) -> None:
-    """Of so many columns, into the last of three rows; the weight begins at a level."""
-    level, slope = weight
-    rest = f"{', '.join(map(str, rows))}, {terms}, i64 {wide * k.lanes}"
-    if slope:
-        rest += f", {k.lane(level, 0)}, {k.scalar(slope)}"
-    k.line(f"call void @{'weigh' if slope else 'convolve'}({rest})")
+    """name(x, y, out, p, levels): sums of (slope j + level) x_j y_j to their places in `out`.
+
+    The rows of x go up from order 0, those of y down from order p; a level for each weight.
+    """
+    wide = Module(max(WIDE, module.lanes)) if module.together else module
+    wide.functions = module.functions
+    k = Kernel(wide, name, [*[ADDRESS] * 3, WHOLE, *[SCALAR] * len(weights)], "void")
+    x, y, out, p, *levels = k.arguments
+    if not module.together:
+        for v in vectors:
+            places = (k.at(base, i, k.numbers) for base, i in zip((x, y, out), v[:3], strict=True))
+            rest = [*places, k.add(p, k.whole(v.terms)), k.whole(v.wide), k.whole(v.same)]
+            if v.weight is not None:
+                rest += [levels[weights.index(v.weight)], k.scalar(v.weight[0])]
+            k.line(f"call void @sum_rows({', '.join(map(str, rest))})")
+        k.done()
+        return
+    least = min(v.terms for v in vectors)
+
+    def term(among: Sequence[int], rows: tuple[Word, Word], levels: Sequence[Word]) -> None:
+        """Add one to the totals."""
+        known: dict[tuple[Word, int, bool], Word] = {}
+
+        def read(row: Word, column: int, same: bool = False) -> Word:
+            key = row, column, same
+            if key not in known:
+                place = k.at(row, column * module.lanes)
+                known[key] = _repeated(k, place, module.lanes) if same else k.load(place)
+            return known[key]
+
+        for i in among:
+            a = read(rows[0], vectors[i].x, vectors[i].same)
+            if (weight := vectors[i].weight) is not None:
+                a = k.multiply(a, k.spread(levels[weights.index(weight)]))
+            totals[i] = k.add(totals[i], k.multiply(a, read(rows[1], vectors[i].y)))
+
+    def after(rows: tuple[Word, Word], levels: Sequence[Word]) -> tuple[Word, Word, list[Word]]:
+        """The rows and levels of the next term."""
+        slopes = (k.scalar(slope) for slope, _ in weights)
+        new = [k.add(level, slope) for level, slope in zip(levels, slopes, strict=True)]
+        step = columns * module.lanes
+        return k.at(rows[0], step), k.at(rows[1], -step), new
+
+    with k.loop(k.add(p, k.whole(least))):
+        carried = [k.carried(word) for word in (x, y, *levels, *[k.number(0.0)] * len(vectors))]
+        totals = carried[2 + len(levels) :]
+        begun, rows, levels = totals.copy(), (carried[0], carried[1]), carried[2 : 2 + len(levels)]
+        term(range(len(vectors)), rows, levels)
+        up, down, new = after(rows, levels)
+        for word, now in zip(carried, (up, down, *new, *totals), strict=True):
+            k.becomes(word, now)
+    totals[:] = begun
+    for more in range(max(v.terms for v in vectors) - least):  # of those with more terms
+        term([i for i, v in enumerate(vectors) if v.terms - least > more], rows, levels)
+        up, down, levels = after(rows, levels)
+        rows = up, down
+    for total, vector in zip(totals, vectors, strict=True):
+        k.store(total, k.at(out, vector.place * module.lanes))
+    k.done()
+
+
+def _write_sums(
+    module: Module, name: str, runs: Sequence[Run], columns: int, least: int
+) -> list[tuple[str, list[Weight]]]:
+    """The functions that sum all of these runs, and the weights of each."""
+    vectors = [vector for run in runs for vector in _vectors(run, module, columns)]
+    found = []
+    for i, batch in enumerate(_batches(vectors, least, module.together or len(vectors))):
+        weights = list(dict.fromkeys(v.weight for v in batch if v.weight is not None))
+        _write_batch(module, f"{name}{i}", batch, weights, columns)
+        found.append((f"{name}{i}", weights))
+    return found
+
+
+def _repeated(k: Kernel, place: Word, lanes: int) -> Word:
+    """So many numbers, again and again."""
+    type, again = f"<{lanes} x double>", ", ".join(f"i32 {i % lanes}" for i in range(k.lanes))
+    shuffled = f"shufflevector {k.load(place, type)}, {type} poison, <{k.lanes} x i32> <{again}>"
+    return k.op(k.numbers, shuffled)
 
 
 def _write_polynomials(module: Module, columns: int) -> None:
-    """polynomials(series, values, slopes, rows, wide, x): of so many columns, side by side."""
-    k = Kernel(_wide(module), "polynomials", (*[ADDRESS] * 3, WHOLE, WHOLE, ADDRESS), "void")
-    series, values, slopes, rows, wide, place = k.arguments
-    lanes = f"<{module.lanes} x double>"
-    again = ", ".join(f"i32 {i % module.lanes}" for i in range(k.lanes))
-    own = k.load(place, lanes)
-    x = k.op(k.numbers, f"shufflevector {own}, {lanes} poison, <{k.lanes} x i32> <{again}>")
-    with k.loop(wide, step=k.lanes) as i:
+    """polynomials(series, values, slopes, rows, numbers, x): of so many columns, side by side."""
+    wide = Module(max(WIDE, 4 * module.lanes))  # several columns, as each waits for its terms
+    wide.functions = module.functions
+    k = Kernel(wide, "polynomials", (*[ADDRESS] * 3, WHOLE, WHOLE, ADDRESS), "void")
+    series, values, slopes, rows, numbers, place = k.arguments
+    x = _repeated(k, place, module.lanes)
+    with k.loop(numbers, step=k.lanes) as i:
         last = k.at(k.at(series, i), k.multiply(rows, k.whole(columns * module.lanes)))
         with k.loop(rows):
             place, value, slope = map(k.carried, (last, k.number(0.0), k.number(0.0)))
@@ -137,7 +214,7 @@ def write_expand(scene: Scene, module: Module) -> None:
     """`expand(block)`: the series at the state, the longest step, and the rates that are wanted."""
     loop = scene.loop
     all_runs, places, _ = scene.runs
-    _write_sums(module, len(loop.columns))
+    sums = _write_sums(module, "sums", all_runs, len(loop.columns), -loop.first)
     k, block = scene.kernel(module, "expand")
     columns = {x.index: i for i, x in enumerate(loop.columns)}
     rows: dict[int, Word] = {}  # by the offset from p
@@ -163,16 +240,10 @@ def write_expand(scene: Scene, module: Module) -> None:
     with k.loop(k.whole(loop.last + 1), k.whole(loop.first)) as p:
         now["p"] = k.spread(k.convert("sitofp", p, SCALAR))
         rows |= {m: scene.row(k, block, k.add(p, k.whole(m))) for m in offsets}
-        for run in all_runs:
-            one = run.sum
-            x = scene.row(k, block, one.first, run.x)
-            y = scene.row(k, block, k.add(p, k.whole(one.m - one.first)), run.y)
-            terms = k.add(p, k.whole(one.last - one.first + 1))
-            level = segment.write([one.level])[0]
-            if one.slope:
-                level = k.add(level, k.number(one.slope * one.first))
-            out = scene.at(k, block, "sums", run.place)
-            _sum_rows(k, (x, y, out), terms, run.wide, (level, one.slope))
+        for name, weights in sums:
+            levels = [k.lane(segment.write([level])[0], 0) for _, level in weights]
+            rest = scene.row(k, block, 0), scene.row(k, block, p), scene.at(k, block, "sums"), p
+            k.line(f"call void @{name}({', '.join(map(str, (*rest, *levels)))})")
         words = segment.write([value for *_, value in grown])
         for (column, offset, _), word in zip(grown, words, strict=True):
             k.store(word, k.at(rows[offset], column, k.numbers))
@@ -214,23 +285,27 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
 
 def _rates(scene: Scene, k: Kernel, block: Word) -> None:
     """The series of rates: sum of (2 j - m - 1) theta_j rho_{m+1-j} for each link."""
-    n, orders = scene.mechanism.n, scene.order + 1
+    n, orders, columns = scene.mechanism.n, scene.order + 1, scene.loop.columns
     wanted: list[tuple[str, int, int, int | None]]
     wanted = [("link0_0", 0, scene.link, None)] if scene.link >= 0 else []
     if scene.rate_series:
         parents = enumerate(scene.mechanism.above)
         wanted += [("rate0_0", j * orders, j, above) for j, above in parents]
-    x, out = scene.row(k, block, 0, 1), scene.at(k, block, "value")
+    rate = Sum(columns[1], columns[0], 1, 0, 1, 2.0, 0.0)  # its level changes with m
+    run = Run(rate, 1, 0, 2 * n - 1, (2, 2), 0)
+    functions = _write_sums(k.module, "rates", [run], len(columns), 0)
+    x, out = scene.row(k, block, 0), scene.at(k, block, "value")
     with k.loop(k.whole(orders)) as m:
         above = k.add(m, k.whole(1))
-        level = k.negate(k.spread(k.convert("sitofp", above, SCALAR)))
-        y, terms = scene.row(k, block, above), k.add(m, k.whole(2))
-        _sum_rows(k, (x, y, out), terms, 2 * n - 1, (level, 2.0))
+        level = k.negate(k.convert("sitofp", above, SCALAR))
+        for function, _ in functions:
+            rest = x, scene.row(k, block, m), out, m, level
+            k.line(f"call void @{function}({', '.join(map(str, rest))})")
         for name, place, j, below in wanted:
-            rate = k.load(k.at(out, 2 * j, k.numbers))
+            found = k.load(k.at(out, 2 * j, k.numbers))
             if below is not None:
-                rate = k.subtract(rate, k.load(k.at(out, 2 * below, k.numbers)))
-            k.store(rate, k.at(scene.at(k, block, name, place), m, k.numbers))
+                found = k.subtract(found, k.load(k.at(out, 2 * below, k.numbers)))
+            k.store(found, k.at(scene.at(k, block, name, place), m, k.numbers))
 
 
 def write_evaluate(scene: Scene, module: Module) -> None:

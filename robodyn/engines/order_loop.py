@@ -7,7 +7,7 @@ is read there, and sums over j run there, but for the terms that this order itse
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -103,17 +103,6 @@ class Loop:
     def _room(self, orders: int) -> Stored:
         self.series.append(Stored(self, len(self.series)))
         return self.series[-1]
-
-    def part(self, many: Sequence[Stored]) -> None:
-        """Copies of series that multiply several others, one for each: so sums stand side by side.
-
-        Displacements scale both parts of a planar series.
-        """
-        for key, (name, one) in self.sums.items():
-            if any(one.x is x for x in many):
-                copy = self._room(0)
-                copy.first, copy.now, copy.read = one.x.first, one.x.now, True
-                self.sums[key] = name, one._replace(x=copy)
 
     def _convolve(self, x: Stored, y: Stored, m: Any, first: int, last: Any) -> Value:
         if not isinstance(m, Order):
@@ -232,7 +221,6 @@ def loop_expansion(motion: MotionProgram, order: int) -> LoopExpansion:
     for p in range(first):
         series.advance(p)
     series.advance(Order(loop.p))
-    loop.part([series.real[slot] for slot in motion.turns if slot in series.real])
     columns = [x for slot in motion.turns for x in series.turn(slot)]
     columns += [series.real[slot] for slot in [*motion.bends, *motion.power]]
     for _, one in loop.sums.values():  # series that are summed alike, side by side

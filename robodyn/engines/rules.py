@@ -202,9 +202,8 @@ class Rules(Frames):
         if m < 2:
             given = self.state.given[f"{('q', 'qd')[m]}{joint}"]
             return given(0) if callable(given) else given[0]
-        accelerations = self.state.accelerations
-        known = accelerations is not None and m == 2
-        return over(accelerations[joint], 2) if accelerations is not None and known else 0.0
+        known = self.state.accelerations
+        return over(known[joint], 2) if known is not None and m == 2 else 0.0
 
     def _half_square(self, x: Any, m: int) -> Value:
         """1/2 sum of x_j x_{m-j} for 0 < j < m."""

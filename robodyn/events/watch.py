@@ -81,6 +81,8 @@ class EventWatch:
         self.watched = list(self.functions)
         self._known: list[Signs] = []  # of the steps looked at together
         self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
+        self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step looked at
+        self._cut: dict[int, float] = {}  # when a function's event came with the end of a phase
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
@@ -146,6 +148,8 @@ class EventWatch:
             places = self.begin(j, places)
             stop = self.step(step(j), places) if places else None
             if stop is not None:
+                for i in set(range(len(self._known))) - set(places):
+                    self.signs[i] = int(self._known[i][j]) or self.signs[i]
                 return j, stop
         self.seen()
         return None
@@ -253,6 +257,7 @@ class EventWatch:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []
         states = remembered(step.states)
+        self._signs_from.clear()
         for i in range(len(self.watched)) if places is None else places:
             passed += [(t, apart, i) for t, apart in self._crossings(i, step, states)]
         if not passed:
@@ -261,21 +266,42 @@ class EventWatch:
         passed.sort(key=lambda each: each[0] * forward)
         own = len(self.functions)
         ends = next((each for each in passed if each[2] in self.stops or each[2] >= own), None)
+        if ends is not None:
+            passed = [each for each in passed if (each[0] - ends[0]) * forward <= self._instant]
+            # of what happens at one instant the end of the run comes first
+            ends = next((each for each in passed if each[2] in self.stops), ends)
         for t, apart, i in passed:
-            if ends is not None and (t - ends[0]) * forward > self._instant:
-                break
-            if i >= own:
+            if i >= own or abs(t - self._cut.get(i, np.inf)) <= self._instant:
                 continue
             self.happened[i] += 1
             if len(self.found) < MOST:
                 self.found.append(Event(self.functions[i].name, t, _state(step, t), apart))
-        return None if ends is None else Stop(ends[2], ends[0], _state(step, ends[0]))
+        if ends is None:
+            return None
+        if ends[2] >= own:
+            self._end_phase(ends[0], passed, forward)
+        return Stop(ends[2], ends[0], _state(step, ends[0]))
+
+    def _end_phase(
+        self, t: float, passed: Sequence[tuple[float, float, int]], forward: float
+    ) -> None:
+        """Know the signs at t, where the motion goes on in another way than the step has it.
+
+        What passes zero at this instant is told; it has any sign from then on.
+        """
+        for i, signs in self._signs_from.items():
+            self.signs[i] = [x for at, x in signs if (t - at) * forward >= 0.0][-1]
+            self._touched[i] = None
+        for at, _, i in passed:
+            if abs(at - t) <= self._instant:
+                self.signs[i], self._cut[i] = 0, t
 
     def _crossings(self, i: int, step: Step, states: States) -> list[tuple[float, float]]:
         """When a function passes zero in the way that counts, and how far that may be off."""
         function, budget = self.watched[i], Budget(LEAST * abs(step.end - step.begin))
         found: list[tuple[float, float]] = []
         before: Stretch | None = None
+        known = self._signs_from[i] = [(step.begin, self.signs[i])]
         for stretch in signs_along(function, step.begin, step.end, states, budget):
             sign = self._sign(function, stretch)
             if not sign:
@@ -292,6 +318,7 @@ class EventWatch:
             elif touched and i < len(self.functions):
                 self._graze(function.name, touched[0])
             self.signs[i], before = sign, stretch
+            known.append((stretch.begin, sign))
         if budget.spent:
             self.lost.setdefault(function.name, []).append(step.begin)
         return found

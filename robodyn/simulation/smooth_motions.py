@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
-MOST_IDLE = 100  # phases in a row that take no time, after which none will
+MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will
 
 
 class SmoothMotions:
@@ -137,7 +137,7 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
             recorder.end_row()
             return Outcome.LIMIT
         t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
-        if phases.idle == MOST_IDLE:
+        if phases.idle == MOST_AT_ONCE:
             return Outcome.CHATTERING
         if t == smooth.t_end:
             return Outcome.FINISHED

@@ -82,25 +82,29 @@ class ArrayMachine:
     def arctangent(self, M: Array, y: Array, x: Array) -> tuple[Array, Array]:
         return (np.arctan2(y, x),) * 2  # functions of angles give two words
 
-    def weigh(
-        self, M: Array, x: int, y: int, out: int, terms: int, wide: int, level: Any, slope: float
+    def sum_rows(
+        self,
+        M: Array,
+        x: int,
+        y: int,
+        out: int,
+        terms: int,
+        wide: int,
+        same: int,
+        level: Any = 1.0,
+        slope: float = 0.0,
     ) -> None:
-        a, b = self._terms(M, x, y, terms, wide)
-        weights = level + slope * np.arange(terms)[:, None, None]
-        M[out : out + wide // LANES] = sums(a * weights, b)
+        """Rows from x on upward, one column or so many, times those from y on downward."""
 
-    def convolve(self, M: Array, x: int, y: int, out: int, terms: int, wide: int) -> None:
-        M[out : out + wide // LANES] = sums(*self._terms(M, x, y, terms, wide))
-
-    def _terms(self, M: Array, x: int, y: int, terms: int, wide: int) -> tuple[Array, Array]:
-        """The rows from x on upward, and those from y on downward, of so many columns each."""
-
-        def rows(first: int) -> Array:
+        def rows(first: int, wide: int) -> Array:
             count = (len(M) - first) // self.columns
             whole = M[first : first + count * self.columns]
-            return whole.reshape(count, self.columns, -1)[:terms, : wide // LANES]
+            return whole.reshape(count, self.columns, -1)[:terms, :wide]
 
-        return rows(x), rows(y - (terms - 1) * self.columns)[::-1]
+        a, b = rows(x, 1 if same else wide), rows(y - (terms - 1) * self.columns, wide)[::-1]
+        if slope:
+            a = a * (level + slope * np.arange(terms)[:, None, None])
+        M[out : out + wide] = sums(a, b)
 
     def polynomials(
         self, M: Array, series: int, values: int, slopes: int, rows: int, wide: int, place: int

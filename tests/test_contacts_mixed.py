@@ -1,0 +1,309 @@
+"""Dry friction and stops in loops, and beside couplings, motors, tables and controllers."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+from scipy.optimize import linprog
+from test_contacts import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
+
+import robodyn
+from robodyn.dynamics import closed_form
+from robodyn.dynamics.sticking import mode_at
+from robodyn.mechanics import actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.simulation.recording import Outcome
+from robodyn.simulation.simulation import Motion, simulate
+
+# -- which joints of a loop stick ------------------------------------------------------------------
+
+
+def choices(
+    mechanism: Mechanism, plain: Mechanism, q: np.ndarray, tau: np.ndarray
+) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """All choices of stick (0) and slip (1, -1) that agree with themselves, and their qdd.
+
+    From rest, by virtual power: qdd = N z with Psi N = 0, forces of friction at most `static`.
+    """
+    joints, n = dict(mechanism.dry), mechanism.n
+    N = null_space(closed_form.closure_jacobian(mechanism, q))
+    M = closed_form.mass_matrix(mechanism, q)
+    load = N.T @ M @ robodyn.forward_dynamics(plain, q, 0 * q, tau)
+    found = []
+    for ways in product((0, 1, -1), repeat=len(joints)):
+        slip = dict(zip(joints, ways, strict=True))
+        stuck = [j for j, way in slip.items() if not way]
+        force = np.array(
+            [-slip.get(j, 0) * joints[j].static if j in joints else 0 for j in range(n)]
+        )
+        A = np.block([[N.T @ M @ N, -N[stuck].T], [N[stuck], np.zeros((len(stuck),) * 2)]])
+        right = np.r_[load + N.T @ force, np.zeros(len(stuck))]
+        starts = [[-way * x for x in N[j]] + [0.0] * len(stuck) for j, way in slip.items() if way]
+        bounds = [(None, None)] * N.shape[1] + [
+            (-joints[j].static, joints[j].static) for j in stuck
+        ]
+        solved = linprog(
+            np.zeros(A.shape[1]), starts or None, [-1e-4] * len(starts) or None, A, right, bounds
+        )
+        if solved.status == 0:
+            found.append((ways, N @ solved.x[: N.shape[1]]))
+    return found
+
+
+def in_loop(text: str, joints: int, numbers: random.Random) -> tuple[Mechanism, Mechanism]:
+    """A loop with dry friction of random size at its joints, and without."""
+    statics = [numbers.choice([0.2, 2.0, 8.0]) for _ in range(joints)]
+    slides = text is SLIDER_CRANK
+    frictions = [
+        dry(0.5 * x, x, 0.1, "force" if slides and k == joints - 1 else "torque")
+        for k, x in enumerate(statics)
+    ]
+    for name in ("{each}", "{crank}", "{coupler}", "{rocker}", "{piston}"):
+        text = text.replace(name, "{}")
+    return scene(text.format(*frictions)), scene(text.format(*[""] * joints))
+
+
+@pytest.mark.parametrize(
+    ("text", "joints", "driven"), [(FOUR_BAR, 3, 1), (SLIDER_CRANK, 2, 1), (FIVE_BAR, 4, 2)]
+)
+def test_which_joints_of_a_loop_stick_against_all_choices(
+    text: str, joints: int, driven: int
+) -> None:
+    numbers = random.Random(joints)
+    seen = set()
+    for _ in range(8):
+        mechanism, plain = in_loop(text, joints, numbers)
+        angles = [2.0 + numbers.uniform(-0.2, 0.0), 1.0 + numbers.uniform(-0.2, 0.2)]
+        q = robodyn.assemble(mechanism, angles[:driven])
+        tau = np.zeros(mechanism.n)
+        tau[list(mechanism.actuated)] = [numbers.uniform(-10, 10) for _ in mechanism.actuated]
+        ((ways, qdd),) = choices(mechanism, plain, q, tau)
+        found = robodyn.forward_dynamics(mechanism, q, 0 * q, tau)
+        np.testing.assert_allclose(found, qdd, atol=1e-9 * max(1.0, np.abs(qdd).max()))
+        rests = [joint for joint, _ in mechanism.dry]
+        standing = mode_at(mechanism, q, 0 * q, tau, rests)
+        slips = dict(zip(rests, ways, strict=True))
+        assert dict(standing.mode.slips) == {j: way for j, way in slips.items() if way}
+        assert standing.still == tuple(j for j, way in slips.items() if not way)
+        seen.add(sum(map(abs, ways)))
+    assert len(seen) > 1  # some of them start, or all, or none
+
+
+# -- energy, booked here ---------------------------------------------------------------------------
+
+
+def losses(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    """What dampers, dry friction and compliant stops take (T,), W."""
+    taken = (np.array(mechanism.damping) * qd**2).sum(axis=1)
+    for joint, law in mechanism.dry:
+        v = np.abs(qd[:, joint])
+        bell = 0.0 if law.stribeck is None else np.exp(-((v / law.stribeck) ** 2))
+        taken += (law.torque + (law.static - law.torque) * bell) * v
+    for joint, stop in mechanism.limits:
+        for side, end in stop.ends:
+            beyond = side * (q[:, joint] - end) > 0.0
+            pressed = beyond & (
+                side * ((stop.stiffness or 0.0) * (q[:, joint] - end) + stop.damping * qd[:, joint])
+                > 0.0
+            )
+            taken += np.where(pressed, stop.damping * qd[:, joint] ** 2, 0.0)
+    return taken
+
+
+def missing_energy(
+    mechanism: Mechanism,
+    run: Motion,
+    again: Callable[[np.ndarray], Motion],
+    tau: Callable[[Motion], np.ndarray],
+    breaks: Sequence[float] = (),
+) -> float:
+    """What the balance from start to end lacks, J: by Gauss' nodes between events.
+
+    `again(t_eval)` is the run at other times, tau(motion) its torques (T, n).
+    """
+    n, lost = mechanism.n, 0.0
+    for event in run.events:
+        if "hits" in event.name:
+            was = run.qd[int(np.searchsorted(run.t, event.t - 1e-13))]
+            after, mass = event.y[n:], closed_form.mass_matrix(mechanism, event.y[:n])
+            lost += 0.5 * (was @ mass @ was - after @ mass @ after)
+        for joint, stop in mechanism.limits:  # one that gives holds energy while it is pressed
+            for (side, end), (word, way) in product(stop.ends, (("leaves", 1.0), ("meets", -1.0))):
+                name = f"{mechanism.link_names[joint]} {word} its {'max' if side > 0 else 'min'}"
+                if event.name == name:
+                    lost += 0.5 * way * (stop.stiffness or 0.0) * (event.y[joint] - end) ** 2
+    x, w = np.polynomial.legendre.leggauss(12)
+    ends = np.unique([*run.t[[0, -1]], *(event.t for event in run.events), *breaks])
+    ends = ends[np.diff(ends, prepend=-1.0) > 1e-9]
+    ends = np.concatenate([np.linspace(a, b, 5)[:-1] for a, b in pairwise(ends)] + [ends[-1:]])
+    half = 0.5 * np.diff(ends)[:, None]
+    middle = 0.5 * (ends[1:] + ends[:-1])[:, None]
+    nodes = again((middle + half * x).ravel())
+    power = (tau(nodes) * nodes.qd).sum(axis=1) - losses(mechanism, nodes.q, nodes.qd)
+    given = float(((half * w).ravel() * power).sum())
+    states = [(run.q[i], run.qd[i]) for i in (0, -1)]
+    first, last = (sum(closed_form.energies(mechanism, *state)) for state in states)
+    return float(last - first + lost - given)
+
+
+RATES = {"first": "qd1", "last": "qd3"}  # friction bends where a rate passes zero
+MACHINE = """gravity: 9.81
+links:
+  - {name: pinion, m: 1.2, l: 0.3, r: [0.1, 0.05], I: 0.05,
+     friction: {torque: 0.4, static: 0.7, stribeck: 0.2}}
+  - {name: rack, joint: prismatic, axis: [1, 0.3], from: [0, 0], m: 2, l: 0, r: 0, I: 0,
+     limits: {max: 0.078, restitution: 0.5}}
+  - {name: arm, m: 0.7, l: 0.4, r: 0.2, I: 0.02, from: pinion, payload: 0.3,
+     motor: {ratio: 12, inertia: 2.0e-4, damping: 1.0e-5},
+     friction: {torque: 0.2, static: 0.35, stribeck: 0.3},
+     limits: {max: 0.6, stiffness: 300, damping: 4}}
+couplings: ["q2 = 0.15 q1"]
+"""
+
+
+def test_a_machine_with_everything() -> None:
+    """A coupling, a payload, a motor, friction, a hard stop and one that gives."""
+    mechanism = scene(MACHINE)
+    runs = {}
+    for method in ("DOP853", "taylor"):
+        run = partial(
+            simulate, mechanism, [0.4, 0.06, 0.2], [3.0, 0.45, 0.5], 0.45, "0, 0, 4*t",
+            method=method, rtol=1e-11, atol=1e-11, events=RATES,
+        )  # fmt: skip
+        runs[method] = motion = run()
+        assert motion.outcome is Outcome.FINISHED
+        missing = missing_energy(
+            mechanism, motion, lambda t, run=run: run(t_eval=t), lambda nodes: nodes.tau
+        )
+        assert abs(missing) < 1e-8
+        assert motion.report.energy_drift < 1e-9
+        hits = [event for event in motion.events if "hits" in event.name]
+        assert hits
+        for hit in hits:
+            was = motion.qd[int(np.searchsorted(motion.t, hit.t - 1e-13))]
+            exact = kkt(mechanism, hit.y[:3], was, 1, 0.5)
+            np.testing.assert_allclose(hit.y[3:], exact, atol=1e-11)
+    one, other = ([x for x in run.events if x.name not in RATES] for run in runs.values())
+    names = [event.name for event in one]
+    assert {"arm meets its max", "arm leaves its max", "arm stops", "arm starts"} <= set(names)
+    assert names == [event.name for event in other]
+    times = [[event.t for event in events] for events in (one, other)]
+    np.testing.assert_allclose(*times, atol=1e-8)
+    ends = [run.q[-1] for run in runs.values()]
+    np.testing.assert_allclose(*ends, atol=1e-8)
+
+
+# -- controllers and tables ------------------------------------------------------------------------
+
+ARM = scene(
+    "gravity: 9.81\nlinks:\n"
+    f"  - {{name: upper, m: 1, l: 0.5, r: 0.25, I: 0.02, {dry(0.5, 0.9, 0.2)}}}\n"
+    f"  - {{name: fore, m: 0.6, l: 0.4, r: 0.2, I: 0.01, {dry(0.3, 0.5, 0.2)}}}\n"
+)
+POINTS = np.linspace(0.0, 0.4, 9)
+BOTH = {"first": "qd1", "last": "qd2"}
+
+
+def table() -> robodyn.ReferenceTable:
+    """Rests, then moves by a parabola."""
+    way = np.maximum(POINTS - 0.1, 0.0)[:, None] * np.array([1.0, -2.0])
+    rates = (POINTS > 0.1)[:, None] * np.array([1.0, -2.0])
+    return robodyn.ReferenceTable(POINTS, 0.2 + way, 1.0 * rates)
+
+
+@pytest.mark.parametrize(("method", "rate"), [("DOP853", None), ("taylor", 50.0)])
+def test_energy_under_a_controller_while_joints_stick(method: str, rate: float | None) -> None:
+    kp, kd = np.array([30.0, 15.0]), np.array([2.0, 1.0])
+    tau = robodyn.controller(ARM, table(), "pd+g", kp.tolist(), kd.tolist(), control_rate=rate)
+    run = partial(
+        simulate, ARM, [0.2, 0.2], [0.0, 0.0], 0.4, tau,
+        method=method, rtol=1e-10, atol=1e-10, events=BOTH,
+    )  # fmt: skip
+    motion = run()
+    assert motion.outcome is Outcome.FINISHED
+    names = {event.name for event in motion.events}
+    assert {"upper starts", "fore starts"} <= names
+    samples = np.arange(20) / 50.0 if rate else POINTS
+
+    def law(nodes: Motion) -> np.ndarray:
+        """By the law itself, of the states at the samples."""
+        at = run(t_eval=samples) if rate else nodes
+        q, qd = table().at(at.t)
+        g = robodyn.gravity_vector(ARM, at.q)
+        told = kp * (q - at.q) + kd * (qd - at.qd) + g
+        return told[np.searchsorted(samples, nodes.t, side="right") - 1] if rate else told
+
+    missing = missing_energy(ARM, motion, lambda t: run(t_eval=t), law, samples)
+    assert abs(missing) < 1e-8
+    assert motion.report.energy_drift < 1e-8
+
+
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
+def test_energy_under_torques_of_a_table_while_joints_stick(method: str) -> None:
+    times = np.linspace(0.0, 0.4, 5)
+    hold = robodyn.gravity_vector(ARM, [0.2, 0.2])
+    torques = hold + np.array([[0, 0], [2, 0.3], [-1, 1], [-2, -1], [0, 0]])
+    run = partial(
+        simulate, ARM, [0.2, 0.2], [0.0, 0.0], 0.4, actuation.table(ARM, times, torques),
+        method=method, rtol=1e-10, atol=1e-10, events=BOTH,
+    )  # fmt: skip
+    motion = run()
+    assert motion.outcome is Outcome.FINISHED
+    assert {"upper starts", "fore starts"} <= {event.name for event in motion.events}
+
+    def between(nodes: Motion) -> np.ndarray:
+        return np.stack([np.interp(nodes.t, times, tau) for tau in torques.T], axis=1)
+
+    missing = missing_energy(ARM, motion, lambda t: run(t_eval=t), between, times)
+    assert abs(missing) < 1e-8
+    assert motion.report.energy_drift < 1e-8
+
+
+# -- at one instant --------------------------------------------------------------------------------
+
+
+BLOCKS = """gravity: 0
+links:
+  - {name: a, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0,
+     limits: {max: 1, restitution: 0.5}}
+  - {name: b, joint: prismatic, axis: [0, 1], m: 2, l: 0, r: 0, I: 0, from: [0, 0],
+     limits: {min: -2, restitution: 0}}
+  - {name: c, joint: prismatic, axis: [0, 1], m: 2, l: 0, r: 0, I: 0, from: [3, 0],
+     friction: {force: 1, static: 1}}
+  - {name: d, joint: prismatic, axis: [0, 1], m: 2, l: 0, r: 0, I: 0, from: [3, 0],
+     limits: {max: 3, stiffness: 50}}
+"""
+METHODS = ("DOP853", "RK45", "Radau", "LSODA", "taylor")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_events_at_one_instant_are_told_once_each(method: str) -> None:
+    """Two joints hit, one stops, one meets its end, all at t = 1, where functions pass zero too."""
+    events = {
+        "half": "t - 1", "both": "q1 + q2 + 1", "back": "qd1 < 0", "past": "t > 1",
+        "later": "t - 1.25",
+    }  # fmt: skip
+    run = partial(
+        simulate, scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 2.0,
+        method=method, rtol=1e-10, atol=1e-10,
+    )  # fmt: skip
+    motion = run(events=events)
+    found = {name: [x.t for x in motion.events if x.name == name] for name in events}
+    stops = {"a hits its max", "b hits its min", "c stops", "d meets its max"}
+    for name in ("half", "both", "back", "past", *stops):
+        (t,) = [x.t for x in motion.events if x.name == name]
+        assert abs(t - 1.0) < 1e-9
+    (t,) = found["later"]  # not where the step ends that a stop cuts off
+    assert abs(t - 1.25) < 1e-12
+    times = [event.t for event in motion.events]
+    assert times == sorted(times)
+    np.testing.assert_allclose(motion.q[-1], [0.5, -2, 0.25, 3 - 3 * (1 - np.pi / 5)], atol=1e-8)
+    ended = run(until="t > 1")
+    assert ended.outcome is Outcome.EVENT
+    assert abs(ended.t[-1] - 1.0) < 1e-9
