@@ -11,12 +11,15 @@ from known_slopes import along
 from mpmath import mp, mpf
 
 import robodyn as rd
-from robodyn.dynamics import derivatives
+from robodyn.dynamics import derivatives, identities
 from robodyn.engines import expression, formulas
 from robodyn.engines.derivative_formulas import forward_derivatives_formula
 from robodyn.engines.expression import Graph
 from robodyn.engines.straightline import compile_floats
 from robodyn.engines.tangents import substituted, tangents
+from robodyn.errors import DescriptionError, InputError
+from robodyn.mechanics.mechanism import build
+from robodyn.scene.scene_values import numbers_of
 
 
 def check(case: Case, seed: int) -> None:
@@ -27,7 +30,7 @@ def check(case: Case, seed: int) -> None:
     inverse = rd.inverse_dynamics_derivatives(mech, case.q, case.qd, case.qdd, case.t)
     assert relative_error(forward.qdd, case.expected["qdd"]) < case.rounding
     assert relative_error(inverse.tau, case.expected["tau"]) < case.rounding
-    for kind, found in (("forward", forward[1:]), ("inverse", inverse[1:])):
+    for kind, found in (("forward", forward[1:4]), ("inverse", inverse[1:4])):
         for by, matrix in zip(("q", "qd", "x"), found, strict=True):
             v = rng.normal(size=n)
             expected = along(case, kind, by, v)
@@ -73,7 +76,7 @@ def test_a_2r_by_its_lagrangian() -> None:
     qdd = M.LUsolve(sympy.Matrix([t1, t2]) - load - damping)
     values = dict(zip((q1, q2, w1, w2, t1, t2), (0.3, -0.8, 1.2, -0.7, 2.0, 0.4), strict=True))
     found = rd.forward_dynamics_derivatives(mech, [0.3, -0.8], [1.2, -0.7], [2.0, 0.4])
-    for pair, matrix in zip(((q1, q2), (w1, w2), (t1, t2)), found[1:], strict=True):
+    for pair, matrix in zip(((q1, q2), (w1, w2), (t1, t2)), found[1:4], strict=True):
         expected = np.array(qdd.jacobian(pair).subs(values).evalf(20).tolist(), float)
         assert relative_error(matrix, expected) < 1e-13
 
@@ -86,9 +89,9 @@ def test_batches_and_single_states_agree() -> None:
     tau = np.zeros_like(q)
     tau[:, 0] = 1.5
     every = rd.forward_dynamics_derivatives(mech, q, qd, tau)
-    assert [x.shape for x in every] == [(7, 5), (7, 5, 5), (7, 5, 5), (7, 5, 5)]
+    assert [x.shape for x in every] == [(7, 5), (7, 5, 5), (7, 5, 5), (7, 5, 5), (7, 5, 0)]
     dense = derivatives._forward(mech, [q, qd, tau], np.zeros(7))
-    for one, many in zip(dense, every, strict=True):
+    for one, many in zip(dense[:4], every[:4], strict=True):
         assert relative_error(one, many.reshape(7, -1)) < 1e-12
 
 
@@ -101,7 +104,7 @@ def test_states_that_elimination_does_not_serve(monkeypatch: pytest.MonkeyPatch)
         with monkeypatch.context() as patch:
             patch.setattr(derivatives, "_generated", lambda _: None)
             found = rd.forward_dynamics_derivatives(*state)
-        for one, other in zip(found, expected, strict=True):
+        for one, other in zip(found[:4], expected[:4], strict=True):
             assert relative_error(one, other) < 1e3 * case.rounding
 
 
@@ -127,6 +130,65 @@ def test_all_derivatives_cost_a_few_evaluations(name: str, bound: float) -> None
     assert all_of_them is not None
     costs = [expression.cost(x.outputs + x.pivots) for x in (all_of_them, one)]
     assert costs[0] < bound * costs[1]
+
+
+# -- numbers of the scene --------------------------------------------------------------------------
+
+
+REFUSED = ("links.boom.axis[1]", "closures[0].on.along[1]", "links.ram.axis[1]")  # directions
+
+
+def by_differences(mech, values, name: str, state: tuple) -> np.ndarray:
+    """Of qdd, to the fourth order."""
+    p = values.number(name)
+    h = 1e-4 * max(abs(p), 0.1)
+    found = [
+        rd.forward_dynamics(build(values.replaced({name: p + k * h})), *state)
+        for k in (-2, -1, 1, 2)
+    ]
+    return np.array((found[0] - 8 * found[1] + 8 * found[2] - found[3]) / (12 * h))
+
+
+@pytest.mark.parametrize("name", ["2r", "four-bar", "rp-arm", "spring-slider-crank", "whitworth"])
+def test_every_number_of_a_scene(name: str) -> None:
+    mech = rd.load(ROOT / f"robots/{name}.yaml")
+    values = numbers_of((ROOT / f"robots/{name}.yaml").read_text(), mech.source)
+    sample = identities.sample_states(mech, 1)
+    state = sample.q[0], sample.qd[0], np.eye(mech.n)[mech.actuated[0]]
+    known = 0
+    for number in values.names:
+        if number in REFUSED:
+            with pytest.raises(InputError, match="no derivative is known by it"):
+                rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
+            continue
+        found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
+        try:
+            expected = by_differences(mech, values, number, state)
+        except DescriptionError:  # what may not be negative and is zero
+            continue
+        known += 1
+        assert relative_error(found.by_numbers[:, 0], expected) < 1e-8, number
+    assert known >= 9
+
+
+def test_numbers_that_are_closed_forms() -> None:
+    """tau of a pendulum: (I + m r^2) qdd + m g r cos q + d qd."""
+    mech = rd.load(ROOT / "robots/pendulum.yaml")
+    (link,) = mech.description.links
+    g, r = -mech.gamma.imag, link.r.real
+    names = ["gravity", f"links.{link.name}.m", f"links.{link.name}.r", f"links.{link.name}.I"]
+    found = rd.inverse_dynamics_derivatives(mech, [0.4], [0.3], [2.0], numbers=names)
+    held = link.m * r * np.cos(0.4)
+    expected = [held, r * r * 2 + g * r * np.cos(0.4), 2 * link.m * r * 2 + held * g / r, 2.0]
+    if link.payload:
+        expected[0] += link.payload * link.l * np.cos(0.4)
+    assert relative_error(found.by_numbers[0], expected) < 1e-14
+
+
+def test_numbers_that_are_none() -> None:
+    mech = rd.load(ROOT / "robots/2r.yaml")
+    with pytest.raises(InputError, match=r"links.forarm.m: is no number .* did you mean"):
+        rd.forward_dynamics_derivatives(mech, [0, 0], [0, 0], [0, 0], numbers=["links.forarm.m"])
 
 
 # -- tangents --------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import SLIDING
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
+_BY = "By a number of the scene too, links.forearm.m; repeatable."
 _DERIVATIVES = "Those of torques and accelerations too."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
@@ -26,6 +27,7 @@ def terms(
     q: Q = None,
     qd: Qd = None,
     derivatives: Annotated[bool, Option("--derivatives", help=_DERIVATIVES)] = False,
+    by: Annotated[list[str] | None, Option("--by", metavar="NUMBER", help=_BY)] = None,
     qdd: Qdd = None,
     tau: Tau = None,
     format: OutputStructured = None,
@@ -38,7 +40,9 @@ def terms(
     of springs, forces that turn, friction.
     --derivatives adds those of the torques that the motion with --qdd needs, dtau_dq, dtau_dqd and
     dtau_dqdd, and those of the accelerations that --tau causes, dqdd_dq, dqdd_dqd and dqdd_dtau:
-    row i is of joint i, column j by that of joint j.  They are exact, not differences.
+    row i is of joint i, column j by that of joint j.  --by links.forearm.m, as often as it is
+    given, adds dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All
+    are exact, not differences.
 
     JSON keys: q, qd, M, C, G, D and Q (where there are any), Psi, Psidot_qd, gap, KE, PE.
 
@@ -49,9 +53,9 @@ def terms(
       robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
     mechanism = load(model)
-    for name, text in (("--qdd", qdd), ("--tau", tau)):
-        if text is not None and not derivatives:
-            raise InputError(name, value=text, limit="is for --derivatives: give that too")
+    for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
+        if given is not None and not derivatives:
+            raise InputError(name, value=given, limit="is for --derivatives: give that too")
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
     state = [Quantity("q", q, True), Quantity("qd", qd)]
@@ -76,7 +80,7 @@ def terms(
         qdd_ = single_state(mechanism, [*state, Quantity("qdd", qdd)])[2]
         tau_ = single_state(mechanism, [*state, Quantity("tau", tau)])[2]
         with remarks():
-            content |= _derivatives(mechanism, q_, qd_, qdd_, tau_)
+            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, by or [])
     energies = {
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
@@ -94,24 +98,27 @@ def terms(
 
 
 def _derivatives(
-    mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, tau: np.ndarray
+    mechanism: Mechanism,
+    state: tuple[np.ndarray, np.ndarray],
+    qdd: np.ndarray,
+    tau: np.ndarray,
+    numbers: list[str],
 ) -> dict[str, tuple[str, np.ndarray]]:
     """The derivatives of torques and accelerations, each with its unit."""
     content: dict[str, tuple[str, np.ndarray]] = {}
+
+    def add(what: str, third: str, units: tuple[str, ...], found: tuple[np.ndarray, ...]) -> None:
+        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found, strict=True):
+            if value.size:
+                content[f"d{what}_d{by}"] = unit, value
+
+    forward = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
     try:
-        inverse = inverse_dynamics_derivatives(mechanism, q, qd, qdd)
-        units = ("N m/rad", "N m s/rad", "kg m²")
-        for by, unit, value in zip(("q", "qd", "qdd"), units, inverse[1:], strict=True):
-            content[f"dtau_d{by}"] = unit, value
+        inverse = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
+        add("tau", "qdd", ("N m/rad", "N m s/rad", "kg m²", "SI units"), inverse[1:])
     except RobodynError as error:
-        if isinstance(error, InputError):
-            raise
         note(f"Note: no derivatives of torques: {error}")
-    forward = forward_dynamics_derivatives(mechanism, q, qd, tau)
-    for by, unit, value in zip(
-        ("q", "qd", "tau"), ("1/s²", "1/s", "1/(kg m²)"), forward[1:], strict=True
-    ):
-        content[f"dqdd_d{by}"] = unit, value
+    add("qdd", "tau", ("1/s²", "1/s", "1/(kg m²)", "SI units"), forward[1:])
     return content
 
 
@@ -127,6 +134,6 @@ def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Gri
     if mechanism.slides and name in MIXED:
         one, both = MIXED[name]
         unit += f"; {one} and {both} where one or both joints slide"
-    if mechanism.slides and "_d" in name:
+    if mechanism.slides and " d" in title:
         unit = "SI units"
     return Grid(columns, matrix, f"{title} [{unit}]")

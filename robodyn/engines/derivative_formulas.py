@@ -21,7 +21,7 @@ from robodyn.mechanics.planar_model import Mechanism
 KINDS = ("q", "qd", "tau")
 
 
-def _residuals(state: Recorded) -> tuple[Series, list[Value], list[dict[int, Value]], list[Value]]:
+def residuals(state: Recorded) -> tuple[Series, list[Value], list[dict[int, Value]], list[Value]]:
     """The series, r, K and R of a state whose unknowns are the inputs u0, u1, .."""
     series = state.series(None)
     r = series.residuals(0)
@@ -45,7 +45,7 @@ def forward_derivatives_formula(mechanism: Mechanism, parameters: bool = False) 
 
 def _forward(state: Recorded) -> Formula:
     mechanism, n = state.mechanism, state.mechanism.n
-    series, r, _, R = _residuals(state)
+    series, r, _, R = residuals(state)
     factors = series.factorise()
     assert isinstance(factors, Factors)
     u = factors.solve([-x for x in r])
@@ -75,7 +75,7 @@ def _at(slopes: list[Tangents], u: list[Value]) -> list[Tangents]:
 def residual_derivatives_formula(mechanism: Mechanism) -> Formula:
     """K (N, N), then dR by q, qd and tau (N, 3n), row by row, at given unknowns u (N)."""
     state = Recorded(mechanism, KINDS[1:], True)
-    _, r, K, R = _residuals(state)
+    _, r, K, R = residuals(state)
     size = len(r)
     names = _directions(mechanism)
     outputs = [row.get(j, 0.0) for row in K for j in range(size)]
