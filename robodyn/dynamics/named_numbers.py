@@ -15,11 +15,10 @@ from typing import Any
 from robodyn.engines.derivative_formulas import KINDS, residuals
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import substituted, tangents
-from robodyn.equations.entries import with_kept
-from robodyn.equations.symbolic import Planar
 from robodyn.errors import DescriptionError, InputError
-from robodyn.mechanics.mechanism import Mechanism, constants
+from robodyn.mechanics.mechanism import Mechanism, constants, with_kept
 from robodyn.scene import yaml_tree
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues, numbers_of
