@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from robodyn.dynamics.closed_form import mass_matrix as mass_matrix
     from robodyn.dynamics.closed_form import other_forces as other_forces
     from robodyn.dynamics.closed_form import potential_energy as potential_energy
+    from robodyn.dynamics.derivatives import (
+        forward_dynamics_derivatives as forward_dynamics_derivatives,
+    )
+    from robodyn.dynamics.derivatives import (
+        inverse_dynamics_derivatives as inverse_dynamics_derivatives,
+    )
     from robodyn.dynamics.dynamics import coupling_torques as coupling_torques
     from robodyn.dynamics.dynamics import forward_dynamics as forward_dynamics
     from robodyn.dynamics.dynamics import forward_dynamics_and_forces as forward_dynamics_and_forces
@@ -66,6 +72,7 @@ _ROOMS = {
         "potential_energy",
     ],
     "control.laws": ["controller"],
+    "dynamics.derivatives": ["forward_dynamics_derivatives", "inverse_dynamics_derivatives"],
     "dynamics.dynamics": [
         "coupling_torques",
         "forward_dynamics",

@@ -138,7 +138,10 @@ class Known:
         description = self.description = mech.description
         self.mech, n = mech, len(q)
         with mp.workdps(DIGITS):
-            q, qd = (np.array([mpf(float(x)) for x in values]) for values in (q, qd))
+            q, qd = (
+                np.array([x if isinstance(x, mpf) else mpf(float(x)) for x in values])
+                for values in (q, qd)
+            )
             self.q, self.qd = q, qd
             tree = self.tree = oracle_tree(description)
             pose = self.pose = Pose(tree, q, mp.expj)

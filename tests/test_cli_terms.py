@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome, relative_error
+from conftest import FOUR_BAR, ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome, relative_error
 
 import oracles
+import robodyn as rd
 
 Run = Callable[..., Outcome]
 
@@ -167,3 +168,25 @@ def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
 def test_terms_that_leave_the_floats_are_an_error(process: Run) -> None:
     """NaN is no JSON."""
     assert process("terms", "robots/2r.yaml", "--q", "1,2", "--qd", "1e200,1").fails(1).out == ""
+
+
+def test_derivatives(robodyn: Run) -> None:
+    given = ("terms", "robots/2r.yaml", "--q", "0.3,-0.8", "--qd", "1.2,-0.7", "--derivatives")
+    found = robodyn(*given, "--tau", "2,0.4", "--qdd", "1,2").succeeds().json
+    mech = rd.load(ROOT / "robots/2r.yaml")
+    forward = rd.forward_dynamics_derivatives(mech, [0.3, -0.8], [1.2, -0.7], [2, 0.4])
+    inverse = rd.inverse_dynamics_derivatives(mech, [0.3, -0.8], [1.2, -0.7], [1, 2])
+    names = ("dqdd_dq", "dqdd_dqd", "dqdd_dtau", "dtau_dq", "dtau_dqd", "dtau_dqdd")
+    for name, matrix in zip(names, (*forward[1:4], *inverse[1:4]), strict=True):
+        assert np.array_equal(found[name], matrix)
+    assert np.allclose(found["dtau_dqdd"], found["M"])
+    by = robodyn(*given, "--by", "links.forearm.m", "--by", "gravity").succeeds().json
+    still = rd.inverse_dynamics_derivatives(
+        mech, [0.3, -0.8], [1.2, -0.7], [0, 0], numbers=["links.forearm.m", "gravity"]
+    )
+    assert np.array_equal(by["dtau_dnumbers"], still.by_numbers)
+    robodyn(*given, "--by", "links.forarm.m").fails(2, "links.forarm.m", "did you mean")
+    robodyn("terms", "robots/2r.yaml", "--q", "1,2", "--tau", "1,1").fails(2, "--derivatives")
+    told = robodyn("terms", "robots/cart-pole.yaml", "--q", "0,1", "--derivatives")
+    assert told.code == 0
+    assert "no derivatives of torques" in told.err

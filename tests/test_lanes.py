@@ -17,9 +17,9 @@ from robodyn.loops.loop_rates import loop_velocities
 from robodyn.loops.projection import suspect_quality
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
+from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
-from robodyn.sweeps.scene_values import SceneValues
 from robodyn.taylor import Status
 
 ENGINES = ["python"]

@@ -7,7 +7,7 @@ from conftest import ROOT
 
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.description import from_text
-from robodyn.sweeps.scene_values import SceneValues, is_angle
+from robodyn.scene.scene_values import SceneValues, is_angle
 
 TEXT = """
 gravity: 9.81

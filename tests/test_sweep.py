@@ -18,8 +18,8 @@ from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops import loop_rates
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
+from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps import sweep_workers
-from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep_chunks import Rows, run_chunk
 from robodyn.sweeps.sweep_plan import Plan, best_engine, check
 from robodyn.sweeps.sweep_workers import results

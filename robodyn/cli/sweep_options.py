@@ -17,10 +17,10 @@ from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
+from robodyn.scene.scene_values import SceneValues, is_angle, numbers_of
 from robodyn.scene.yaml_tree import read_text
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
-from robodyn.sweeps.scene_values import SceneValues, is_angle, numbers_of
 from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.tables.csv_fields import shown

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Annotated
 
-from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd
+import numpy as np
+from typer import Option
+
+from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd, Qdd, Tau
 from robodyn.cli.output import Grid, note, write_structure
-from robodyn.cli.states import Quantity, overflow, single_state
+from robodyn.cli.states import Quantity, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
+from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.pictures.column_units import SLIDING
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
+_BY = "By a number of the scene too, links.forearm.m; repeatable."
+_DERIVATIVES = "Those of torques and accelerations too."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
@@ -19,6 +26,10 @@ def terms(
     model: Model,
     q: Q = None,
     qd: Qd = None,
+    derivatives: Annotated[bool, Option("--derivatives", help=_DERIVATIVES)] = False,
+    by: Annotated[list[str] | None, Option("--by", metavar="NUMBER", help=_BY)] = None,
+    qdd: Qdd = None,
+    tau: Tau = None,
     format: OutputStructured = None,
     out: Out = None,
 ) -> None:
@@ -27,17 +38,28 @@ def terms(
     They are terms of M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, in SI units and radians (D
     is the diagonal matrix of joint damping).  G holds springs too, Q what has no potential: dampers
     of springs, forces that turn, friction.
+    --derivatives adds those of the torques that the motion with --qdd needs, dtau_dq, dtau_dqd and
+    dtau_dqdd, and those of the accelerations that --tau causes, dqdd_dq, dqdd_dqd and dqdd_dtau:
+    row i is of joint i, column j by that of joint j.  --by links.forearm.m, as often as it is
+    given, adds dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All
+    are exact, not differences.
+
     JSON keys: q, qd, M, C, G, D and Q (where there are any), Psi, Psidot_qd, gap, KE, PE.
 
     \b
     Examples:
       robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5
       robodyn terms robots/four-bar.yaml --q 60deg --qd 5 --format json | python -m json.tool
+      robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
     mechanism = load(model)
+    for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
+        if given is not None and not derivatives:
+            raise InputError(name, value=given, limit="is for --derivatives: give that too")
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
-    q_, qd_ = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
+    state = [Quantity("q", q, True), Quantity("qd", qd)]
+    q_, qd_ = single_state(mechanism, state)
     np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
         "q": ("rad", q_),
@@ -54,6 +76,11 @@ def terms(
         content["Psi"] = "m", closed_form.closure_jacobian(mechanism, q_)
         content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_)
         content["gap"] = "m", closed_form.closure_gap(mechanism, q_)
+    if derivatives:
+        qdd_ = single_state(mechanism, [*state, Quantity("qdd", qdd)])[2]
+        tau_ = single_state(mechanism, [*state, Quantity("tau", tau)])[2]
+        with remarks():
+            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, by or [])
     energies = {
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
@@ -70,6 +97,31 @@ def terms(
     write_structure(format, out, plain | energies, tables)
 
 
+def _derivatives(
+    mechanism: Mechanism,
+    state: tuple[np.ndarray, np.ndarray],
+    qdd: np.ndarray,
+    tau: np.ndarray,
+    numbers: list[str],
+) -> dict[str, tuple[str, np.ndarray]]:
+    """The derivatives of torques and accelerations, each with its unit."""
+    content: dict[str, tuple[str, np.ndarray]] = {}
+
+    def add(what: str, third: str, units: tuple[str, ...], found: tuple[np.ndarray, ...]) -> None:
+        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found, strict=True):
+            if value.size:
+                content[f"d{what}_d{by}"] = unit, value
+
+    forward = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
+    try:
+        inverse = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
+        add("tau", "qdd", ("N m/rad", "N m s/rad", "kg m²", "SI units"), inverse[1:])
+    except RobodynError as error:
+        note(f"Note: no derivatives of torques: {error}")
+    add("qdd", "tau", ("1/s²", "1/s", "1/(kg m²)", "SI units"), forward[1:])
+    return content
+
+
 def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Grid:
     """A term with its unit, or with those of each joint where some slide."""
     matrix, title = np.atleast_2d(value).tolist(), name.replace("_", " ")
@@ -82,4 +134,6 @@ def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Gri
     if mechanism.slides and name in MIXED:
         one, both = MIXED[name]
         unit += f"; {one} and {both} where one or both joints slide"
+    if mechanism.slides and " d" in title:
+        unit = "SI units"
     return Grid(columns, matrix, f"{title} [{unit}]")

@@ -269,20 +269,26 @@ def _forward(
     solution = factors.solve(right)
     series.complete(solution)
     qdd = relative(mechanism, solution[:n])
-    diagonal = mechanism.inertias
-    sizes = [
-        -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
-        for row in mechanism.rows
-    ]
-    pivots = tuple(
-        pivot / state.parameter(f"size{r}", size)
-        for r, (pivot, size) in enumerate(zip(factors.pivots[n:], sizes, strict=True))
-    )
+    pivots = closure_pivots(state, factors)
     own_power = [series.real[slot][0] for slot in series.program.named.get("power", [])]
     if power and not own_power:
         own_power = [0.0]
     inputs = state.inputs + state.timed
     return Formula(inputs, (*qdd, *(-x for x in solution[n:]), *own_power), pivots)
+
+
+def closure_pivots(state: Recorded, factors: Factors) -> tuple[Value, ...]:
+    """The pivots of the closures, relative to their sizes in a good configuration."""
+    mechanism = state.mechanism
+    diagonal, pivots = mechanism.inertias, factors.pivots[mechanism.n :]
+    sizes = [
+        -sum(abs(weight) ** 2 / diagonal[k] for k, weight in (*row.P, *row.angles))
+        for row in mechanism.rows
+    ]
+    return tuple(
+        pivot / state.parameter(f"size{r}", size)
+        for r, (pivot, size) in enumerate(zip(pivots, sizes, strict=True))
+    )
 
 
 def projection_formula(mechanism: Mechanism, generic: bool = False) -> Formula | None:

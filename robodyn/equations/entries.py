@@ -25,21 +25,11 @@ from robodyn.engines.arithmetic import plus, times
 from robodyn.engines.formulas import Recorded, balance, joint_jacobian
 from robodyn.engines.series import Series
 from robodyn.mechanics import parts
-from robodyn.mechanics.planar_model import ClosureRow, Mechanism
+from robodyn.mechanics.planar_model import Mechanism
 
 Value = Any
 Matrix = list[list[Value]]
 CouplingRow = tuple[Value, Mapping[int, Value]]  # offset, turns of joints
-
-
-def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
-    """The mechanism with the rows of angles that closures keep, each after its closure's others."""
-    rows: list[tuple[int | None, ClosureRow]] = [(row.closure, row) for row in named.rows]
-    return replace(named, rows=tuple(row for _, row in sorted([*rows, *kept.items()], key=_first)))
-
-
-def _first(pair: tuple[Any, Any]) -> Any:
-    return pair[0]
 
 
 class Entries:

@@ -15,12 +15,12 @@ from typing import Any
 from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
-from robodyn.equations.entries import Entries, with_kept
+from robodyn.equations.entries import Entries
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Sum
 from robodyn.mechanics.force_rows import NoDirection
-from robodyn.mechanics.mechanism import Mechanism, constants, too_large
+from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.mechanics.parts import no_direction
 
 SHORT = replace(RECORDED, keep=lambda value: value)  # signs and factors move where they fold

@@ -20,7 +20,7 @@ from typing import Any
 
 from robodyn.engines.formulas import Recorded
 from robodyn.engines.series import Arithmetic
-from robodyn.equations.entries import Entries, with_kept
+from robodyn.equations.entries import Entries
 from robodyn.equations.factoring import (
     Key,
     as_one,
@@ -49,7 +49,7 @@ from robodyn.equations.symbolic import (
 from robodyn.equations.trigonometry import simplified
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows
-from robodyn.mechanics.mechanism import Mechanism, constants, too_large
+from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.scene.scene import Closure, Load, Point, Spring
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.

@@ -25,9 +25,10 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
@@ -170,6 +171,12 @@ def constants(description: Description) -> Mechanism:
         unit=tree.unit,
         rotors=tuple(_rotors(tree)),
     )
+
+
+def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
+    """The mechanism with the rows of angles that closures keep, each after its closure's others."""
+    rows: list[Any] = [*((row.closure, row) for row in named.rows), *kept.items()]
+    return replace(named, rows=tuple(row for _, row in sorted(rows, key=lambda pair: pair[0])))
 
 
 def _square(z: complex) -> float:

@@ -24,10 +24,10 @@ from robodyn.loops.change_points import suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.motors import motor_values
+from robodyn.scene.scene_values import SceneValues
 from robodyn.simulation.report import Outcome
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
-from robodyn.sweeps.scene_values import SceneValues
 from robodyn.sweeps.sweep_plan import Plan, base_mechanism
 from robodyn.sweeps.variation import Axis
 from robodyn.taylor import Status

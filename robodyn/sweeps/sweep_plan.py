@@ -15,7 +15,7 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.motors import motor_columns
-from robodyn.sweeps.scene_values import numbers_of
+from robodyn.scene.scene_values import numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
 

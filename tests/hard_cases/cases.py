@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import oracles
 import robodyn
-from hard_cases import contacts, many_events
+from hard_cases import contacts, many_events, slopes
 from hard_cases import near_misses as near_miss
 from machine_sines import hard_angles, sine_and_cosine
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -524,6 +524,12 @@ def long_stick_slip(part: int = 1) -> Iterator[Row]:
     yield from (Row(*found) for found in contacts.stick_slip(1000.0 / part))
 
 
+def derivatives() -> Iterator[Row]:
+    bar = robodyn.load(ROBOTS / "parallelogram.yaml")
+    yield from (Row(*found) for found in slopes.near_change_points(bar))
+    yield from (Row(*found) for found in slopes.far_apart())
+
+
 CASES: list[Callable[[], Iterator[Row]]] = [
     parallel_bars,
     parallel_bars_by_chance,
@@ -543,4 +549,5 @@ CASES: list[Callable[[], Iterator[Row]]] = [
     grazes,
     bounces_without_end,
     long_stick_slip,
+    derivatives,
 ]

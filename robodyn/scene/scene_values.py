@@ -18,7 +18,7 @@ from typing import Any
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR, Key, form_of
-from robodyn.scene.quantities import parse_number
+from robodyn.scene.quantities import parse_angle, parse_number
 from robodyn.scene.scene import Description
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 
@@ -47,6 +47,15 @@ class _Place:
     def held(self) -> list[Any]:
         """What the collection around holds."""
         return self.around.items if isinstance(self.around, Sequence) else self.around.pairs
+
+    @property
+    def node(self) -> Node | None:
+        """What stands there."""
+        if isinstance(self.around, Sequence):
+            assert isinstance(self.at, int)
+            found: Node = self.around.items[self.at]
+            return found
+        return next((node for key, node in self.around.pairs if key.text == self.at), None)
 
     def put(self, value: float) -> None:
         scalar = Scalar(repr(float(value)), False, self.around.line)
@@ -89,6 +98,12 @@ class SceneValues:
     def __contains__(self, name: str) -> bool:
         return name in self._places
 
+    def number(self, name: str) -> float:
+        """The number of this name, as the file has it, or 0 where it is left out."""
+        node = self._places[name].node
+        text = node.text if isinstance(node, Scalar) else "0"
+        return parse_angle(text) if is_angle(name) else parse_number(text)
+
     def clash(self, names: Iterable[str]) -> tuple[str, str] | None:
         """Two of the names that stand for one number, or for a point and one of its entries."""
         given = list(names)
@@ -103,11 +118,7 @@ class SceneValues:
     @staticmethod
     def _node(place: _Place) -> int | None:
         """The identity of the collection at a place, where there is one."""
-        around, at = place.around, place.at
-        if isinstance(around, Sequence):
-            assert isinstance(at, int)
-            return id(around.items[at])
-        return next((id(node) for key, node in around.pairs if key.text == at), None)
+        return None if place.node is None else id(place.node)
 
     def replaced(self, values: Mapping[str, float]) -> Description:
         """The scene with these numbers in place of its own; not for two threads at once.

@@ -1,0 +1,112 @@
+"""A mechanism as a function of one number of its scene: what derivatives by numbers start from.
+
+The scene is read again with another value in that place.  What changes with it, by copies, sums or
+opposites, gets a variable of a graph; so what hangs from a tip moves with the length, as in the
+file.  `mechanism.constants` then makes formulas of it, and no difference is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.expression import Graph, Value
+from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.planar_numbers import Planar
+from robodyn.engines.tangents import substituted, tangents
+from robodyn.errors import DescriptionError, InputError
+from robodyn.mechanics.mechanism import Mechanism, constants, with_kept
+from robodyn.scene import yaml_tree
+from robodyn.scene.scene import Description
+from robodyn.scene.scene_values import SceneValues, numbers_of
+from robodyn.scene.yaml_values import nearest
+
+CHANGE = 0.25  # of a number, or of 1 where it is zero
+SAME = 1e-9  # relative, by which what is no multiple of a change is told
+
+
+@lru_cache(maxsize=256)
+def number_formula(mechanism: Mechanism, name: str) -> Formula:
+    """dR (N) by the number called `name`, at q, qd, tau and unknowns u (N); see `residuals`.
+
+    Raises InputError for a name that is none, and for a number that no derivative is known by: of a
+    direction, an angle that is kept, an end of a joint, dry friction.
+    """
+    graph = Graph()
+    x = graph.variable(name)
+    named = _with_variable(mechanism, name, x)
+    state = Recorded(named, KINDS[1:], True, graph=graph)
+    _, _, K, R = residuals(state)
+    slopes = [slope.get(name, 0.0) for slope in tangents(R, [name])]
+    outputs = substituted(slopes, {name: 0.0})
+    inputs = (*state.inputs, *(f"u{i}" for i in range(len(K))), *state.timed)
+    return Formula(inputs, tuple(outputs), ())
+
+
+def _with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
+    """The mechanism whose number is what it is plus x."""
+    values = _values(mechanism)
+    if name not in values:
+        limit = f"is no number of the scene{nearest(name, values.names)}"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    base = values.base
+    size, (whole, half) = _changed(values, name)
+    plain = base._replace(closures=tuple(c._replace(aligned=None) for c in base.closures))
+    try:
+        if [c.aligned for c in whole.closures] != [c.aligned for c in base.closures]:
+            raise _NoMultipleError
+        scene = _seeded(plain, whole, half, size, x)
+    except _NoMultipleError:
+        limit = "no derivative is known by it: it changes a direction, a mode or a limit"
+        raise InputError(name, where=mechanism.source, limit=limit) from None
+    kept = {row.closure: row for row in mechanism.rows if row.arm and row.closure is not None}
+    made = with_kept(constants(scene), kept)
+    couplings = tuple(row for row in mechanism.rows if row.closure is None)
+    return replace(made, rows=(*made.rows, *couplings), dry=(), limits=())
+
+
+def _values(mechanism: Mechanism) -> SceneValues:
+    return numbers_of(yaml_tree.read_text(Path(mechanism.source)), mechanism.source)
+
+
+class _NoMultipleError(Exception):
+    """A value of the scene that does not change by a multiple of a number's change."""
+
+
+def _changed(values: SceneValues, name: str) -> tuple[float, tuple[Description, Description]]:
+    """A change of a number, and the scene with all of it, and with half of it."""
+    now = values.number(name)
+    for sign in (1.0, -1.0):
+        change = sign * CHANGE * (abs(now) or 1.0)
+        try:
+            both = [values.replaced({name: now + part * change}) for part in (1.0, 0.5)]
+        except DescriptionError:
+            continue
+        return (now + change) - now, (both[0], both[1])
+    raise _NoMultipleError
+
+
+def _seeded(base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
+    """What a scene holds, with x times its slope added where a change of `size` made another."""
+    if isinstance(base, tuple) and isinstance(whole, tuple):
+        if len(base) != len(whole):
+            raise _NoMultipleError
+        parts = [_seeded(a, b, c, size, x) for a, b, c in zip(base, whole, half, strict=True)]
+        return type(base)(*parts) if hasattr(base, "_fields") else tuple(parts)
+    if isinstance(base, complex):
+        return Planar(
+            _seeded(base.real, whole.real, half.real, size, x),
+            _seeded(base.imag, whole.imag, half.imag, size, x),
+        )
+    if base == whole:
+        return base
+    if not isinstance(base, float):
+        raise _NoMultipleError
+    slope, other = (whole - base) / size, (half - base) / (0.5 * size)
+    if abs(slope - other) > SAME * abs(slope):
+        raise _NoMultipleError
+    near = round(slope, 9)
+    return base + (near if abs(slope - near) < SAME else slope) * x
