@@ -2,7 +2,7 @@
 
 Of a closed mechanism q and qd are varied one by one, as if each joint were free, with the solution
 of equation (1) for what follows: along directions that keep the closures that is what the mechanism
-does (see `linear_model.py`); across them it is a matter of how equation (1) is written.
+does; across them it is a matter of how equation (1) is written.
 """
 
 from __future__ import annotations

@@ -28,8 +28,9 @@ _COLUMNS = {
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
-_OF_POINT = re.compile("_([va]?[xy])$")
-POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²"}  # by the letter after the point's name
+_OF_POINT = re.compile("_([va]?[xy]|J[xy][0-9]+)$")
+# by the letter after the name of a point
+POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
 ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
