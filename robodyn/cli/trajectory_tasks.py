@@ -11,14 +11,14 @@ import numpy as np
 from robodyn.cli.states import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.kinematics.points import named_points
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
-from robodyn.trajectories.joint_paths import JointPath, Legs, path_through, spread
+from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
 from robodyn.trajectories.motion_limits import with_motors
 from robodyn.trajectories.plane_paths import AlongCurve, arc, spline_curve
 from robodyn.trajectories.profiles import ACCELERATION, profile
@@ -87,7 +87,11 @@ def task_motion(
     if given.posture is not None:
         posture = pose_of(task, given_angles(mechanism, given.posture, "posture"))
     if file is not None:
-        pose = along_branch(task, file.points[:1], pose)[0]
+        try:
+            pose = along_branch(task, file.points[:1], pose)[0]
+        except AssemblyError as error:
+            error.add_place("--path, from --from to its first point")
+            raise
     whole = TaskPath(task, path, pose, posture, progress, watch)
     least = 0.0 if most is None else whole.fastest() / most
     if math.isnan(seconds):
@@ -121,14 +125,7 @@ def _paths(
                 error.add_place(file.source)
             raise
     if file is not None:
-        try:
-            if len(file.points) == 2:
-                spread(file.points[:, :2])
-                return Legs(file.points, ends, how), steady
-            return AlongCurve(*spline_curve(file.points), how), steady
-        except InputError as error:
-            error.add_place(file.source)
-            raise
+        return AlongCurve(*spline_curve(file.points), how), steady
     if given.arc is not None:
         text, colon, turn = given.arc.partition(":")
         centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")
@@ -177,4 +174,8 @@ def _read(file: str) -> _File:
         raise InputError("points", where=source, value=len(values), limit=limit)
     timed = names[-1] == "t"
     points = values[:, :-1] if timed else values
+    same = np.flatnonzero(~np.diff(points[:, :2], axis=0).any(axis=1))
+    if len(same) and not timed:
+        limit = "are the same: leave one out, or give times (t)"
+        raise InputError(f"points {same[0] + 1} and {same[0] + 2}", where=source, limit=limit)
     return _File(points, values[:, -1] if timed else None, source)

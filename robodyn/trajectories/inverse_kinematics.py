@@ -59,7 +59,8 @@ def inverse_kinematics(
         if near is None
         else pose_of(task, all_joints(mechanism, np.asarray(near, float)[None])[0])
     )
-    return along_branch(task, places.reshape(-1, places.shape[-1]), pose).reshape(*shape, -1)
+    q = along_branch(task, places.reshape(-1, places.shape[-1]), pose)
+    return q.reshape(*shape, mechanism.n)
 
 
 def along_branch(task: Task, places: Array, pose: Array | None) -> Array:

@@ -61,7 +61,7 @@ def arc(begin: Array, centre: Array, angle: float) -> tuple[Curve, float]:
 def spline_curve(points: Array) -> tuple[Curve, float]:
     """The natural cubic spline through points (K, 2 or more), and its length.
 
-    Of two points it is the line.  Raises InputError where two that follow one another coincide.
+    Of two points it is the line; no two that follow one another coincide.
     """
     knots = spread(points[:, :2])
     coefficients = splines.spline(knots, points, 3, natural=True)

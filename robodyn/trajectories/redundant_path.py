@@ -27,7 +27,14 @@ from robodyn.dynamics.placed import matvec
 from robodyn.engines.singular_values import svd
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.trajectories.continuation import DEAD, MOST_NODES, PathEndError, Watch, corrected
+from robodyn.trajectories.continuation import (
+    DEAD,
+    MOST_NODES,
+    PathEndError,
+    TravelError,
+    Watch,
+    corrected,
+)
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
 from robodyn.trajectories.loop_path import FEWEST, WholePath, samples
 
@@ -65,6 +72,8 @@ class RedundantPath(WholePath):
             turns = np.round((start - posture) / (2 * np.pi))
             turns[list(mechanism.slides)] = 0.0
             self._posture = (posture + 2 * np.pi * turns)[self._passive]
+        if not self._regular(start):
+            raise PathEndError(mechanism, 0.0, start, REASON)
         self._u, self._pieces = [0.0], list[int]()
         self._between = OdeSolution(*self._integrated(start[self._passive], watch))
 
@@ -104,8 +113,11 @@ class RedundantPath(WholePath):
                 solver.step()
                 there = self._closed(np.array([solver.t]), of, solver.y[None])
                 regular = solver.status != "failed" and there[1][0] and self._regular(there[0][0])
-                if not regular or len(self._u) > MOST_NODES:
+                if not regular:
                     raise self._end(solver, of)
+                if len(self._u) > MOST_NODES:
+                    limit = f"takes more than {MOST_NODES:,} steps"
+                    raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
                 self._u.append(solver.t)
                 self._pieces.append(piece)
                 between.append(solver.dense_output())

@@ -22,7 +22,7 @@ from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Closure, Link, Point
 from robodyn.tables.csv_fields import shown
-from robodyn.trajectories.continuation import PathEndError, Watch
+from robodyn.trajectories.continuation import PathEndError, TravelError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
 from robodyn.trajectories.loop_path import LoopPath, WholePath
 from robodyn.trajectories.plane_paths import length_until
@@ -35,9 +35,10 @@ Array = NDArray[np.float64]
 MOVES = 1e-8  # part of the loop's size above which a singular value tells a freedom
 BEYOND = 1e-7  # part of the loop's size, of a point that is out of reach
 ROUNDING = 1e-9  # by which peaks are told too large
-LOOKED_AT = 33  # places of the path beyond its end at which the point is out of reach
+LOOKED_AT = 17  # places of the path beyond its end at which the point is out of reach
 TRIES = 4  # configurations from which it is sought how near it comes
 STEPS = 60
+SETTLED = 1e-8  # rad, of the last step
 
 
 class Task(NamedTuple):
@@ -99,12 +100,13 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
             loads=(),
         )
     )
+    names = task_names(angle)
     Psi, least = closed_jacobians(guided), MOVES * loop_size(guided)
     whole, own = (np.linalg.matrix_rank(x, tol=least).max() for x in (Psi, Psi[..., :n]))
     if own < whole:
-        value = f"{len(links) - whole + own} freedoms move {of.name}"
-        limit = "x and y" + " and the angle" * angle + f" need {len(links)}"
-        raise InputError("of", where=mechanism.source, value=value, limit=limit)
+        has = len(links) - int(whole - own)
+        limit = f"moves with {has} freedom{'' if has == 1 else 's'}; {names} need {len(links)}"
+        raise InputError("of", where=mechanism.source, value=shown(of.name), limit=limit)
     return Task(mechanism, of, guided, bool(n > own))
 
 
@@ -136,6 +138,9 @@ class TaskPath(WholePath):
                 self._of = LoopPath(task.guided, path, begin, watch)
         except PathEndError as error:
             raise self._end(error) from None
+        except TravelError as error:
+            error.value = str(error.value).replace("rad", "m")
+            raise
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         n = self.mechanism.n
@@ -216,6 +221,8 @@ def _missed(task: Task, q: Array, places: Array) -> float:
             better = np.linalg.norm(place[:2] - trial[:, xy], axis=1) < np.linalg.norm(off, axis=1)
             here = np.where(better[:, None], trial, here)
             damping = np.where(better, 0.1 * damping, 10.0 * damping)
+            if (np.abs(way) < SETTLED).all():
+                break
         missed = max(missed, float(np.linalg.norm(place[:2] - here[:, xy], axis=1).min()))
     return missed
 
@@ -227,9 +234,13 @@ def pose_of(task: Task, pose: Array) -> Array:
     return close_positions(mechanism, begin, mechanism.actuated)
 
 
+def task_names(angle: bool) -> str:
+    return "x, y and the angle" if angle else "x and y"
+
+
 def check_posture(task: Task) -> None:
     """Raise InputError where nothing is free to go toward a posture."""
     if not task.redundant:
-        names = "x and y" + " and the angle" * (task.coordinates == 3)
+        names = task_names(task.coordinates == 3)
         limit = f"is for what is redundant: {names} of {shown(task.of.name)} take all freedoms"
         raise InputError("posture", where=task.mechanism.source, limit=limit)
