@@ -17,7 +17,6 @@ from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
-from robodyn.cli.trajectory_tasks import task_motion
 from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -113,6 +112,8 @@ def _motion(
         return _checked(motion_along(mechanism, path, q, duration, begin, watch), limits)
 
     if given.task:
+        from robodyn.cli.trajectory_tasks import task_motion  # no other motion needs its rooms
+
         found = task_motion(mechanism, given, duration, limits, watch)
         return _told(found) if isinstance(found, time_scaling.Shortest) else _checked(found, limits)
     if given.profile == "sweep":

@@ -178,11 +178,11 @@ class TaskPath(WholePath):
         beyond = self.path.evaluate(np.linspace(u, 1.0, LOOKED_AT)[1:])[0]
         missed = _missed(task, error.q, beyond)
         x, y = self.path.evaluate(np.array([u]))[0][0, :2]
-        at = f"{behind:.9g} m along its path of {length:.9g} m, at ({x:.9g}, {y:.9g})"
+        at = f"{behind:.6g} m along its path of {length:.6g} m, at ({x:.6g}, {y:.6g})"
         if missed > BEYOND * loop_size(task.guided):
             what, limit = (
                 "leaves the workspace",
-                f"what follows is up to {missed:.9g} m out of reach",
+                f"what follows is up to {missed:.6g} m out of reach",
             )
         else:
             what, limit = "meets a singularity", "the joints cannot go on from there on this branch"
