@@ -162,10 +162,35 @@ def test_random_tree_returns_to_its_places(seed: int) -> None:
     assert np.abs(returned(mechanism, found, of) - xy).max() < 1e-12 * size
 
 
-def test_coupled_joints_go_along() -> None:
+def test_coupled_joints_go_along(robodyn: Run, tmp_path: Path) -> None:
     bar = scene("geared-five-bar")
     with pytest.raises(InputError, match="moves with 1 freedom; x and y need 2"):
         api.inverse_kinematics(bar, [0.3, 0.5], f"tip{bar.n}")
+    file = tmp_path / "coupled.yaml"
+    text = (ROOT / "robots/3r.yaml").read_text()
+    file.write_text(text + 'couplings: ["q3 = -0.5 q2 + 0.1"]\nactuated: [upper arm, forearm]\n')
+    arm = api.load(file)
+    xy = np.linspace([0.7, 0.8], [0.2, 0.9], 6)
+    q = api.inverse_kinematics(arm, xy, "hand", near=[0.3, 1.2])
+    assert np.abs(returned(arm, q, "hand") - xy).max() < 1e-12
+    assert np.abs(q[:, 2] + 0.5 * q[:, 1] - 0.1).max() < 1e-14
+    options = ("--from", "0.3,1.2", "--of", "hand", "--to-xy", "0.2,0.9", "--time", "1")
+    t, q, qd, qdd = rows(robodyn("trajectory", str(file), *options).succeeds(), 3)
+    moved = api.points(arm, q, qd, qdd, of=["hand"])
+    s, _, s2 = shape_of("quintic", t)
+    way = [0.2, 0.9] - moved.position[0, 0]
+    assert np.abs(moved.position[:, 0] - moved.position[0, 0] - s[:, None] * way).max() < 1e-12
+    assert np.abs(moved.acceleration[:, 0] - s2[:, None] * way).max() < 1e-11
+
+
+def test_ends_of_joints_are_not_passed(robodyn: Run, tmp_path: Path) -> None:
+    file = tmp_path / "stopped.yaml"
+    text = (ROOT / "robots/2r.yaml").read_text()
+    file.write_text(text.replace("I: 0.031", "I: 0.031, limits: {max: 95deg}"))
+    given = robodyn("trajectory", str(file), *TO, "--to-xy", "0.3,0.5", "--time", "1")
+    assert given.code == 1
+    assert "q2 (forearm) at t = 1 s" in given.err
+    assert "is beyond the joint's" in given.err
 
 
 # Rows of the command
@@ -505,7 +530,10 @@ def test_length_until_a_part_of_a_path() -> None:
         (("--of", "tip2", "--arc", "0.5,0.6:0"), "the angle must not be 0"),
         (("--of", "tip2"), "--of: goes with --to-xy, --arc or --path"),
         (("--to", "0,1", "--max-speed", "1"), "--max-speed: goes with --to-xy, --arc or --path"),
-        (("--of", "tip2", "--to-xy", "1,0", "--posture", "0,0"), "--posture: is for what is red"),
+        (
+            ("--of", "tip2", "--to-xy", "1,0", "--posture", "0,0"),
+            "--posture: is for redundant arms",
+        ),
         (("--of", "tip2", "--to-xy", "1,0", "--max-speed", "0"), "--max-speed = 0: must be > 0"),
         (("--of", "tip2", "--to-xy", "1,0", "--ends", "natural"), "--ends: does not go with"),
     ],

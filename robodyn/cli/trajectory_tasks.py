@@ -23,7 +23,7 @@ from robodyn.trajectories.motion_limits import with_motors
 from robodyn.trajectories.plane_paths import AlongCurve, arc, spline_curve
 from robodyn.trajectories.profiles import ACCELERATION, profile
 from robodyn.trajectories.reference import ReferenceMotion
-from robodyn.trajectories.task_space import Task, TaskPath, check_posture, pose_of, task_of
+from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
 from robodyn.trajectories.time_scaling import Limits, Shortest, shortest_of
 
 Array = np.ndarray
@@ -62,10 +62,11 @@ def task_motion(
     if file is None or file.times is None:
         refuse("paths without times", ends=given.ends)
     task = task_of(mechanism, point, file is not None and file.points.shape[1] == 3)
-    if given.posture is not None:
-        check_posture(task)
+    if given.posture is not None and not task.redundant:
+        limit = f"is for redundant arms: all freedoms are taken to lead {point.name}"
+        raise InputError("--posture", where=mechanism.source, limit=limit)
     pose = pose_of(task, given_angles(mechanism, given.from_, "from"))
-    path, progress = _paths(task, given, file, pose)
+    path = _path(task, given, file, pose)
 
     begin, seconds = 0.0, duration
     if file is not None and file.times is not None:
@@ -92,7 +93,7 @@ def task_motion(
         except AssemblyError as error:
             error.add_place("--path, from --from to its first point")
             raise
-    whole = TaskPath(task, path, pose, posture, progress, watch)
+    whole = TaskPath(task, path, pose, posture, watch)
     least = 0.0 if most is None else whole.fastest() / most
     if math.isnan(seconds):
         return shortest_of(whole, limits_kept, begin, (least, f"the speed of {point.name}"))
@@ -105,27 +106,22 @@ def task_motion(
     return ReferenceMotion(mechanism, whole, seconds, begin)
 
 
-def _paths(
-    task: Task, given: TrajectoryOptions, file: _File | None, pose: Array
-) -> tuple[JointPath, JointPath]:
-    """The path of the point, and how it proceeds, from 0 to 1 in one column."""
+def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array) -> JointPath:
+    """The path of the point's coordinates."""
     alpha = ACCELERATION if given.acceleration is None else given.acceleration
     how = profile(given.profile or "quintic", alpha)
     ends = np.array([0.0, 1.0])
-    steady = Legs(ends[:, None], ends, how)
     begin = task.place(pose)[:2]
     if file is not None and file.times is not None:
-        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(file.points, axis=0), axis=1)))
-        part = way / (way[-1] or 1.0)
-        options = file.times, given.profile or "quintic", alpha, given.ends == "natural"
+        options = file.times, how.name, alpha, given.ends == "natural"
         try:
-            return path_through(file.points, *options), path_through(part[:, None], *options)
+            return path_through(file.points, *options)
         except InputError as error:
             if error.what == "times":
                 error.add_place(file.source)
             raise
     if file is not None:
-        return AlongCurve(*spline_curve(file.points), how), steady
+        return AlongCurve(*spline_curve(file.points), how)
     if given.arc is not None:
         text, colon, turn = given.arc.partition(":")
         centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")
@@ -135,13 +131,13 @@ def _paths(
         if np.linalg.norm(begin - centre) <= ALIKE * (1.0 + np.linalg.norm(begin)):
             limit = f"the centre is where {task.of.name} begins"
             raise InputError("--arc", value=shown(given.arc), limit=limit)
-        return AlongCurve(*arc(begin, centre, angle), how), steady
+        return AlongCurve(*arc(begin, centre, angle), how)
     assert given.to_xy is not None
     end = _vector(given.to_xy, "--to-xy", given.to_xy, "x,y (m), 0.4,0.6")
     if np.linalg.norm(end - begin) <= ALIKE * (1.0 + np.linalg.norm(begin)):
         limit = f"is where {task.of.name} begins"
         raise InputError("--to-xy", value=shown(given.to_xy), limit=limit)
-    return Legs(np.stack([begin, end]), ends, how), steady
+    return Legs(np.stack([begin, end]), ends, how)
 
 
 def _vector(text: str, flag: str, whole: str, form: str) -> Array:

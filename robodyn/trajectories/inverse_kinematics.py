@@ -126,7 +126,6 @@ def _followed(task: Task, places: Array, pose: Array) -> Array:
     if len(stations) == 1:
         return np.repeat(pose[None], len(places), axis=0)
     knots, way = spread(stations), profile("constant")
-    progress = Legs(knots[:, None], knots, way)
-    path = TaskPath(task, Legs(stations, knots, way), pose, None, progress)
+    path = TaskPath(task, Legs(stations, knots, way), pose)
     q: Array = path.evaluate(knots)[0][np.cumsum(moved)[1:] - 1]
     return q

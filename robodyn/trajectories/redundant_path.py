@@ -6,7 +6,7 @@ the actuated ones, which follow p(u), the closures keep A y' = -D p', and
     y' = -A^+ D p' + (1 - A^+ A) w         w = k s'(u) (posture - y)
 
 is of least length (w = 0), or pulled toward a posture as far as the path leaves it free: what is
-free goes there by exp(-k s), s the part of the path behind it.  Its rate, with y' = w + A^T mu, is
+free goes there by exp(-k s), s(u) the quintic profile.  Its rate, with y' = w + A^T mu, is
 
     y'' = -A^+ (D p'' + Psidot q') + (1 - A^+ A) (w' + Adot^T mu)
 
@@ -37,18 +37,19 @@ from robodyn.trajectories.continuation import (
 )
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
 from robodyn.trajectories.loop_path import FEWEST, WholePath, samples
+from robodyn.trajectories.profiles import profile
 
 Array = NDArray[np.float64]
 
 PULL = 10.0  # toward a posture, over the whole path
 TOLERANCE = 1e-13  # of the integration, relative and in rad
 LEAST_STEPS = 4  # of a piece
-HALVINGS = 60  # to find where a path ends
+PROGRESS = profile("quintic")
 REASON = "that is as far as they can be closed on this branch"
 
 
 class RedundantPath(WholePath):
-    """The path from the closed state `start` (n,) on; `posture` (n,) with `progress`, s(u).
+    """The path from the closed state `start` (n,) on; perhaps toward `posture` (n,).
 
     Raises PathEndError where the loops cannot be closed all the way.
     """
@@ -59,12 +60,11 @@ class RedundantPath(WholePath):
         path: JointPath,
         start: Array,
         posture: Array | None,
-        progress: JointPath,
         watch: Watch = lambda u: None,
     ) -> None:
         from scipy.integrate import OdeSolution
 
-        self.mechanism, self.path, self._progress = mechanism, path, progress
+        self.mechanism, self.path = mechanism, path
         self._driven, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._units = mechanism.arrays.units[self._passive]
         self._posture = None
@@ -75,7 +75,7 @@ class RedundantPath(WholePath):
         if not self._regular(start):
             raise PathEndError(mechanism, 0.0, start, REASON)
         self._u, self._pieces = [0.0], list[int]()
-        self._between = OdeSolution(*self._integrated(start[self._passive], watch))
+        self._between = OdeSolution(*self._integrated(start, watch))
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         if piece is None:
@@ -92,7 +92,7 @@ class RedundantPath(WholePath):
         share = max(4, -(-FEWEST // len(pieces)))
         return samples(np.array(self._u), pieces, np.full(len(pieces), share))
 
-    def _integrated(self, y: Array, watch: Watch) -> tuple[list[float], list[Any]]:
+    def _integrated(self, here: Array, watch: Watch) -> tuple[list[float], list[Any]]:
         from scipy.integrate import DOP853
 
         between: list[Any] = []
@@ -106,15 +106,13 @@ class RedundantPath(WholePath):
                 return np.asarray(self._rates(q, at, of, False)[0][0, self._passive])
 
             longest = (end - u) / LEAST_STEPS
-            solver: Any = DOP853(
-                rates, u, y, end, longest, TOLERANCE, TOLERANCE * float(self._units.min())
-            )
+            y, least = here[self._passive], TOLERANCE * float(self._units.min())
+            solver: Any = DOP853(rates, u, y, end, longest, TOLERANCE, least)
             while solver.status == "running":
                 solver.step()
-                there = self._closed(np.array([solver.t]), of, solver.y[None])
-                regular = solver.status != "failed" and there[1][0] and self._regular(there[0][0])
-                if not regular:
-                    raise self._end(solver, of)
+                (q,), closed = self._closed(np.array([solver.t]), of, solver.y[None])
+                if solver.status == "failed" or not closed[0] or not self._regular(q):
+                    raise PathEndError(self.mechanism, self._u[-1], here, REASON)
                 if len(self._u) > MOST_NODES:
                     limit = f"takes more than {MOST_NODES:,} steps"
                     raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
@@ -122,24 +120,8 @@ class RedundantPath(WholePath):
                 self._pieces.append(piece)
                 between.append(solver.dense_output())
                 watch(solver.t)
-            y = there[0][0, self._passive]
+                here = q
         return self._u, between
-
-    def _end(self, solver: Any, of: Pieces) -> PathEndError:
-        """The error of a path that ends within the last step of a solver."""
-        low = high = float(self._u[-1])
-        if solver.status != "failed":
-            within, high = solver.dense_output(), float(solver.t)
-            for _ in range(HALVINGS):
-                middle = 0.5 * (low + high)
-                q, closed = self._closed(np.array([middle]), of, within(np.array([middle])).T)
-                good = closed[0] and self._regular(q[0])
-                low, high = (middle, high) if good else (low, middle)
-            y = within(low)
-        else:
-            y = solver.y
-        q, _ = self._closed(np.array([low]), of, y[None])
-        return PathEndError(self.mechanism, low, q[0], REASON)
 
     def _regular(self, q: Array) -> bool:
         s = np.linalg.svd(scaled_jacobian(self.mechanism, q)[:, self._passive], compute_uv=False)
@@ -170,7 +152,7 @@ class RedundantPath(WholePath):
 
         pull = pull1 = np.zeros_like(q[:, self._passive])
         if self._posture is not None:
-            _, s1, s2 = self._progress.evaluate(u, piece)
+            _, s1, s2 = (x[:, None] for x in PROGRESS.half(u, u < 0.0))
             away = (self._posture - q[:, self._passive]) / units
             pull = PULL * s1 * away
         q1, q2 = np.zeros_like(q), np.zeros_like(q)

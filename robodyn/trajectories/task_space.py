@@ -18,6 +18,7 @@ from robodyn.dynamics.closed_form import point_motion, scaled_jacobian
 from robodyn.engines.singular_values import svd
 from robodyn.errors import AssemblyError, InputError
 from robodyn.kinematics.points import NamedPoint, link_turns
+from robodyn.loops.assembly import scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Closure, Link, Point
@@ -93,18 +94,18 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
         described._replace(
             links=(*described.links, *links),
             closures=(*described.closures, closure),
-            branches=(*described.branches, "open") if described.start is None else (),
+            branches=(*scene_branches(mechanism), "open"),
             actuated=(n + 1, n, n + 2)[: len(links)],
-            start=None if described.start is None else (*described.start, *(None for _ in links)),
+            start=None,
             springs=(),
             loads=(),
         )
     )
-    names = task_names(angle)
     Psi, least = closed_jacobians(guided), MOVES * loop_size(guided)
     whole, own = (np.linalg.matrix_rank(x, tol=least).max() for x in (Psi, Psi[..., :n]))
     if own < whole:
         has = len(links) - int(whole - own)
+        names = "x, y and the angle" if angle else "x and y"
         limit = f"moves with {has} freedom{'' if has == 1 else 's'}; {names} need {len(links)}"
         raise InputError("of", where=mechanism.source, value=shown(of.name), limit=limit)
     return Task(mechanism, of, guided, bool(n > own))
@@ -114,8 +115,8 @@ class TaskPath(WholePath):
     """The path of all joints where the point follows a path of its coordinates.
 
     It begins at the closed state `start` (n,), the point at the path's start; `posture` (n,) is
-    what a redundant mechanism is pulled to, as `progress` goes from 0 to 1.  Raises AssemblyError
-    where the path leaves the workspace, or meets a singularity.
+    what a redundant mechanism is pulled to.  Raises AssemblyError where the path leaves the
+    workspace, or meets a singularity.
     """
 
     def __init__(
@@ -123,8 +124,7 @@ class TaskPath(WholePath):
         task: Task,
         path: JointPath,
         start: Array,
-        posture: Array | None,
-        progress: JointPath,
+        posture: Array | None = None,
         watch: Watch = lambda u: None,
     ) -> None:
         self.mechanism, self.path, self._task = task.mechanism, path, task
@@ -133,7 +133,7 @@ class TaskPath(WholePath):
         try:
             if task.redundant:
                 toward = None if posture is None else task.with_guide(posture, np.zeros(2))
-                self._of = RedundantPath(task.guided, path, begin, toward, progress, watch)
+                self._of = RedundantPath(task.guided, path, begin, toward, watch)
             else:
                 self._of = LoopPath(task.guided, path, begin, watch)
         except PathEndError as error:
@@ -232,15 +232,3 @@ def pose_of(task: Task, pose: Array) -> Array:
     mechanism = task.mechanism
     begin = started(mechanism, pose, pose[list(mechanism.actuated)])
     return close_positions(mechanism, begin, mechanism.actuated)
-
-
-def task_names(angle: bool) -> str:
-    return "x, y and the angle" if angle else "x and y"
-
-
-def check_posture(task: Task) -> None:
-    """Raise InputError where nothing is free to go toward a posture."""
-    if not task.redundant:
-        names = task_names(task.coordinates == 3)
-        limit = f"is for what is redundant: {names} of {shown(task.of.name)} take all freedoms"
-        raise InputError("posture", where=task.mechanism.source, limit=limit)
