@@ -405,6 +405,9 @@ def test_redundant_arm_that_leaves_tells_where(robodyn: Run) -> None:
     known = -along + math.sqrt(along**2 + 1.55**2 - abs(begin) ** 2)
     assert length == pytest.approx(known, rel=1e-5)
     assert out == pytest.approx(math.hypot(1, 1.9) - 1.55, rel=1e-5)
+    options = ("--of", "tip3", "--from", "0,90deg,0", "--to-xy", "300,-500", "--time", "1")
+    out = leaves(robodyn("trajectory", "robots/3r.yaml", *options).err)[1]
+    assert out == pytest.approx(math.hypot(300, 500) - 1.55, rel=1e-5)
 
 
 def test_singularity_is_told_and_one_that_is_run_across_is_none(robodyn: Run) -> None:

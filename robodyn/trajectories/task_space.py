@@ -194,31 +194,34 @@ class TaskPath(WholePath):
 def _missed(task: Task, q: Array, places: Array) -> float:
     """How far the point stays from the farthest of places (k, c), m; q (n + guide,) is closed.
 
-    Levenberg and Marquardt's method on closed states whose x and y are free.
+    Levenberg and Marquardt's method on closed states whose x and y are free; what is far pulls as
+    if it were at a distance like the arm's, for only the direction tells where it is nearest.
     """
     guided, rng = task.guided, np.random.default_rng(0)
     free = list(range(guided.n))[: task.mechanism.n + 2]
     xy, held = list(guided.actuated[:2]), list(guided.actuated[2:])
     begins = q + 0.3 * rng.normal(size=(TRIES, guided.n)) * guided.arrays.units
     begins[0] = q
-    missed = 0.0
+    missed, reach = 0.0, 0.5 * loop_size(guided)
     for place in places:
         begins[:, held] = place[2:]
         here = close_positions(guided, begins, held)
         damping = np.ones(TRIES)
         for _ in range(STEPS):
             off = place[:2] - here[:, xy]
+            far = np.linalg.norm(off, axis=1)
+            pull = off * (reach / np.maximum(far, reach))[:, None]
             _, s, Vt = svd(scaled_jacobian(guided, here)[..., free], full=True)
             N = np.swapaxes(Vt[:, s.shape[1] :], -1, -2)
             G = N[:, xy] * guided.arrays.units[xy, None]
             square = np.swapaxes(G, -1, -2) @ G
             scale = np.trace(square, axis1=1, axis2=2) * damping + 1e-300
             square = square + scale[:, None, None] * np.eye(N.shape[2])
-            way = np.linalg.solve(square, np.swapaxes(G, -1, -2) @ off[..., None])
+            way = np.linalg.solve(square, np.swapaxes(G, -1, -2) @ pull[..., None])
             trial = here.copy()
             trial[:, free] += (N @ way)[..., 0] * guided.arrays.units[free]
             trial = close_positions(guided, trial, held)
-            better = np.linalg.norm(place[:2] - trial[:, xy], axis=1) < np.linalg.norm(off, axis=1)
+            better = np.linalg.norm(place[:2] - trial[:, xy], axis=1) < far
             here = np.where(better[:, None], trial, here)
             damping = np.where(better, 0.1 * damping, 10.0 * damping)
             if (np.abs(way) < SETTLED).all():
