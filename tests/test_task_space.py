@@ -31,6 +31,16 @@ links:
   - {name: bar, m: 1, l: 0.5, r: 0.2, I: 0.02, from: {link: slider, at: [0, 0]}}
 """
 
+FOUR_LINKS = """
+name: four links
+gravity: 9.81
+links:
+  - {name: a, m: 1, l: 0.5, r: 0.2, I: 0.02}
+  - {name: b, m: 1, l: 0.4, r: 0.2, I: 0.02}
+  - {name: c, m: 1, l: 0.3, r: 0.1, I: 0.02}
+  - {name: d, m: 1, l: 0.2, r: 0.1, I: 0.02}
+"""
+
 
 def scene(name: str) -> Mechanism:
     return api.load(ROOT / f"robots/{name}.yaml")
@@ -593,3 +603,30 @@ def test_too_few_freedoms_and_no_pose(robodyn: Run) -> None:
 def test_bad_arguments(arguments: dict, told: str) -> None:
     with pytest.raises(InputError, match=told):
         api.inverse_kinematics(scene("3r"), **arguments)
+
+
+def test_redundant_hand_takes_the_short_way_to_its_angle() -> None:
+    chain = build(from_text(FOUR_LINKS, "four.yaml"))
+    near, angle = np.array([0.3, 0.8, 0.7, 0.9 + 4 * np.pi]), 2.8
+    xy = returned(chain, near, "d") + np.array([0.02, -0.03])
+    q = api.inverse_kinematics(chain, xy, "d", angle=angle, near=near)
+    assert np.abs(q - near).max() < 0.5
+    assert np.abs(returned(chain, q, "d") - xy).max() < 1e-13
+    assert math.remainder(q.sum() - angle, 2 * np.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_redundant_hand_with_angles_goes_toward_its_posture(robodyn: Run, tmp_path: Path) -> None:
+    scene_file, path = tmp_path / "four.yaml", tmp_path / "path.csv"
+    scene_file.write_text(FOUR_LINKS)
+    path.write_text("t,x,y,angle\n0,0.5,0.8,2.5\n1,0.4,0.8,2.6\n2,0.4,0.9,2.4\n")
+    arm = ("trajectory", str(scene_file), "--of", "d", "--from", "0.3,0.8,0.7,0.9")
+    ends = []
+    for more in ((), ("--posture", "0.2,1.2,0.7,0.5")):
+        given = robodyn(*arm, "--path", str(path), "--every", "1", *more).succeeds()
+        _, q, qd, _ = rows(given, 4)
+        known = [[0.5, 0.8], [0.4, 0.8], [0.4, 0.9]]
+        assert np.abs(returned(api.load(scene_file), q, "d") - known).max() < 1e-13
+        assert np.abs(np.exp(1j * q.sum(axis=1)) - np.exp([2.5j, 2.6j, 2.4j])).max() < 1e-13
+        assert not qd[[0, -1]].any()
+        ends.append(np.linalg.norm(q[-1] - [0.2, 1.2, 0.7, 0.5]))
+    assert ends[1] < ends[0]

@@ -22,7 +22,7 @@ from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
 from robodyn.trajectories.motion_limits import with_motors
 from robodyn.trajectories.plane_paths import AlongCurve, arc, spline_curve
 from robodyn.trajectories.profiles import ACCELERATION, profile
-from robodyn.trajectories.reference import ReferenceMotion
+from robodyn.trajectories.reference import ReferenceMotion, check_duration
 from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
 from robodyn.trajectories.time_scaling import Limits, Shortest, shortest_of
 
@@ -77,11 +77,12 @@ def task_motion(
         seconds = float(np.ptp(file.times)) if duration is None else duration
     if seconds is None:
         raise InputError("--time", limit="missing: give seconds, or min and a limit")
-    if not math.isnan(seconds) and not (math.isfinite(seconds) and seconds > 0.0):
-        raise InputError("duration", value=seconds, limit="must be > 0 and finite")
+    shortest = math.isnan(seconds)
+    if not shortest:
+        check_duration(seconds)
     most = _speed(given.max_speed)
-    limits_kept = with_motors(mechanism, limits) if math.isnan(seconds) else limits
-    if math.isnan(seconds) and most is None and not limits_kept.given:
+    limits = with_motors(mechanism, limits) if shortest else limits
+    if shortest and most is None and not limits.given:
         limit = "needs a limit: --max-speed, --max-qd, --max-qdd or --max-tau"
         raise InputError("--time", value="min", limit=limit)
     posture = None
@@ -95,8 +96,8 @@ def task_motion(
             raise
     whole = TaskPath(task, path, pose, posture, watch)
     least = 0.0 if most is None else whole.fastest() / most
-    if math.isnan(seconds):
-        return shortest_of(whole, limits_kept, begin, (least, f"the speed of {point.name}"))
+    if shortest:
+        return shortest_of(whole, limits, begin, (least, f"the speed of {point.name}"))
     if seconds < least * (1.0 - ALIKE):
         raise RobodynError(
             f"--max-speed: {point.name}",

@@ -121,6 +121,7 @@ def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str
 def _followed(task: Task, places: Array, pose: Array) -> Array:
     """By Newton's method along straight lines from the pose and from place to place."""
     points = np.concatenate([task.place(pose)[None], places])
+    points[0, 2:] -= 2 * np.pi * np.round((points[0, 2:] - places[0, 2:]) / (2 * np.pi))
     moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0)
     stations = points[moved]
     if len(stations) == 1:

@@ -116,10 +116,7 @@ def motion_along(
     Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
     (0 to 1) the loops are followed.
     """
-    if not (math.isfinite(duration) and duration > 0.0):
-        raise InputError("duration", value=duration, limit="must be > 0 and finite")
-    if duration > LONGEST:
-        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
+    check_duration(duration)
     try:
         whole = whole_path(mechanism, path, points, watch)
     except PathEndError as error:
@@ -154,6 +151,13 @@ def whole_path(
                 limit=f"on the branch of the first point {right} there",
             )
     return whole
+
+
+def check_duration(duration: float) -> None:
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise InputError("duration", value=duration, limit="must be > 0 and finite")
+    if duration > LONGEST:
+        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
 
 
 def check_driven(mechanism: Mechanism) -> None:

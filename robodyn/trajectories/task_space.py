@@ -132,7 +132,11 @@ class TaskPath(WholePath):
         self._of: WholePath
         try:
             if task.redundant:
-                toward = None if posture is None else task.with_guide(posture, np.zeros(2))
+                toward = (
+                    None
+                    if posture is None
+                    else task.with_guide(posture, np.zeros(task.coordinates))
+                )
                 self._of = RedundantPath(task.guided, path, begin, toward, watch)
             else:
                 self._of = LoopPath(task.guided, path, begin, watch)
