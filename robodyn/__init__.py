@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
+    from robodyn.trajectories.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
     from robodyn.trajectories.reference import reference_motion as reference_motion
     from robodyn.trajectories.time_scaling import shortest_motion as shortest_motion
@@ -91,6 +92,7 @@ _ROOMS = {
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
+    "trajectories.inverse_kinematics": ["inverse_kinematics"],
     "trajectories.time_scaling": ["shortest_motion"],
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }

@@ -55,6 +55,9 @@ def trajectory(
     splines (of continuity C2 and C4) at rest at their ends; trapezoidal and cycloidal ones stop
     at each point.  Points without times get them in proportion to the distances in joint space.
 
+    A point (--of) goes along a line (--to-xy), an arc (--arc) or through points of the plane
+    (--path): the profile is that of the length behind it, and the joints follow on one branch.
+
     A limit (--max-qd, --max-qdd, --max-tau) that is exceeded anywhere, between the rows too, is an
     error; --time min takes the shortest duration that keeps the limits, and tells it on stderr.
     It keeps those of the scene's motors too; in a given time a note says where they are exceeded.
@@ -66,7 +69,11 @@ def trajectory(
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
       robodyn trajectory robots/2r.yaml --via motion.csv --profile cubic --max-qd 90deg/s
       robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361
+<<<<<<< HEAD
       robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --extremes
+=======
+      robodyn trajectory robots/2r.yaml --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
+>>>>>>> taskspace
       robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
     """
@@ -78,7 +85,7 @@ def trajectory(
         raise InputError("--acceleration", limit="is for --profile trapezoidal")
     if given.profile == "sweep":
         others = {"to": given.to, "via": given.via, "speed": given.speed, "turns": given.turns}
-        refuse("a sweep", **others, ends=given.ends)
+        refuse("a sweep", **others, ends=given.ends, **given.task)
     elif given.amplitude is not None or given.frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
     step = None if every is None else value_from(every, parse_time, "--every", "2, 0.5s, 20ms")
@@ -105,11 +112,13 @@ def _motion(
     ) -> ReferenceMotion:
         if minimal:
             return _told(time_scaling.shortest_along(mechanism, path, q, limits, watch=watch))
-        motion = motion_along(mechanism, path, q, duration, begin, watch)
-        time_scaling.check_limits(motion, limits)
-        _tell_motors(motion)
-        return motion
+        return _checked(motion_along(mechanism, path, q, duration, begin, watch), limits)
 
+    if given.task:
+        from robodyn.cli.trajectory_tasks import task_motion  # no other motion needs its rooms
+
+        found = task_motion(mechanism, given, duration, limits, watch)
+        return _told(found) if isinstance(found, time_scaling.Shortest) else _checked(found, limits)
     if given.profile == "sweep":
         pose = ways.given_angles(mechanism, given.from_, "from")
         path, seconds = ways.sweep_from(mechanism, pose, given, duration)
@@ -145,14 +154,16 @@ def _motion(
     return along(path, points.q, duration, begin)
 
 
-def _tell_motors(motion: ReferenceMotion) -> None:
-    """A note where the motion asks too much of a motor."""
+def _checked(motion: ReferenceMotion, limits: time_scaling.Limits) -> ReferenceMotion:
+    """The motion, within its limits; a note where it asks too much of a motor."""
+    time_scaling.check_limits(motion, limits)
     try:
         time_scaling.check_limits(motion, with_motors(motion.mechanism))
     except LimitError as error:
         note(f"Note: {error}")
     except RobodynError:  # no torque is told
         pass
+    return motion
 
 
 def _told(found: time_scaling.Shortest) -> ReferenceMotion:

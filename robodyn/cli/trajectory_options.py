@@ -54,6 +54,15 @@ _TURNS = "Turns of the fastest joint at --speed; without it, of each actuated jo
 _AMPLITUDE = f"Of a sweep about --from, rad or 10deg: {EACH}."
 _MAX_QD = f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}."
 _MAX_QDD = f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}."
+_OF = "The point that is led in the plane: a link (its tip), tip2, LINK@x,y, a scene's point."
+_TO_XY = "Straight from where the point is at --from to here, m."
+_ARC = "On a circle about CENTRE (x,y, m) from where the point is at --from."
+_PATH = (
+    "CSV of points x,y (m) to lead it through, perhaps with t (s), angle (rad) of its link; "
+    "- for stdin. It begins at the first, on the branch of --from."
+)
+_POSTURE = "Of a redundant arm: stay as near to it as the point lets. Default: least motion."
+_MAX_SPEED = "Largest speed of the point, m/s."
 _BAND = "Of a sweep: at its start and at its end, Hz."
 
 
@@ -75,6 +84,18 @@ class TrajectoryOptions:
     max_qd: Annotated[Text, vector("--max-qd", _MAX_QD)] = None
     max_qdd: Annotated[Text, vector("--max-qdd", _MAX_QDD)] = None
     max_tau: Annotated[Text, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
+    of: Annotated[Text, Option("--of", metavar="POINT", help=_OF)] = None
+    to_xy: Annotated[Text, Option("--to-xy", metavar="X,Y", help=_TO_XY)] = None
+    arc: Annotated[Text, Option("--arc", metavar="CENTRE:ANGLE", help=_ARC)] = None
+    path: Annotated[Text, input_file("--path", _PATH)] = None
+    posture: Annotated[Text, vector("--posture", _POSTURE)] = None
+    max_speed: Annotated[Text, Option("--max-speed", metavar="V", help=_MAX_SPEED)] = None
+
+    @property
+    def task(self) -> dict[str, str]:
+        """The options of task space that are given."""
+        names = ("of", "to_xy", "arc", "path", "posture", "max_speed")
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def duration(self) -> float | None:
         """Seconds; NaN for the shortest."""
@@ -131,7 +152,7 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
     if given.via is None:
         for name, text in ends.items():
             if text is None:
-                limit = "missing: give --from and --to, or --via, --speed, --profile sweep"
+                limit = "missing: give --from and --to, or --via, --speed, --of, --profile sweep"
                 raise InputError(f"--{name}", limit=limit)
     else:
         values, names, source = read_columns(given.via, columns)
@@ -225,7 +246,8 @@ def turning_from(
 def refuse(what: str, **options: object) -> None:
     for name, value in options.items():
         if value is not None:
-            raise InputError(f"--{name}", limit=f"does not go with {what}")
+            flag = "--" + name.replace("_", "-")
+            raise InputError(flag, limit=f"does not go with {what}")
 
 
 @contextmanager
@@ -234,16 +256,17 @@ def named(given: TrajectoryOptions) -> Iterator[None]:
 
     A path that is too long is named as the option that makes it so.
     """
-    names = ("profile", "acceleration", "ends", "max_qd", "max_qdd", "max_tau")
+    names = ("profile", "acceleration", "ends", "max_qd", "max_qdd", "max_tau", "of", "posture")
     with named_options(names, duration="time"):
         try:
             yield
         except TravelError as error:
-            long = ("turns", "via", "to", "amplitude", "time")
+            long = ("turns", "via", "to", "amplitude", "to_xy", "arc", "path", "time")
             name = next(name for name in long if getattr(given, name) is not None)
             limit = f"makes a path of {error.value}: {error.limit}"
             value = shown(getattr(given, name))
-            raise InputError(f"--{name}", value=value, limit=limit) from None
+            flag = "--" + name.replace("_", "-")
+            raise InputError(flag, value=value, limit=limit) from None
         except LimitError as error:
             if not error.of_motor:
                 error.add_place(f"--max-{error.quantity}")

@@ -33,18 +33,35 @@ FEWEST = 64  # samples of a path of few pieces
 MOST_SAMPLES = 1_000_000
 
 
-class OpenPath:
+class WholePath:
+    """The path of all joints of a mechanism that follows a path of its actuated joints."""
+
+    mechanism: Mechanism
+    path: JointPath
+
+    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+        """q, q', q'' of all joints at u (T,), each (T, n)."""
+        raise NotImplementedError
+
+    def grid(self) -> tuple[Array, Pieces]:
+        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
+        raise NotImplementedError
+
+    def peaks(self) -> tuple[Array, Array]:
+        """The largest |q'| and |q''| of each actuated joint."""
+        return self.path.peaks()
+
+
+class OpenPath(WholePath):
     """A path of a mechanism of which every joint is actuated and no loop is to be kept."""
 
     def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
         self.mechanism, self.path = mechanism, path
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """q, q', q'' of all joints at u (T,), each (T, n)."""
         return self.path.evaluate(u, piece)
 
     def grid(self) -> tuple[Array, Pieces]:
-        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
         edges = self.path.breaks
         if len(returns := self.path.returns()):
             edges = np.array([0.0, returns[0]])
@@ -55,11 +72,11 @@ class OpenPath:
         if not counts.sum() <= MOST_SAMPLES:
             limit = f"takes more than the {MOST_SAMPLES:,} samples in which limits are looked for"
             raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
-        samples = _samples(edges, np.arange(pieces), counts.astype(int))
-        return _repeated(*samples, float(edges[-1]))
+        found = samples(edges, np.arange(pieces), counts.astype(int))
+        return _repeated(*found, float(edges[-1]))
 
 
-class LoopPath:
+class LoopPath(WholePath):
     """The path of all joints of a mechanism with passive joints, from the closed state `start`.
 
     Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
@@ -73,7 +90,7 @@ class LoopPath:
         self._nodes = follow(mechanism, path, start, watch)
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """As that of an `OpenPath`; SingularError where the actuated joints determine no others."""
+        """As told; SingularError where the actuated joints determine no others."""
         if piece is None:
             piece = piece_at(self.path.breaks, u)
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
@@ -107,13 +124,12 @@ class LoopPath:
         return q, q1, q2
 
     def grid(self) -> tuple[Array, Pieces]:
-        """As that of an `OpenPath`."""
         pieces = self._nodes.pieces
         per_piece = np.bincount(pieces, minlength=len(self.path.breaks) - 1)
         least = max(8, FEWEST // len(per_piece))
         share = np.maximum(4, np.ceil(least / np.maximum(per_piece, 1))).astype(int)
-        samples = _samples(self._nodes.u, pieces, share[pieces])
-        return _repeated(*samples, self._nodes.period)
+        found = samples(self._nodes.u, pieces, share[pieces])
+        return _repeated(*found, self._nodes.period)
 
     def _closed(self, u: Array, piece: Pieces) -> Values:
         nodes = self._nodes
@@ -164,7 +180,7 @@ def _repeated(u: Array, pieces: Pieces, period: float) -> tuple[Array, Pieces]:
     return np.concatenate(each), np.tile(pieces, len(turns))
 
 
-def _samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:
+def samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Array, Pieces]:
     """count + 1 samples of each interval, both ends included, each with the interval's piece."""
     each = zip(edges[:-1], edges[1:], counts, strict=True)
     us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]

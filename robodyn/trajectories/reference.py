@@ -20,7 +20,7 @@ from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
-from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.loop_path import LoopPath, OpenPath, WholePath
 from robodyn.trajectories.profiles import ACCELERATION
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class ReferenceMotion:
     """A motion of all joints from the time `begin` on for `duration`, s."""
 
     mechanism: Mechanism
-    path: OpenPath | LoopPath
+    path: WholePath
     duration: float
     begin: float = 0.0
 
@@ -116,10 +116,7 @@ def motion_along(
     Passive angles that are not NaN must be those that the motion reaches.  `watch` is told how far
     (0 to 1) the loops are followed.
     """
-    if not (math.isfinite(duration) and duration > 0.0):
-        raise InputError("duration", value=duration, limit="must be > 0 and finite")
-    if duration > LONGEST:
-        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
+    check_duration(duration)
     try:
         whole = whole_path(mechanism, path, points, watch)
     except PathEndError as error:
@@ -135,20 +132,9 @@ def whole_path(
     if not mechanism.passive and not mechanism.rows:
         return OpenPath(mechanism, path)
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
-    freedoms = mechanism.n - len(mechanism.rows)
-    if len(driven) < freedoms:
-        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in passive)
-        what = f"the actuated joints do not determine {names}"
-        limit = f"{freedoms} freedoms need as many actuated joints, {len(driven)} are named"
-        raise InputError(what, where=mechanism.source, limit=limit)
+    check_driven(mechanism)
     first = path.evaluate(np.zeros(1))[0][0]
-    if np.isnan(points[0]).any():
-        start = assembly.assemble(mechanism, first)
-    else:
-        start = points[0].copy()
-        fault = loop_rates.check_closed(mechanism, start)
-        if fault is not None:
-            raise fault[1]
+    start = started(mechanism, points[0], first)
     start[driven] = first
     whole = LoopPath(mechanism, path, start, watch)
     given = ~np.isnan(points).any(axis=1)
@@ -165,6 +151,33 @@ def whole_path(
                 limit=f"on the branch of the first point {right} there",
             )
     return whole
+
+
+def check_duration(duration: float) -> None:
+    if not (math.isfinite(duration) and duration > 0.0):
+        raise InputError("duration", value=duration, limit="must be > 0 and finite")
+    if duration > LONGEST:
+        raise InputError("duration", value=duration, limit=f"must be <= {LONGEST:g} s")
+
+
+def check_driven(mechanism: Mechanism) -> None:
+    """Raise InputError where there are fewer actuated joints than freedoms."""
+    driven, freedoms = len(mechanism.actuated), mechanism.n - len(mechanism.rows)
+    if driven < freedoms:
+        names = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.passive)
+        what = f"the actuated joints do not determine {names}"
+        limit = f"{freedoms} freedoms need as many actuated joints, {driven} are named"
+        raise InputError(what, where=mechanism.source, limit=limit)
+
+
+def started(mechanism: Mechanism, pose: Array, driven: Array) -> Array:
+    """The closed state (n,) of a pose (n,), assembled from its actuated joints if it has NaN."""
+    if np.isnan(pose).any():
+        return assembly.assemble(mechanism, driven)
+    fault = loop_rates.check_closed(mechanism, pose)
+    if fault is not None:
+        raise fault[1]
+    return pose.copy()
 
 
 def all_joints(mechanism: Mechanism, points: ArrayLike) -> Array:

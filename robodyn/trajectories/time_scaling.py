@@ -28,7 +28,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
-from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.loop_path import WholePath
 from robodyn.trajectories.motion_limits import LimitError as LimitError
 from robodyn.trajectories.motion_limits import Limits as Limits
 from robodyn.trajectories.motion_limits import is_of_motor, limit_unit, limited_joint, with_motors
@@ -161,12 +161,24 @@ def shortest_along(
     """The shortest motion along a path; `points` as for `reference.motion_along`."""
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
+    limits = all_limits(mechanism, limits)
+    return shortest_of(whole_path(mechanism, path, points, watch), limits, begin)
+
+
+def all_limits(mechanism: Mechanism, limits: Limits) -> Limits:
+    """Those and the motors'; InputError for none."""
     limits = with_motors(mechanism, limits)
     if not limits.given:
         raise InputError("duration", value="min", limit="needs a limit: a largest qd, qdd or tau")
-    whole = whole_path(mechanism, path, points, watch)
-    found = [(0.0, "")]
-    rates, accelerations = path.peaks()
+    return limits
+
+
+def shortest_of(
+    whole: WholePath, limits: Limits, begin: float = 0.0, least: tuple[float, str] = (0.0, "")
+) -> Shortest:
+    """The shortest motion along the path of all joints; `least`: a duration, what bounds it."""
+    mechanism, found = whole.mechanism, [least]
+    rates, accelerations = whole.peaks()
     for name, most in limits.given:
         if name == "tau":
             found.append(_shortest_by_torque(mechanism, whole, most, begin))
@@ -182,7 +194,7 @@ def shortest_along(
 
 
 def _shortest_by_torque(
-    mechanism: Mechanism, whole: OpenPath | LoopPath, limit: Array, begin: float
+    mechanism: Mechanism, whole: WholePath, limit: Array, begin: float
 ) -> tuple[float, str]:
     bounded = np.flatnonzero(np.isfinite(limit)).tolist()  # places among the actuated joints
     driven, limit = [mechanism.actuated[j] for j in bounded], limit[bounded]
@@ -247,7 +259,7 @@ def _shortest_by_torque(
     return duration, limited_joint(mechanism, "tau", bounded[column % len(driven)]) + at
 
 
-def _natural_scale(mechanism: Mechanism, whole: OpenPath | LoopPath) -> float:
+def _natural_scale(mechanism: Mechanism, whole: WholePath) -> float:
     """x that makes the fastest acceleration or rate of the path about 1; low in any friction."""
     _, q1, q2 = whole.evaluate(*whole.grid())
     fastest = max(float(np.abs(q1).max()), math.sqrt(float(np.abs(q2).max())))
@@ -263,7 +275,7 @@ def _friction_speeds(mechanism: Mechanism) -> list[tuple[int, float]]:
     return smooth + [(joint, speed) for joint, speed in falling if speed is not None]
 
 
-def least_along(columns: Columns, path: OpenPath | LoopPath) -> tuple[float, float, int, int]:
+def least_along(columns: Columns, path: WholePath) -> tuple[float, float, int, int]:
     """The least value of any column along a path, with its u, piece and column.
 
     Around each sample that may lead to it nine points are taken, then nine between the two next to

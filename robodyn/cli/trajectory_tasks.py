@@ -1,0 +1,178 @@
+"""`robodyn trajectory` in task space: where the options lead a point to, and the joints' motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from robodyn.cli.states import read_columns
+from robodyn.cli.times import value_from
+from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
+from robodyn.errors import AssemblyError, InputError, RobodynError
+from robodyn.kinematics.point_motion import named_points
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene import quantities
+from robodyn.tables.csv_fields import shown
+from robodyn.trajectories.continuation import Watch
+from robodyn.trajectories.inverse_kinematics import along_branch
+from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
+from robodyn.trajectories.motion_limits import with_motors
+from robodyn.trajectories.plane_paths import AlongCurve, arc, spline_curve
+from robodyn.trajectories.profiles import ACCELERATION, profile
+from robodyn.trajectories.reference import ReferenceMotion, check_duration
+from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
+from robodyn.trajectories.time_scaling import Limits, Shortest, shortest_of
+
+Array = np.ndarray
+ALIKE = 1e-12  # part of coordinates by which two points must differ
+WAYS = ("to_xy", "arc", "path")
+
+
+class _File(NamedTuple):
+    """Points (K, 2, or 3 with the angle), and their times, of a CSV file."""
+
+    points: Array
+    times: Array | None
+    source: str
+
+
+def task_motion(
+    mechanism: Mechanism,
+    given: TrajectoryOptions,
+    duration: float | None,
+    limits: Limits,
+    watch: Watch,
+) -> ReferenceMotion | Shortest:
+    """The motion whose point goes where the options say; of --time min the shortest."""
+    named = [name for name in WAYS if name in given.task]
+    if not named:
+        flag = "--" + next(iter(given.task)).replace("_", "-")
+        raise InputError(flag, limit="goes with --to-xy, --arc or --path")
+    others = (*named[1:], "to", "via", "speed", "turns")
+    refuse("--" + named[0].replace("_", "-"), **{x: getattr(given, x) for x in others})
+    for name in ("of", "from_"):
+        if getattr(given, name) is None:
+            which = "the point that is led" if name == "of" else "the pose that it begins from"
+            raise InputError(f"--{name.strip('_')}", limit=f"missing: give {which}")
+    (point,) = named_points(mechanism, [given.of or ""], "--of")
+    file = None if given.path is None else _read(given.path)
+    if file is None or file.times is None:
+        refuse("paths without times", ends=given.ends)
+    task = task_of(mechanism, point, file is not None and file.points.shape[1] == 3)
+    if given.posture is not None and not task.redundant:
+        limit = f"is for redundant arms: all freedoms are taken to lead {point.name}"
+        raise InputError("--posture", where=mechanism.source, limit=limit)
+    pose = pose_of(task, given_angles(mechanism, given.from_, "from"))
+    path = _path(task, given, file, pose)
+
+    begin, seconds = 0.0, duration
+    if file is not None and file.times is not None:
+        if duration is not None and not math.isnan(duration):
+            limit = f"{file.source} has the times (t): leave one of them out, or take min"
+            raise InputError("--time", value=f"{duration:g}", limit=limit)
+        begin = float(file.times[0])
+        seconds = float(np.ptp(file.times)) if duration is None else duration
+    if seconds is None:
+        raise InputError("--time", limit="missing: give seconds, or min and a limit")
+    shortest = math.isnan(seconds)
+    if not shortest:
+        check_duration(seconds)
+    most = _speed(given.max_speed)
+    limits = with_motors(mechanism, limits) if shortest else limits
+    if shortest and most is None and not limits.given:
+        limit = "needs a limit: --max-speed, --max-qd, --max-qdd or --max-tau"
+        raise InputError("--time", value="min", limit=limit)
+    posture = None
+    if given.posture is not None:
+        posture = pose_of(task, given_angles(mechanism, given.posture, "posture"))
+    if file is not None:
+        try:
+            pose = along_branch(task, file.points[:1], pose)[0]
+        except AssemblyError as error:
+            error.add_place("--path, from --from to its first point")
+            raise
+    whole = TaskPath(task, path, pose, posture, watch)
+    least = 0.0 if most is None else whole.fastest() / most
+    if shortest:
+        return shortest_of(whole, limits, begin, (least, f"the speed of {point.name}"))
+    if seconds < least * (1.0 - ALIKE):
+        raise RobodynError(
+            f"--max-speed: {point.name}",
+            value=f"{whole.fastest() / seconds:.9g} m/s",
+            limit=f"exceeds the limit of {most:.9g} m/s: it takes {least:.9g} s or more",
+        )
+    return ReferenceMotion(mechanism, whole, seconds, begin)
+
+
+def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array) -> JointPath:
+    """The path of the point's coordinates."""
+    alpha = ACCELERATION if given.acceleration is None else given.acceleration
+    how = profile(given.profile or "quintic", alpha)
+    ends = np.array([0.0, 1.0])
+    begin = task.place(pose)[:2]
+    if file is not None and file.times is not None:
+        options = file.times, how.name, alpha, given.ends == "natural"
+        try:
+            return path_through(file.points, *options)
+        except InputError as error:
+            if error.what == "times":
+                error.add_place(file.source)
+            raise
+    if file is not None:
+        return AlongCurve(*spline_curve(file.points), how)
+    if given.arc is not None:
+        text, colon, turn = given.arc.partition(":")
+        centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")
+        angle = value_from(turn, quantities.parse_angle, "--arc", "0.3,0.2:90deg")
+        if not (math.isfinite(angle) and angle != 0.0):
+            raise InputError("--arc", value=shown(given.arc), limit="the angle must not be 0")
+        if np.linalg.norm(begin - centre) <= ALIKE * (1.0 + np.linalg.norm(begin)):
+            limit = f"the centre is where {task.of.name} begins"
+            raise InputError("--arc", value=shown(given.arc), limit=limit)
+        return AlongCurve(*arc(begin, centre, angle), how)
+    assert given.to_xy is not None
+    end = _vector(given.to_xy, "--to-xy", given.to_xy, "x,y (m), 0.4,0.6")
+    if np.linalg.norm(end - begin) <= ALIKE * (1.0 + np.linalg.norm(begin)):
+        limit = f"is where {task.of.name} begins"
+        raise InputError("--to-xy", value=shown(given.to_xy), limit=limit)
+    return Legs(np.stack([begin, end]), ends, how)
+
+
+def _vector(text: str, flag: str, whole: str, form: str) -> Array:
+    values = quantities.parse_vector(text, where=flag, angles=False) if text else []
+    if len(values) != 2 or not np.isfinite(values).all():
+        raise InputError(flag, value=shown(whole), limit=f"must be {form}")
+    return np.array(values)
+
+
+def _speed(text: str | None) -> float | None:
+    if text is None:
+        return None
+    most = value_from(text, quantities.parse_number, "--max-speed", "0.5 (m/s)")
+    if not (math.isfinite(most) and most > 0.0):
+        raise InputError("--max-speed", value=shown(text), limit="must be > 0 and finite")
+    return most
+
+
+def _read(file: str) -> _File:
+    def columns(header: Sequence[str], name: str) -> list[str]:
+        for wanted in ("x", "y"):
+            if wanted not in header:
+                limit = f"needs x, y, and perhaps t and angle; the header has {', '.join(header)}"
+                raise InputError(f"column {wanted} is missing", where=name, limit=limit)
+        return [x for x in ("x", "y", "angle", "t") if x in header]
+
+    values, names, source = read_columns(file, columns)
+    if len(values) < 2:
+        limit = "a path needs two points or more"
+        raise InputError("points", where=source, value=len(values), limit=limit)
+    timed = names[-1] == "t"
+    points = values[:, :-1] if timed else values
+    same = np.flatnonzero(~np.diff(points[:, :2], axis=0).any(axis=1))
+    if len(same) and not timed:
+        limit = "are the same: leave one out, or give times (t)"
+        raise InputError(f"points {same[0] + 1} and {same[0] + 2}", where=source, limit=limit)
+    return _File(points, values[:, -1] if timed else None, source)

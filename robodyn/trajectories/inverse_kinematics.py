@@ -1,0 +1,132 @@
+"""Inverse kinematics: the joints that bring a point to given places, along one branch."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import AssemblyError, InputError
+from robodyn.kinematics.point_motion import named_points
+from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
+from robodyn.loops.closing import wrapped
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import BRANCHES
+from robodyn.trajectories.joint_paths import Legs, spread
+from robodyn.trajectories.profiles import profile
+from robodyn.trajectories.reference import all_joints
+from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
+
+Array = NDArray[np.float64]
+
+MOST_WAYS = 8  # of dyads with two branches each, of which the nearest is looked for
+
+
+def inverse_kinematics(
+    mechanism: Mechanism,
+    xy: ArrayLike,
+    of: str,
+    angle: ArrayLike | None = None,
+    near: ArrayLike | None = None,
+) -> Array:
+    """The joints q (..., n), rad, that bring the point `of` to places xy (..., 2), m.
+
+    `angle` (...) asks for the absolute angle of the point's link too, rad.  The places follow one
+    another along one branch: the one nearest to the pose `near` (n, or actuated) at the first, or
+    that of the scene's `assembly` (`open` for the point itself).  Chains of dyads are solved in
+    closed form; else, and where the mechanism is redundant (then by least motion), Newton's method
+    follows straight lines from `near` and from place to place.
+
+    Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach.
+    """
+    (named,) = named_points(mechanism, [of], "of")
+    places = np.asarray(xy, float)
+    if places.ndim == 0 or places.shape[-1] != 2 or not np.isfinite(places).all():
+        raise InputError("xy", value=places.shape, limit="must be (..., 2), finite: x and y, m")
+    shape = places.shape[:-1]
+    if angle is not None:
+        try:
+            turned = np.broadcast_to(np.asarray(angle, float), shape)[..., None]
+        except ValueError:
+            turned = np.array([np.nan])
+        if not np.isfinite(turned).all():
+            raise InputError("angle", limit=f"must be {shape}, one a place, and finite")
+        places = np.concatenate([places, turned], axis=-1)
+    task = task_of(mechanism, named, angle is not None)
+    pose = (
+        None
+        if near is None
+        else pose_of(task, all_joints(mechanism, np.asarray(near, float)[None])[0])
+    )
+    q = along_branch(task, places.reshape(-1, places.shape[-1]), pose)
+    return q.reshape(*shape, mechanism.n)
+
+
+def along_branch(task: Task, places: Array, pose: Array | None) -> Array:
+    """q (K, n) at places (K, c), from the branch that is nearest to a closed pose (n,) on."""
+    n = task.mechanism.n
+    if not len(places):
+        return np.zeros((0, n))
+    if not _is_dyads(task):
+        if pose is None:
+            raise InputError("near", limit="missing: give the pose that it begins from")
+        return _followed(task, places, pose)
+    branches = _nearest_branches(task, places[0], pose)
+    whole, missing = attempt(task.guided, places, branches)
+    if missing.max() > 0.0:
+        k = int(np.argmax(missing > 0.0))
+        what = f"{task.of.name} does not reach ({places[k, 0]:.9g}, {places[k, 1]:.9g})"
+        limit = f"place {k + 1} is {missing[k]:.9g} m out of reach"
+        raise AssemblyError(what, where=task.mechanism.source, limit=limit)
+    q: Array = whole[:, :n]
+    turning = [k for k in range(n) if k not in task.mechanism.slides]
+    first = q[:1, turning].copy()
+    if pose is not None:
+        first -= 2 * np.pi * np.round((first - pose[turning]) / (2 * np.pi))
+    q[:, turning] = np.unwrap(np.concatenate([first, q[:, turning]]), axis=0)[1:]
+    return q
+
+
+def _is_dyads(task: Task) -> bool:
+    """Whether there is a closed form."""
+    if task.redundant or task.mechanism.description.couplings:  # couplings count turns
+        return False
+    try:
+        plan = assembly_plan(task.guided)
+    except InputError:
+        return False
+    return not plan.rest and len(plan.two_way) <= MOST_WAYS
+
+
+def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str, ...]:
+    """The words of the branch that is nearest to a pose at a place, among those that close."""
+    words = scene_branches(task.guided)
+    if pose is None:
+        return words
+    best = np.inf
+    ways = assembly_plan(task.guided).two_way
+    n, usual = task.mechanism.n, list(words)
+    for each in product(BRANCHES, repeat=len(ways)):
+        trial = usual.copy()
+        for closure, word in zip(ways, each, strict=True):
+            trial[closure] = word
+        q, missing = attempt(task.guided, place, trial)
+        away = float(np.linalg.norm(wrapped(task.mechanism, q[:n] - pose)))
+        if missing <= 0.0 and away < best:
+            best, words = away, tuple(trial)
+    return words
+
+
+def _followed(task: Task, places: Array, pose: Array) -> Array:
+    """By Newton's method along straight lines from the pose and from place to place."""
+    points = np.concatenate([task.place(pose)[None], places])
+    points[0, 2:] -= 2 * np.pi * np.round((points[0, 2:] - places[0, 2:]) / (2 * np.pi))
+    moved = np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0)
+    stations = points[moved]
+    if len(stations) == 1:
+        return np.repeat(pose[None], len(places), axis=0)
+    knots, way = spread(stations), profile("constant")
+    path = TaskPath(task, Legs(stations, knots, way), pose)
+    q: Array = path.evaluate(knots)[0][np.cumsum(moved)[1:] - 1]
+    return q
