@@ -18,7 +18,8 @@ from robodyn.scene.grammar import FORMS
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-GUIDE = (ROOT / "robodyn" / "guide" / "how-it-works.md").read_text(encoding="utf-8")
+PAGES = sorted((ROOT / "robodyn" / "guide").glob("*.md"))
+GUIDE = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 RELATIVE = 1e-9  # a last digit may differ from machine to machine

@@ -69,11 +69,8 @@ def trajectory(
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
       robodyn trajectory robots/2r.yaml --via motion.csv --profile cubic --max-qd 90deg/s
       robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361
-<<<<<<< HEAD
       robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --extremes
-=======
       robodyn trajectory robots/2r.yaml --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
->>>>>>> taskspace
       robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
     """

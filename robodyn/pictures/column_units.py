@@ -24,7 +24,7 @@ _COLUMNS = {
     "A": "amp",
     "W": "watt power",
     "kg m²": "flywheel",
-    "m": "gap joint_x joint_y tip_x tip_y centre_x centre_y",
+    "m": "x y gap joint_x joint_y tip_x tip_y centre_x centre_y",
     "m/s": "joint_vx joint_vy tip_vx tip_vy centre_vx centre_vy",
 }
 UNITS = {name: unit for unit, names in _COLUMNS.items() for name in names.split()}
