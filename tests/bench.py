@@ -24,6 +24,7 @@ from timeit import timeit
 from typing import Any
 
 import numpy as np
+from bench_derivatives import derivatives
 from bench_frontier import frontier, taylor_process
 from bench_motions import many_loops, motions, series_engines, sliding_joints, watched_runs
 from bench_sweep import sweeps
@@ -338,6 +339,7 @@ MEASURES = [
     frontier,
     series_engines,
     sliding_joints,
+    derivatives,
     many_loops,
     motions,
     watched_runs,

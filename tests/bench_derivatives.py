@@ -1,0 +1,41 @@
+"""What all first derivatives of forward dynamics cost beside one evaluation, in one run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import robodyn
+from robodyn.mechanics.mechanism import load
+
+COUNT = 20_000  # states
+BOUNDS = {"2r": 5.0, "four-bar": 8.0, "watt-six-bar": 8.0}
+
+
+def derivatives(bench: Any) -> list[Any]:
+    """Of many states at once, by numpy or machine code as both choose themselves."""
+    from bench import ROOT, compared, in_turn
+
+    rows = []
+    for name, bound in BOUNDS.items():
+        mechanism = load(ROOT / f"robots/{name}.yaml")
+        rng = np.random.default_rng(1)
+        given = rng.normal(size=(2, COUNT, len(mechanism.actuated)))
+        q = given[0] if not mechanism.rows else robodyn.assemble(mechanism, given[0])
+        qd = given[1] if not mechanism.rows else robodyn.loop_velocities(mechanism, q, given[1])
+        tau = np.zeros_like(q)
+
+        def all_of_them(state: tuple[Any, ...] = (mechanism, q, qd, tau)) -> object:
+            return robodyn.forward_dynamics_derivatives(*state)
+
+        def one(state: tuple[Any, ...] = (mechanism, q, qd, tau)) -> object:
+            return robodyn.forward_dynamics(*state)
+
+        for _ in range(60):  # until both have the code that they choose
+            all_of_them()
+            one()
+        times = in_turn(all_of_them, one, bench.repeats)
+        what = f"derivatives of qdd, {name}"
+        rows.append(compared(what, times, COUNT, "qdd", bound=bound))
+    return rows
