@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
     from robodyn.mechanics.voltages import voltages as voltages
+    from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
-    from robodyn.rest.small_motions import linearize as linearize
     from robodyn.rest.state_feedback import lqr as lqr
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
@@ -94,7 +94,7 @@ _ROOMS = {
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
-    "rest.small_motions": ["linearize"],
+    "rest.linear_model": ["linearize"],
     "rest.state_feedback": ["lqr"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],

@@ -36,14 +36,15 @@ FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down fa
 SHOWN = 2.0  # s that a mode is watched at least
 _TRACE = "The same as --of."
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
-_MODE = "In place of CSV: mode K, as linearize counts them, of the equilibrium --q."
+_MODE = "In place of rows: natural mode K, as linearize counts them, about --q."
 _SPEED = "Seconds of the motion in one second."
 
 
 def animate(
     model: Model,
-    out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     states: Annotated[Text, input_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
+    *,
+    out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: Annotated[int | None, Option("--mode", metavar="K", help=_MODE)] = None,
     q: Q = None,
     tau: Tau = None,
@@ -115,8 +116,8 @@ def _of_mode(
     mechanism: Mechanism, mode: int, q: Text, tau: Text, fps: float, speed: float
 ) -> Frames:
     from robodyn.cli.equilibrium import joint_torques
+    from robodyn.rest.linear_model import linearize
     from robodyn.rest.mode_motion import mode_motion
-    from robodyn.rest.small_motions import linearize
 
     (pose,) = single_state(mechanism, [Quantity("q", q, True)])
     torques = None if tau is None else joint_torques(mechanism, tau)

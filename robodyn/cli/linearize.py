@@ -26,8 +26,8 @@ from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.rest.small_motions import LinearModel
-from robodyn.rest.small_motions import linearize as linear_model
+from robodyn.rest.linear_model import LinearModel
+from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.output_file import open_output
 

@@ -9,7 +9,7 @@ from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.rest.small_motions import LinearModel
+from robodyn.rest.linear_model import LinearModel
 
 Array = NDArray[np.float64]
 

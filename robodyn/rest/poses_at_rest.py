@@ -8,6 +8,7 @@ downhill and past saddles.  Dry friction and hard stops hold nothing here; compl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -76,7 +77,7 @@ def equilibrium(
     found = _at_rest(mechanism, joints, begin, torques)
     if found is None:
         at = ", ".join(f"{x:.6g}" for x in begin)
-        limit = "forces do not vanish on the way from there; give another start, torques, or --hold"
+        limit = "forces do not vanish on the way from there: start elsewhere, or hold a joint"
         raise RobodynError(f"no pose at rest near q = {at}", where=mechanism.source, limit=limit)
     q = found[0]
     for joint, side, end in beyond(mechanism, q.tolist(), turns=True):
@@ -91,7 +92,6 @@ def equilibria(
     near: ArrayLike | None = None,
     hold: Sequence[str] = (),
     tau: ArrayLike | None = None,
-    seed: int = 0,
 ) -> list[Rest]:
     """The poses at rest that are found from many random starts, each once, the lowest PE first.
 
@@ -107,13 +107,14 @@ def equilibria(
     alone = [k for k in turning if k not in coupled]
     there: list[tuple[Array, Balance, Mechanism]] = []
     level = last = 0
-    for tried, start in enumerate(_starts(mechanism, joints, _near(mechanism, near), seed)):
+    for tried, start in enumerate(_starts(mechanism, joints, _near(mechanism, near))):
         if tried - last > STARTS + 10 * len(there):
             break
         found = _at_rest(mechanism, joints, start, torques)
         if found is None or beyond(mechanism, found[0].tolist(), turns=True):
             continue
-        found[0][alone] = half_turn(found[0][alone])
+        # whole turns alone are taken away, and half a turn is positive
+        found[0][alone] -= math.tau * np.ceil((found[0][alone] - math.pi - SAME) / math.tau)
         if any(_same(mechanism, turning, found[0] - q) for q, *_ in there):
             continue
         there.append(found)
@@ -122,13 +123,13 @@ def equilibria(
             LEVEL * _size(mechanism, found[1], torques)
         )
         if level > MOST_LEVEL:
-            limit = "it moves from one to the next without any force; --hold a joint"
+            limit = "it moves from one to the next without any force; hold a joint"
             raise RobodynError("no end of poses at rest", where=mechanism.source, limit=limit)
     if not there:
         limit = "none is found from any start; give torques, or hold a joint"
         raise RobodynError("no pose at rest", where=mechanism.source, limit=limit)
     rests = [_rest(mechanism, joints, found, torques) for found in there]
-    return sorted(rests, key=lambda rest: (rest.potential_energy, *rest.q))
+    return sorted(rests, key=lambda rest: (round(rest.potential_energy, 9), *rest.q))
 
 
 def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
@@ -155,9 +156,9 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
     return begin
 
 
-def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array, seed: int) -> Iterator[Array]:
+def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array) -> Iterator[Array]:
     """Random closed poses, the held joints as in `near`."""
-    rng, driven = np.random.default_rng(seed), list(mechanism.actuated)
+    rng, driven = np.random.default_rng(0), list(mechanism.actuated)
     yield near
     for _ in range(MOST_STARTS // STARTS):
         drawn = random_states(mechanism, rng, STARTS)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, RobodynError
-from robodyn.rest.small_motions import LinearModel
+from robodyn.rest.linear_model import LinearModel
 
 Array = NDArray[np.float64]
 
