@@ -95,9 +95,8 @@ def linearize(
     if mechanism.rows and rates.any():
         bent = bend(mechanism, pose, rates, N.T)  # (f, r)
         R = np.transpose([_completed(mechanism, pose, joints, -each) for each in bent])
-    qdd, by_q, by_qd, by_tau = (
-        x[joints] for x in forward_dynamics_derivatives(mechanism, pose, rates, torques)
-    )
+    slopes = forward_dynamics_derivatives(mechanism, pose, rates, torques)
+    qdd, by_q, by_qd, by_tau = (x[joints] for x in slopes[:4])
     A21, A22, B2 = by_q @ N + by_qd @ R, by_qd @ N, by_tau[:, driven]
     f, m = B2.shape
     A = np.block([[np.zeros((f, f)), np.eye(f)], [A21, A22]])
