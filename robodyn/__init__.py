@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
-    from robodyn.rest.state_feedback import lqr as lqr
+    from robodyn.rest.regulator import lqr as lqr
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
     from robodyn.trajectories.reference import ReferenceMotion as ReferenceMotion
@@ -95,7 +95,7 @@ _ROOMS = {
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize"],
-    "rest.state_feedback": ["lqr"],
+    "rest.regulator": ["lqr"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.time_scaling": ["shortest_motion"],

@@ -12,9 +12,10 @@ from scipy.linalg import solve_continuous_are
 from scipy.optimize import minimize_scalar
 
 import robodyn as rd
-from random_mechanisms import mechanism
+from random_mechanisms import LOOPS, forced, mechanism, seeded_scene
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.rest.balance import balance
 
 
 def scene(name: str) -> Mechanism:
@@ -166,6 +167,22 @@ def test_coordinates_are_other_joints_where_the_actuated_ones_do_not_tell() -> N
     assert model.coordinates in (("q1",), ("q2",))
     assert np.abs(model.N[2]).max() < 1e-9
     assert model.remark  # the rocker's torque holds nothing here
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_linear_model_at_rest_is_made_of_mass_damping_and_stiffness(name: str) -> None:
+    """Random loops under loads, springs and friction: M z'' + D z' + K z = 0, another way there."""
+    drawn = forced(1, seeded_scene(1, LOOPS[name]))
+    mech = mechanism(drawn.text)
+    rest = rd.equilibrium(mech, drawn.q)
+    model = rd.linearize(mech, rest.q, None, rest.tau)
+    at = balance(mech, rest.q, rest.tau)
+    M = at.N.T @ rd.mass_matrix(mech, rest.q) @ at.N
+    D = at.N.T @ at.load.by_qd @ at.N
+    f, parts = len(M), np.linalg.solve(M, -np.hstack([at.stiffness, D]))
+    known = np.poly(np.vstack([np.eye(2 * f)[f:], parts]))
+    assert relative_error(np.poly(model.A), known) < 1e-10
+    assert model.stable == rest.stable
 
 
 # -- modes -----------------------------------------------------------------------------------------

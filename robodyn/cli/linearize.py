@@ -92,7 +92,7 @@ def linearize(
         if found.remark:
             note(f"Note: {found.remark}")
         if lqr:
-            from robodyn.rest.state_feedback import lqr as gain_of
+            from robodyn.rest.regulator import lqr as gain_of
 
             content["gain"] = gain_of(found, *weights).tolist()
     if gain_out is not None:

@@ -25,6 +25,8 @@ def lqr(model: LinearModel, weights_x: ArrayLike = 1.0, weights_u: ArrayLike = 1
     row; X must be positive semidefinite, U positive definite.  Raises InputError where they are
     not, RobodynError away from rest and where no gain makes the pose stable.
     """
+    if not model.B.shape[1]:
+        raise RobodynError("no gain", limit="no joint is actuated")
     X = _weights("weights_x", weights_x, len(model.A), definite=False)
     U = _weights("weights_u", weights_u, model.B.shape[1], definite=True)
     if model.modes is None:
