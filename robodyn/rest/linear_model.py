@@ -22,7 +22,7 @@ from robodyn.dynamics.closed_form import closure_bias, mass_matrix, scaled_jacob
 from robodyn.dynamics.dense_dynamics import required_load
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives
 from robodyn.errors import RobodynError
-from robodyn.loops.loop_rates import check_closed
+from robodyn.loops.loop_rates import check_closed, check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
@@ -68,14 +68,15 @@ def linearize(
 
     qd is zero by default, tau what holds the mechanism there (z'' = 0), as far as the actuated
     joints can.  Dry friction of joints at rest, and hard stops, are left out.  Raises InputError
-    for a state that does not fit or is open, RobodynError where nothing moves, SingularError where
-    a freedom has no inertia.
+    for a state that does not fit or is open, RobodynError where nothing moves, SingularError at a
+    change point and where a freedom has no inertia.
     """
     pose, rates, torques = (
         single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
     )
     if (fault := check_closed(mechanism, pose, rates)) is not None:
         raise fault[1]
+    check_way_on(mechanism, pose[None], np.zeros((1, mechanism.n)))
     if mechanism.switches:
         mode = moving_mode(mechanism, pose.tolist(), rates.tolist(), [0.0] * mechanism.n)
         mechanism = in_mode(mechanism, mode)

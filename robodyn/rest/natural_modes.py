@@ -45,7 +45,7 @@ def eigenvalues(A21: Array, A22: Array, rate: float = 0.0) -> tuple[Complex, Com
         largest = max(float(np.abs(squares).max()), rate**2)
         squares = np.where(np.abs(squares) <= ZERO**2 * largest, 0.0, squares)
         roots = np.sqrt(squares.astype(complex))
-        return np.concatenate([roots, -roots]), np.concatenate([V, V], axis=1).astype(complex)
+        return np.concatenate([roots, 0.0 - roots]), np.concatenate([V, V], axis=1).astype(complex)
     A = np.block([[np.zeros((f, f)), np.eye(f)], [A21, A22]])
     values, vectors = np.linalg.eig(A)
     largest = max(float(np.abs(values).max()), rate)
