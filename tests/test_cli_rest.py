@@ -38,7 +38,7 @@ def test_held_joint_and_its_torque(robodyn: Run) -> None:
 
 def test_linear_model_as_json(robodyn: Run) -> None:
     given = robodyn("linearize", "robots/2r.yaml", "--q", "-90deg,0", "--tau", "0,0").succeeds()
-    keys = "coordinates q qd tau A B N modes stable controllable"
+    keys = "coordinates q qd tau N A B modes stable controllable"
     assert list(given.json) == keys.split()
     assert given.json["coordinates"] == ["q1", "q2"]
     assert [list(mode) for mode in given.json["modes"]] == [

@@ -54,8 +54,8 @@ def linearize(
 
     (z, z')' = A (z, z') + B dtau for small changes of minimal coordinates z, the joints that are
     named in `coordinates`: actuated ones where they tell all others. Without --tau the torque that
-    holds it there is taken. JSON keys: coordinates, q, qd, tau (of the actuated joints), A, B, N
-    (joints' rates for each coordinate at 1), modes, stable, controllable, and with --lqr gain.
+    holds it there is taken. JSON keys: coordinates, q, qd, tau (of the actuated joints), N
+    (joints' rates for each coordinate at 1), A, B, modes, stable, controllable, with --lqr gain.
 
     Each of `modes` is a pair of conjugate eigenvalues, or one real one: eigenvalue (its real and
     imaginary part, 1/s), frequency |s|/2pi (Hz), damping -Re(s)/|s|, shape (of the coordinates, the
@@ -71,14 +71,12 @@ def linearize(
     """
     mechanism = load(model)
     given = [Quantity("q", q, True), Quantity("qd", qd)]
-    for flag, value in (("--weights-x", weights_x), ("--weights-u", weights_u)):
+    weigh = {"--weights-x": weights_x, "--weights-u": weights_u}
+    for flag, value in (weigh | {"--gain-out": gain_out}).items():
         if value is not None and not lqr:
-            raise InputError(flag, value=value, limit="weighs a gain: give --lqr")
-    if gain_out is not None and not lqr:
-        raise InputError("--gain-out", value=gain_out, limit="there is none without --lqr")
+            raise InputError(flag, value=value, limit="there is no gain without --lqr")
     weights = [
-        [1.0] if text is None else parse_vector(text, where=flag, angles=False)
-        for flag, text in (("--weights-x", weights_x), ("--weights-u", weights_u))
+        parse_vector("1" if x is None else x, where=flag, angles=False) for flag, x in weigh.items()
     ]
     pose, rates = single_state(mechanism, given)
     torques = None if tau is None else joint_torques(mechanism, tau)
@@ -88,7 +86,8 @@ def linearize(
         content = _content(mechanism, found)
         held = ", ".join(f"tau{k + 1} = {found.tau[k]:.9g}" for k in mechanism.actuated)
         if tau is None and held:
-            note(f"Note: with the torque that holds it, {held}")
+            far = " as far as it can" if found.remark else ""
+            note(f"Note: with the torque that holds it{far}, {held}")
         if found.remark:
             note(f"Note: {found.remark}")
         if lqr:
@@ -103,12 +102,11 @@ def linearize(
 
 
 def _content(mechanism: Mechanism, found: LinearModel) -> dict[str, Any]:
-    driven = list(mechanism.actuated)
-    arrays = {"q": found.q, "qd": found.qd, "tau": found.tau[driven]}
-    arrays |= {"A": found.A, "B": found.B, "N": found.N}
-    modes = None
+    content: dict[str, Any] = found._asdict()
+    del content["remark"]
+    content["tau"] = found.tau[list(mechanism.actuated)]
     if found.modes is not None:
-        modes = [
+        content["modes"] = [
             {
                 "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
                 "frequency": mode.frequency,
@@ -118,13 +116,7 @@ def _content(mechanism: Mechanism, found: LinearModel) -> dict[str, Any]:
             }
             for mode in found.modes
         ]
-    content: dict[str, Any] = {"coordinates": list(found.coordinates)}
-    content |= {name: np.asarray(value).tolist() for name, value in arrays.items()}
-    return content | {
-        "modes": modes,
-        "stable": found.stable,
-        "controllable": found.controllable,
-    }
+    return {key: x.tolist() if isinstance(x, np.ndarray) else x for key, x in content.items()}
 
 
 def _tables(mechanism: Mechanism, found: LinearModel, content: Mapping[str, Any]) -> Iterator[Grid]:
