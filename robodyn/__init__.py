@@ -51,6 +51,10 @@ if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
     from robodyn.mechanics.voltages import voltages as voltages
+    from robodyn.rest.linear_model import linearize as linearize
+    from robodyn.rest.poses_at_rest import equilibria as equilibria
+    from robodyn.rest.poses_at_rest import equilibrium as equilibrium
+    from robodyn.rest.regulator import lqr as lqr
     from robodyn.simulation.simulation import Motion as Motion
     from robodyn.simulation.simulation import simulate as simulate
     from robodyn.trajectories.inverse_kinematics import inverse_kinematics as inverse_kinematics
@@ -90,6 +94,9 @@ _ROOMS = {
     "dynamics.motor_loads": ["motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
+    "rest.poses_at_rest": ["equilibria", "equilibrium"],
+    "rest.linear_model": ["linearize"],
+    "rest.regulator": ["lqr"],
     "simulation.simulation": ["Motion", "simulate"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.inverse_kinematics": ["inverse_kinematics"],

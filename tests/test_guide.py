@@ -104,6 +104,13 @@ def test_files_that_the_code_names_exist(path: Path) -> None:
     assert unknown_files(path.read_text(encoding="utf-8")) == set()
 
 
+def test_the_wheel_holds_every_room() -> None:
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    held = {"robodyn", "robodyn.robots", *(f"robodyn.{room}" for room in rooms)}
+    assert sorted(tool["setuptools"]["packages"]) == sorted(held)
+
+
 def test_the_wheel_holds_the_guide() -> None:
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
     patterns = tool["setuptools"]["package-data"]["robodyn"]

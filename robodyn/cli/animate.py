@@ -11,10 +11,17 @@ from typer import Option
 
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
 from robodyn.cli.files import input_argument, output_file
-from robodyn.cli.options import Model, Size
+from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
-from robodyn.cli.states import Quantity, complete, open_input, remarks, table_source
+from robodyn.cli.states import (
+    Quantity,
+    complete,
+    open_input,
+    remarks,
+    single_state,
+    table_source,
+)
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -26,15 +33,21 @@ from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
+SHOWN = 2.0  # s that a mode is watched at least
 _TRACE = "The same as --of."
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
+_MODE = "In place of rows: natural mode K, as linearize counts them, about --q."
 _SPEED = "Seconds of the motion in one second."
 
 
 def animate(
     model: Model,
-    states: Annotated[str, input_argument("CSV", "Rows with t and q1..; - is stdin.")],
+    states: Annotated[Text, input_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
+    *,
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
+    mode: Annotated[int | None, Option("--mode", metavar="K", help=_MODE)] = None,
+    q: Q = None,
+    tau: Tau = None,
     of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
     trace: Annotated[list[str] | None, Option("--trace", metavar=POINTS, help=_TRACE)] = None,
     fps: Annotated[float, Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
@@ -48,10 +61,14 @@ def animate(
     smoother.  A gif plays anywhere, an html page holds everything in itself and can be halted and
     turned by hand (it needs no extra), an mp4 needs the program ffmpeg.
 
+    --mode shows a natural mode of small motions about --q in place of rows: enlarged, undamped, for
+    whole periods; --tau are the torques there, by default those that hold it.
+
     \b
     Examples:
       robodyn animate robots/four-bar.yaml run.csv --of coupler,centre2 -o run.html
       robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
+      robodyn animate robots/3r.yaml --mode 2 --q -90deg,0,0 -o mode2.html
     """
     suffix = Path(out).suffix.lower()
     if suffix not in SUFFIXES:
@@ -62,6 +79,12 @@ def animate(
     if not 0.0 < speed < float("inf"):
         raise InputError("--speed", value=speed, limit="must be > 0 and finite")
     extent = parse_size(size)
+    for flag, value in (("--q", q), ("--tau", tau)):
+        if value is not None and mode is None:
+            raise InputError(flag, value=value, limit="is of a natural mode: give --mode K")
+    if (states is None) == (mode is None):
+        limit = "give rows, or --mode K and --q" + (", not both" if states else "")
+        raise InputError("CSV", value=states, limit=limit)
     mechanism = load(model)
     traced = points_given(mechanism, of, trace)
     check_directory(out)
@@ -71,7 +94,10 @@ def animate(
         limit = "needs the program ffmpeg, which is not on the path; .gif and .html do not"
         raise RobodynError("an animation (mp4)", limit=limit)
     with remarks():
-        shown_frames = _read(mechanism, states, fps, speed)
+        if states is not None:
+            shown_frames = _read(mechanism, states, fps, speed)
+        else:
+            shown_frames = _of_mode(mechanism, mode or 0, q, tau, fps, speed)
     drawn = drawing(mechanism, shown_frames.q)
     X = placed(mechanism, shown_frames.fine).X
     traces = [at(each.point, X) for each in traced]
@@ -84,6 +110,22 @@ def animate(
     write = write_gif if suffix == ".gif" else write_mp4
     with progress("drawing", silent=0.0) as watch:
         write(film, fps, out, watch)
+
+
+def _of_mode(
+    mechanism: Mechanism, mode: int, q: Text, tau: Text, fps: float, speed: float
+) -> Frames:
+    from robodyn.cli.equilibrium import joint_torques
+    from robodyn.rest.linear_model import linearize
+    from robodyn.rest.mode_motion import mode_motion
+
+    (pose,) = single_state(mechanism, [Quantity("q", q, True)])
+    torques = None if tau is None else joint_torques(mechanism, tau)
+    with named_options(["mode"]):
+        t, poses = mode_motion(
+            mechanism, linearize(mechanism, pose, None, torques), mode, SHOWN * speed
+        )
+    return frames(mechanism, t, poses, None, fps, speed)
 
 
 def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:

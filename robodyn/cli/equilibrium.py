@@ -1,0 +1,78 @@
+"""`robodyn equilibrium`: poses at rest."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from typer import Option
+
+from robodyn.cli.options import Model, Out, OutputFormat, Q, Tau, named_options
+from robodyn.cli.output import note, row_writer
+from robodyn.cli.states import Quantity, option_source, remarks, single_state
+from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.pictures.column_units import scene_units
+from robodyn.rest.poses_at_rest import equilibria
+from robodyn.rest.poses_at_rest import equilibrium as pose_at_rest
+
+_HOLD = "A link whose joint stays where it is; repeatable."
+_ALL = "All that are found from many starts."
+WORDS = {True: "yes", False: "no", None: "undecided"}
+
+
+def equilibrium(
+    model: Model,
+    q: Q = None,
+    tau: Tau = None,
+    hold: Annotated[list[str] | None, Option("--hold", metavar="LINK", help=_HOLD)] = None,
+    all: Annotated[bool, Option("--all", help=_ALL)] = False,
+    format: OutputFormat = None,
+    out: Out = None,
+) -> None:
+    """Where the mechanism rests: near a pose, or everywhere.
+
+    Columns: q1.., the torques tau1.. (N m) that hold the joints of --hold, PE (J), and `stable`:
+    yes where PE has a minimum along the closures, no, or undecided where stiffness alone does not
+    tell. Without potential it is whether a small motion grows. --q is near the pose, by default the
+    scene's start. With --all each pose is told once, the lowest first; where it rests all along a
+    motion, hold a joint.
+
+    Dry friction and hard stops hold nothing; loads that vary are those at t = 0.
+
+    \b
+    Examples:
+      robodyn equilibrium robots/2r.yaml --all
+      robodyn equilibrium robots/spring-slider-crank.yaml --q -2
+      robodyn equilibrium robots/cart-pole.yaml --q 0.2,80deg --hold cart
+    """
+    mechanism = load(model)
+    near = None if q is None else single_state(mechanism, [Quantity("q", q)])[0]
+    torques = joint_torques(mechanism, tau)
+    tell_what_is_left_out(mechanism)
+    with remarks(), named_options(["hold"]):
+        search = equilibria if all else pose_at_rest
+        found = search(mechanism, near, hold or (), torques)
+    rests = found if isinstance(found, list) else [found]
+    held = [k for k, name in enumerate(mechanism.link_names) if name in (hold or ())]
+    columns = [*(f"q{k + 1}" for k in range(mechanism.n)), *(f"tau{k + 1}" for k in held)]
+    columns += ["PE", "stable"]
+    with row_writer(format, out, columns, units=scene_units(mechanism)) as writer:
+        for rest in rests:
+            values = [*rest.q.tolist(), *rest.tau[held].tolist(), rest.potential_energy]
+            writer.write_row([*values, WORDS[rest.stable]])
+
+
+def joint_torques(mechanism: Mechanism, tau: str | None) -> np.ndarray:
+    """The torques (n,) of --tau, of all joints or the actuated ones."""
+    source = option_source(mechanism, Quantity("tau", tau))
+    torques = np.zeros(mechanism.n)
+    torques[range(mechanism.n) if source.whole else list(mechanism.actuated)] = source.values
+    return torques
+
+
+def tell_what_is_left_out(mechanism: Mechanism) -> None:
+    """On stderr what poses at rest do not see, where the scene has any."""
+    if mechanism.switches:
+        note("Note: dry friction and hard stops hold nothing here")
+    if mechanism.timed:
+        note("Note: loads that vary are those at t = 0")

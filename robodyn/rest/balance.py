@@ -1,0 +1,95 @@
+"""The forces on a mechanism at one state, along the motions that its closures leave.
+
+With N a basis of the null space of Psi, and h = M qdd + C qd + D qd + G - Q what torques and pin
+forces must balance (`required_load`), a mechanism rests where gap(q) = 0 and
+
+    r = N^T (tau - h) = 0
+
+At rest Psi^T lambda = h - tau gives the pin forces, and along closed motions r changes by -K:
+
+    K = N^T (dh/dq - d(Psi^T lambda)/dq) N,      dr = -K dz,     dq = N dz
+
+The derivatives of h are tangents of the program.  The gap's own bend is the symmetric B in
+d(Psi u)/dq v = B(u, v), of which `closure_bias` is B(u, u).  Displacements are told in units of
+a length, so that they compare with angles: N is orthonormal in these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
+from robodyn.dynamics.dense_dynamics import RANK_CUT
+from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_derivatives
+from robodyn.dynamics.placed import as_states
+from robodyn.errors import InputError
+from robodyn.loops.closing import loop_size
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+class Balance(NamedTuple):
+    """What acts at a pose at rest; f freedoms, r rows of closures."""
+
+    N: Array  # (n, f)
+    force: Array  # (f,) N^T (tau - h)
+    stiffness: Array  # (f, f) K
+    load: InverseDerivatives  # h (n,) as `tau`, and its derivatives (n, n)
+    multipliers: Array  # (r,) lambda, N
+
+
+def single(mechanism: Mechanism, name: str, values: ArrayLike | None) -> Array:
+    """The values of one state, (n,), zeros for None; InputError where they are not so many."""
+    if values is None:
+        return np.zeros(mechanism.n)
+    state = as_states(mechanism, name, values)
+    if state.ndim != 1:
+        raise InputError(f"{name}.shape", value=state.shape, limit=f"must be ({mechanism.n},)")
+    return state.copy()
+
+
+@lru_cache(maxsize=64)
+def unclosed(mechanism: Mechanism) -> Mechanism:
+    """The tree alone, every joint driven: its torques are h."""
+    return replace(mechanism, rows=(), actuated=tuple(range(mechanism.n)))
+
+
+def free_motions(mechanism: Mechanism, q: Array) -> Array:
+    """N (n, f) at q (n,)."""
+    units = mechanism.arrays.units
+    if not mechanism.rows:
+        return np.diag(units)
+    _, s, Vt = np.linalg.svd(scaled_jacobian(mechanism, q))
+    rank = int((s > RANK_CUT * loop_size(mechanism)).sum())
+    return np.asarray(units[:, None] * Vt[rank:].T)
+
+
+def bend(mechanism: Mechanism, q: Array, u: Array, v: Array) -> Array:
+    """B(u, v) (..., r) at q (n,) of rates u, v (..., n)."""
+    sums = [closure_bias(mechanism, q, x) for x in (u + v, u - v)]
+    return np.asarray((sums[0] - sums[1]) / 4.0)
+
+
+def balance(mechanism: Mechanism, q: Array, tau: Array) -> Balance:
+    """The balance at rest at q (n,) under the joint torques tau (n,), loads those of t = 0.
+
+    Raises SingularError where the ends of a spring with a free length coincide.
+    """
+    N, zero = free_motions(mechanism, q), np.zeros(mechanism.n)
+    load = inverse_dynamics_derivatives(unclosed(mechanism), q, zero, zero)
+    K, missing = N.T @ load.by_q @ N, tau - load.tau
+    multipliers: Array = np.zeros(len(mechanism.rows))
+    if mechanism.rows:
+        units = mechanism.arrays.units
+        Psi = scaled_jacobian(mechanism, q)
+        found = np.linalg.lstsq(Psi.T, -units * missing, rcond=RANK_CUT)
+        multipliers = np.asarray(found[0], float)
+        ways = N.T
+        K = K - bend(mechanism, q, ways[:, None], ways[None]) @ multipliers
+    return Balance(N, N.T @ missing, K, load, multipliers)

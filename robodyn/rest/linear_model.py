@@ -1,0 +1,147 @@
+"""The linear model of small motions about a state, in minimal coordinates.
+
+Minimal coordinates z are joints, z = S q: the actuated ones where they tell all others, else those
+that closed motions move most.  Next to a closed state (q, qd), with equation (1) solved for qdd,
+
+    [Psi; S] N = [0; I]      [Psi; S] R = [-d(Psi qd)/dq N; 0]     dq = N dz     dqd = R dz + N dz'
+    A21 = S (qdd_q N + qdd_qd R)     A22 = S qdd_qd N     B2 = S qdd_tau
+
+and (dz, dz')' = A (dz, dz') + B dtau, A = [[0, I], [A21, A22]], B = [0; B2].  The derivatives are
+tangents of the program.  Two choices of z agree about eigenvalues at rest alone, where qdd = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import closure_bias, mass_matrix, scaled_jacobian
+from robodyn.dynamics.dense_dynamics import required_load
+from robodyn.dynamics.derivatives import forward_dynamics_derivatives
+from robodyn.errors import RobodynError
+from robodyn.loops.loop_rates import check_closed, check_way_on
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import in_mode, moving_mode
+from robodyn.rest.balance import bend, free_motions, single
+from robodyn.rest.natural_modes import (
+    NaturalMode,
+    controllable,
+    eigenvalues,
+    natural_modes,
+    stable_by,
+)
+
+Array = NDArray[np.float64]
+
+TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no coordinate
+RESTS = 1e-6  # rad that a pose may be from rest, by its accelerations
+
+
+class LinearModel(NamedTuple):
+    """A (2f, 2f) and B (2f, m) of f coordinates and m actuated joints, at q, qd, tau (n,).
+
+    `coordinates` are columns, such as q1; N (n, f) has the rates of all joints for each at 1.
+    Away from rest `remark` says why, and `modes`, `stable` and `controllable` are None; at rest
+    `stable` is None where an eigenvalue is zero and none grows.
+    """
+
+    coordinates: tuple[str, ...]
+    q: Array
+    qd: Array
+    tau: Array
+    N: Array
+    A: Array
+    B: Array
+    modes: list[NaturalMode] | None
+    stable: bool | None
+    controllable: bool | None
+    remark: str = ""
+
+
+def linearize(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike | None = None, tau: ArrayLike | None = None
+) -> LinearModel:
+    """The linear model at the closed state q, qd (n,) under torques tau (n,), loads those of t = 0.
+
+    qd is zero by default, tau what holds the mechanism there (z'' = 0), as far as the actuated
+    joints can.  Dry friction of joints at rest, and hard stops, are left out.  Raises InputError
+    for a state that does not fit or is open, RobodynError where nothing moves, SingularError at a
+    change point and where a freedom has no inertia.
+    """
+    pose, rates, torques = (
+        single(mechanism, name, x) for name, x in (("q", q), ("qd", qd), ("tau", tau))
+    )
+    if (fault := check_closed(mechanism, pose, rates)) is not None:
+        raise fault[1]
+    check_way_on(mechanism, pose[None], np.zeros((1, mechanism.n)))
+    if mechanism.switches:
+        mode = moving_mode(mechanism, pose.tolist(), rates.tolist(), [0.0] * mechanism.n)
+        mechanism = in_mode(mechanism, mode)
+    free = free_motions(mechanism, pose)
+    if not free.shape[1]:
+        raise RobodynError("no freedom", where=mechanism.source, limit="nothing moves here")
+    joints, driven = _coordinates(mechanism, free), list(mechanism.actuated)
+    U, s, Vt = np.linalg.svd(free[driven].T, full_matrices=False)
+    holds = s > TOLD * s.max(initial=1.0)
+    N = free @ np.linalg.inv(free[joints])
+    N[joints] = np.eye(len(joints))
+    if tau is None:
+        qdd = _completed(mechanism, pose, joints, -closure_bias(mechanism, pose, rates))
+        load = required_load(mechanism, pose, rates, qdd)
+        torques[driven] = Vt[holds].T @ ((U[:, holds].T @ (free.T @ load)) / s[holds])
+    R = np.zeros_like(N)
+    if mechanism.rows and rates.any():
+        bent = bend(mechanism, pose, rates, N.T)  # (f, r)
+        R = np.transpose([_completed(mechanism, pose, joints, -each) for each in bent])
+    slopes = forward_dynamics_derivatives(mechanism, pose, rates, torques)
+    qdd, by_q, by_qd, by_tau = (x[joints] for x in slopes[:4])
+    A21, A22, B2 = by_q @ N + by_qd @ R, by_qd @ N, by_tau[:, driven]
+    f, m = B2.shape
+    A = np.block([[np.zeros((f, f)), np.eye(f)], [A21, A22]])
+    B = np.concatenate([np.zeros((f, m)), B2])
+    names = tuple(f"q{k + 1}" for k in joints)
+    model = LinearModel(names, pose, rates, torques, N, A, B, None, None, None)
+    units = mechanism.arrays.units[joints]
+    M = N.T @ mass_matrix(mechanism, pose) @ N * units * units[:, None]
+    weight = np.abs(mechanism.arrays.weights).max() * mechanism.arrays.units.max()
+    square = float(weight / np.linalg.eigvalsh(M).min())  # of a rate that weight may make, 1/s^2
+    size = np.abs(A21 * units / units[:, None]).max() + np.abs(B2 @ torques[driven] / units).max()
+    fastest = int(np.argmax(np.abs(qdd / units)))
+    if rates.any() or abs(qdd[fastest] / units[fastest]) > RESTS * max(size, square):
+        what = "it moves" if rates.any() else f"{names[fastest]}'' = {qdd[fastest]:.6g}"
+        return model._replace(remark=f"this is no equilibrium ({what}): modes belong to those")
+    values, shapes = eigenvalues(A21, A22, math.sqrt(square))
+    return model._replace(
+        modes=natural_modes(values, shapes, units),
+        stable=stable_by(values),
+        controllable=controllable(A, B),
+    )
+
+
+def _coordinates(mechanism: Mechanism, N: Array) -> list[int]:
+    """Joints whose rates tell all others': actuated ones, as far as they do, then by pivots."""
+    units = mechanism.arrays.units
+    left = N / units[:, None]  # rows less what the joints that are chosen tell of them
+    chosen: list[int] = []
+    for pool in (mechanism.actuated, mechanism.passive):
+        while len(chosen) < N.shape[1]:
+            sizes = {k: float(np.linalg.norm(left[k])) for k in pool if k not in chosen}
+            best = max(sizes, key=lambda k: round(sizes[k], 9), default=None)
+            if best is None or sizes[best] < TOLD:
+                break
+            way = left[best] / sizes[best]
+            left = left - np.outer(left @ way, way)
+            chosen.append(best)
+    return sorted(chosen)
+
+
+def _completed(mechanism: Mechanism, q: Array, joints: list[int], right: Array) -> Array:
+    """x (n,) with Psi x = right (r,), zero at the coordinates."""
+    others = [k for k in range(mechanism.n) if k not in joints]
+    found = np.zeros(mechanism.n)
+    columns = scaled_jacobian(mechanism, q)[:, others]
+    found[others] = mechanism.arrays.units[others] * np.linalg.lstsq(columns, right, rcond=1e-10)[0]
+    return found

@@ -1,0 +1,293 @@
+"""Poses at rest: Newton's method on the balance, kept to regions in which it can be trusted.
+
+Steps along the closures are Newton's, shortened by Levenberg's and Marquardt's rule until the
+forces shrink; where that ends at a pose that is not at rest (a level arm, say, whose weight turns
+it most) they are -|K|^-1 r instead, |K| with the absolute values of the eigenvalues, which go
+downhill and past saddles.  Dry friction and hard stops hold nothing here; compliant stops push.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.closed_form import closure_gap, potential_energy
+from robodyn.dynamics.sticking import held_forces
+from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
+from robodyn.loops.assembly import assemble, attempt
+from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
+from robodyn.loops.loop_rates import check_closed
+from robodyn.mechanics.mechanism import Mechanism, joint_index
+from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
+from robodyn.rest.balance import Balance, balance, single
+from robodyn.rest.natural_modes import eigenvalues, stable_by
+from robodyn.scene.yaml_values import nearest
+from robodyn.tables.csv_fields import shown
+
+Array = NDArray[np.float64]
+
+LONGEST = 0.3  # rad of a step
+PASSES = 100  # steps of one kind
+SHRINKS = 0.99  # a Newton step leaves no more of the forces, or is shortened
+SETTLED = 1e-7  # rad; a Newton step below it is the last but one
+AT_REST = 1e-9  # part of what acts that may be left over
+LEAST, MOST = 1e-3, 1e6  # damping that is begun with, and given up with, as parts of what acts
+LEVEL = 1e-9  # part of the largest stiffness below which an eigenvalue counts as zero
+CLOSED = 1e-9  # part of the loop's size that a pose may be open
+SAME = 1e-6  # rad by which poses may differ that are one
+STARTS = 30  # in vain before no more are tried, or 10 for each pose that is found
+MOST_STARTS = 3000
+MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
+
+
+class Rest(NamedTuple):
+    """A pose at rest: q (n,), PE (J), and tau (n,), what was given and what holds held joints.
+
+    `stable` is whether a small push leads only a little away: True where PE has a minimum along
+    the closures (or, where forces have no potential, where no small motion grows), None where that
+    is not decided by the second derivatives.
+    """
+
+    q: Array
+    potential_energy: float
+    tau: Array
+    stable: bool | None
+
+
+def equilibrium(
+    mechanism: Mechanism,
+    near: ArrayLike | None = None,
+    hold: Sequence[str] = (),
+    tau: ArrayLike | None = None,
+) -> Rest:
+    """A pose at rest near the closed pose `near` (n,), by default the scene's start.
+
+    N^T (tau - h) = 0 with gap(q) = 0 (`balance.py`), under the torques tau (n,), by default zero.
+    Joints of the links named in `hold` stay where they are, and their torques are found.  Dry
+    friction is left out.  Raises InputError for values that do not fit and a pose that does not
+    close, RobodynError where no pose at rest is found, or it is beyond the end of a joint.
+    """
+    joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
+    begin = _near(mechanism, near)
+    found = _at_rest(mechanism, joints, begin, torques)
+    if found is None:
+        at = ", ".join(f"{x:.6g}" for x in begin)
+        limit = "forces do not vanish on the way from there: start elsewhere, or hold a joint"
+        raise RobodynError(f"no pose at rest near q = {at}", where=mechanism.source, limit=limit)
+    q = found[0]
+    for joint, side, end in beyond(mechanism, q.tolist(), turns=True):
+        where = f"the pose at rest has q{joint + 1} ({mechanism.link_names[joint]})"
+        limit = f"beyond the joint's {end_word(side)}, {end:.9g}; hold the joint there"
+        raise RobodynError(where, where=mechanism.source, value=f"{q[joint]:.9g}", limit=limit)
+    return _rest(mechanism, joints, found, torques)
+
+
+def equilibria(
+    mechanism: Mechanism,
+    near: ArrayLike | None = None,
+    hold: Sequence[str] = (),
+    tau: ArrayLike | None = None,
+) -> list[Rest]:
+    """The poses at rest that are found from many random starts, each once, the lowest PE first.
+
+    Held joints stay where they are in `near`.  Starts are as the scene is assembled, where the
+    actuated joints tell the others.  Angles lie within half a turn of zero, but for joints whose
+    turns count.  Raises RobodynError where there is none, or no end of them, else as `equilibrium`.
+    """
+    joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
+    sprung = {spring.joint for spring in mechanism.joint_springs}
+    counting = {*sprung, *dict(mechanism.limits), *mechanism.slides}
+    coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
+    turning = [k for k in range(mechanism.n) if k not in counting]
+    alone = [k for k in turning if k not in coupled]
+    there: list[tuple[Array, Balance, Mechanism]] = []
+    level = last = 0
+    for tried, start in enumerate(_starts(mechanism, joints, _near(mechanism, near))):
+        if tried - last > STARTS + 10 * len(there):
+            break
+        found = _at_rest(mechanism, joints, start, torques)
+        if found is None or beyond(mechanism, found[0].tolist(), turns=True):
+            continue
+        # whole turns alone are taken away, and half a turn is positive
+        found[0][alone] -= math.tau * np.ceil((found[0][alone] - math.pi - SAME) / math.tau)
+        if any(_same(mechanism, turning, found[0] - q) for q, *_ in there):
+            continue
+        there.append(found)
+        last = tried
+        level += float(np.abs(np.linalg.eigvals(found[1].stiffness)).min(initial=np.inf)) <= (
+            LEVEL * _size(mechanism, found[1], torques)
+        )
+        if level > MOST_LEVEL:
+            limit = "it moves from one to the next without any force; hold a joint"
+            raise RobodynError("no end of poses at rest", where=mechanism.source, limit=limit)
+    if not there:
+        limit = "none is found from any start; give torques, or hold a joint"
+        raise RobodynError("no pose at rest", where=mechanism.source, limit=limit)
+    rests = [_rest(mechanism, joints, found, torques) for found in there]
+    return sorted(rests, key=lambda rest: (round(rest.potential_energy, 9), *rest.q))
+
+
+def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
+    """The joints of the links with these names."""
+    links = joint_index(mechanism)
+    for name in names:
+        if name not in links:
+            limit = f"names no link{nearest(name, list(links))}"
+            raise InputError("hold", value=shown(name), limit=limit)
+    return tuple(sorted({links[name] for name in names}))
+
+
+def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
+    """The start, closed: as given, else near that of the scene."""
+    if near is None:
+        start = mechanism.description.start or [None] * mechanism.n
+        begin = np.array([x or 0.0 for x in start])
+        with suppress(InputError, AssemblyError):  # joints are free, or zero is out of reach
+            return assemble(mechanism, begin[list(mechanism.actuated)])
+        return close_positions(mechanism, begin)
+    begin = single(mechanism, "near", near)
+    if (fault := check_closed(mechanism, begin)) is not None:
+        raise fault[1]
+    return begin
+
+
+def _starts(mechanism: Mechanism, joints: Sequence[int], near: Array) -> Iterator[Array]:
+    """Random closed poses, the held joints as in `near`."""
+    rng, driven = np.random.default_rng(0), list(mechanism.actuated)
+    yield near
+    for _ in range(MOST_STARTS // STARTS):
+        drawn = random_states(mechanism, rng, STARTS)
+        for joint, stop in mechanism.limits:
+            low, high = (dict(stop.ends).get(side) for side in (-1, 1))
+            if low is not None and high is not None:
+                drawn[:, joint] = rng.uniform(low, high, STARTS)
+        drawn[:, list(joints)] = near[list(joints)]
+        closed = None
+        if mechanism.rows and set(joints) <= set(driven):
+            with suppress(InputError):  # joints are free: the actuated ones do not tell the rest
+                q, missing = attempt(mechanism, drawn[:, driven])
+                closed = q[missing <= 0.0]
+        if closed is None:
+            q = close_positions(mechanism, drawn, joints)
+            closed = q[[not _open(mechanism, each) for each in q]]
+        yield from closed
+
+
+def _same(mechanism: Mechanism, turning: Sequence[int], way: Array) -> bool:
+    """Whether poses that differ by `way` (n,) are one."""
+    way = way / mechanism.arrays.units
+    way[list(turning)] = half_turn(way[list(turning)])
+    return bool(np.abs(way).max() < SAME)
+
+
+def _open(mechanism: Mechanism, q: Array) -> bool:
+    gap = np.abs(closure_gap(mechanism, q)).max(initial=0.0)
+    return not gap <= CLOSED * loop_size(mechanism)
+
+
+# -- one pose ------------------------------------------------------------------------------------
+
+
+def _acting(mechanism: Mechanism, joints: tuple[int, ...], q: Array) -> Mechanism:
+    """The mechanism with joints held, and the compliant stops that push at q."""
+    mode = Mode(joints, (), pressed(mechanism, q.tolist(), [0.0] * mechanism.n))
+    return in_mode(mechanism, mode) if mechanism.switches or any(mode) else mechanism
+
+
+def _at_rest(
+    mechanism: Mechanism, joints: tuple[int, ...], start: Array, tau: Array
+) -> tuple[Array, Balance, Mechanism] | None:
+    """The pose at rest that steps from `start` lead to, its balance, and what acts there."""
+    for downhill in (False, True):
+        with suppress(SingularError, np.linalg.LinAlgError):
+            if (found := _steps(mechanism, joints, start, tau, downhill)) is not None:
+                return found
+    return None
+
+
+def _steps(
+    mechanism: Mechanism, joints: tuple[int, ...], q: Array, tau: Array, downhill: bool
+) -> tuple[Array, Balance, Mechanism] | None:
+    acting = _acting(mechanism, joints, q)
+    at, damping = balance(acting, q, tau), 0.0
+    for _ in range(PASSES):
+        size = _size(mechanism, at, tau)
+        step = _downhill(at, size) if downhill else _newton(at, size, damping)
+        length = float(np.abs(step).max(initial=0.0))
+        settled = length <= SETTLED and not damping
+        left = np.abs(at.force - at.stiffness @ step).max(initial=0.0)
+        if settled and left > AT_REST * size:
+            return None  # what no stiffness balances
+        there = close_positions(
+            acting, q + at.N @ (step * min(1.0, LONGEST / max(length, LONGEST)))
+        )
+        nearer = None
+        if _open(mechanism, there):
+            if downhill:
+                return None
+        else:
+            acting = _acting(mechanism, joints, there)
+            nearer = balance(acting, there, tau)
+            if settled:
+                return there, nearer, acting
+        if nearer is not None and (
+            downhill or np.linalg.norm(nearer.force) < SHRINKS * np.linalg.norm(at.force)
+        ):
+            q, at, damping = there, nearer, damping / 10.0 if damping > LEAST * size else 0.0
+        elif (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
+            return None
+    return None
+
+
+def _newton(at: Balance, size: float, damping: float) -> Array:
+    """K^-1 r where nothing is damped, and where K is singular the least such step."""
+    U, s, Vt = np.linalg.svd(at.stiffness)
+    kept = s > LEVEL * size
+    parts = np.where(kept, s, 0.0) / np.where(kept, s * s + damping * damping, 1.0)
+    return np.asarray(Vt.T @ (parts * (U.T @ at.force)))
+
+
+def _downhill(at: Balance, size: float) -> Array:
+    """|K|^-1 r; along what has no stiffness as far as the longest step where a force acts."""
+    w, V = np.linalg.eigh(0.5 * (at.stiffness + at.stiffness.T))
+    force = V.T @ at.force
+    force[(np.abs(w) <= LEVEL * size) & (np.abs(force) <= AT_REST * size)] = 0.0
+    return np.asarray(V @ (force / np.maximum(np.abs(w), LEVEL * size)))
+
+
+def _size(mechanism: Mechanism, at: Balance, tau: Array) -> float:
+    """What forces and stiffness are measured against, N m: the largest of what acts."""
+    parts = [mechanism.arrays.weights, at.load.tau, at.load.by_q, tau, at.stiffness]
+    units = float(mechanism.arrays.units.max())
+    return max(float(np.abs(part).max(initial=0.0)) for part in parts) * units or 1.0
+
+
+def _rest(
+    mechanism: Mechanism,
+    joints: tuple[int, ...],
+    found: tuple[Array, Balance, Mechanism],
+    tau: Array,
+) -> Rest:
+    q, at, acting = found
+    torques, PE = tau.copy(), float(potential_energy(mechanism, q))
+    torques[list(joints)] += held_forces(acting, at.multipliers)
+    return Rest(q, PE, torques, _stable(at, _size(mechanism, at, tau)))
+
+
+def _stable(at: Balance, size: float) -> bool | None:
+    """By the definiteness of K; where it is not symmetric, or dampers drive, by eigenvalues."""
+    N, K, load = at.N, at.stiffness, at.load
+    D, M = N.T @ load.by_qd @ N, N.T @ load.by_qdd @ N
+    drives = np.linalg.eigvalsh(D + D.T).min(initial=0.0) < -LEVEL * np.abs(D).max(initial=0.0)
+    if not drives and np.abs(K - K.T).max(initial=0.0) <= LEVEL * size:
+        least = float(np.linalg.eigvalsh(0.5 * (K + K.T)).min(initial=np.inf))
+        return None if abs(least) <= LEVEL * size else least > 0.0
+    if np.linalg.cond(M) * LEVEL > 1.0:
+        return None
+    A21, A22 = (np.asarray(-np.linalg.solve(M, x), float) for x in (K, D))
+    return stable_by(eigenvalues(A21, A22)[0])

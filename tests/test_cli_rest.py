@@ -1,0 +1,138 @@
+"""`robodyn equilibrium`, `robodyn linearize` and `robodyn animate --mode` on the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import Outcome, relative_error
+
+import robodyn as rd
+
+Run = Callable[..., Outcome]
+CART = "robots/cart-pole.yaml"
+BAR = "robots/four-bar.yaml"
+
+
+def test_all_poses_of_a_double_pendulum(robodyn: Run) -> None:
+    given = robodyn("equilibrium", "robots/2r.yaml", "--all").succeeds()
+    assert given.out.splitlines()[0] == "q1,q2,PE,stable"
+    assert [row["stable"] for row in given.rows] == ["yes", "no", "no", "no"]
+    angles = {(round(math.degrees(float(x["q1"]))), float(x["q2"]) > 1) for x in given.rows}
+    assert angles == {(-90, False), (-90, True), (90, False), (90, True)}
+
+
+def test_held_joint_and_its_torque(robodyn: Run) -> None:
+    given = robodyn("equilibrium", BAR, "--q", "60deg", "--hold", "crank").succeeds()
+    needed = robodyn("torque", BAR, "--q", "60deg").succeeds()
+    assert given.out.splitlines()[0] == "q1,q2,q3,tau1,PE,stable"
+    assert float(given.rows[0]["tau1"]) == pytest.approx(needed.row["tau1"], rel=1e-12)
+    rows = robodyn("equilibrium", BAR, "--tau", "2", "--all", "--format", "json").succeeds().json
+    for row in rows:
+        given = robodyn("torque", BAR, "--q", ",".join(str(row[f"q{k}"]) for k in (1, 2, 3)))
+        assert given.row["tau1"] == pytest.approx(2.0, rel=1e-9)
+
+
+def test_linear_model_as_json(robodyn: Run) -> None:
+    given = robodyn("linearize", "robots/2r.yaml", "--q", "-90deg,0", "--tau", "0,0").succeeds()
+    keys = "coordinates q qd tau N A B modes stable controllable"
+    assert list(given.json) == keys.split()
+    assert given.json["coordinates"] == ["q1", "q2"]
+    assert [list(mode) for mode in given.json["modes"]] == [
+        ["eigenvalue", "frequency", "damping", "shape", "lag"]
+    ] * 2
+    assert given.json["stable"] is True
+    model = rd.linearize(rd.load("robots/2r.yaml"), [-math.pi / 2, 0.0])
+    assert relative_error(given.json["A"], model.A) == 0.0
+
+
+def test_stderr_tells_the_torque_that_is_taken_and_why_there_are_no_modes(robodyn: Run) -> None:
+    given = robodyn("linearize", BAR, "--q", "60deg")
+    assert given.err == "Note: with the torque that holds it, tau1 = 1.34938005\n"
+    assert given.json["modes"]
+    for options, why in [
+        (("--tau", "0"), "q1'' = -10.8086"),
+        (("--qd", "2"), "it moves"),
+    ]:
+        given = robodyn("linearize", BAR, "--q", "60deg", *options)
+        assert given.code == 0
+        assert f"Note: this is no equilibrium ({why}): modes belong to those\n" in given.err
+        assert given.json["A"]
+        assert given.json["B"]
+        assert [given.json[x] for x in ("modes", "stable", "controllable")] == [None] * 3
+
+
+def test_tables(robodyn: Run) -> None:
+    given = robodyn("linearize", CART, "--q", "0,90deg", "--lqr", "--format", "table")
+    for part in ("A\n", "B\n", "modes\n", "gain\n", "frequency [Hz]", "controllable", "qd2'"):
+        assert part in given.out
+
+
+def test_the_gain_is_written_with_what_it_needs(robodyn: Run, tmp_path: Path) -> None:
+    path = tmp_path / "gain.json"
+    options = ("--lqr", "--weights-x", "1,10,1,1", "--weights-u", "0.1", "--gain-out", path)
+    given = robodyn("linearize", CART, "--q", "0,90deg", *options)
+    written = json.loads(path.read_text())
+    assert list(written) == ["coordinates", "q", "tau", "gain"]
+    assert written == {key: given.json[key] for key in written}
+    assert written["coordinates"] == ["q1", "q2"]
+    assert [len(written["tau"]), len(written["gain"]), len(written["gain"][0])] == [1, 1, 4]
+
+
+def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None:
+    page = tmp_path / "mode.html"
+    robodyn("animate", BAR, "--mode", "1", "--q", "-1.8616182126637683", "-o", page)
+    assert page.stat().st_size > 5000
+    from robodyn.rest.mode_motion import mode_motion
+
+    mech = rd.load(BAR)
+    model = rd.linearize(mech, rd.assemble(mech, [-1.0]))
+    t, q = mode_motion(mech, model, 1, 2.0)
+    assert abs(rd.closure_gap(mech, q)).max() < 1e-12
+    assert 0.1 < abs(q[:, 0] - q[0, 0]).max() < 0.5
+    assert t[-1] >= 2.0
+    assert relative_error(q[-1], q[0]) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "parts"),
+    [
+        (f"equilibrium {BAR} --hold crnk", 2, ("--hold = crnk", "did you mean crank?")),
+        (f"equilibrium {BAR} --q 0.1,0.2,0.3", 2, ("the loops are open",)),
+        (f"equilibrium {BAR} --q 1 --tau 90", 1, ("no pose at rest near q = 1,",)),
+        (f"equilibrium {CART} --all", 1, ("no end of poses at rest",)),
+        (f"linearize {BAR}", 2, ("--q",)),
+        (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("the loops are open",)),
+        ("linearize robots/parallelogram.yaml --q 0,0,0", 1, ("change point", "two ways")),
+        (f"linearize {BAR} --q 1 --weights-x 1", 2, ("--weights-x", "--lqr")),
+        (f"linearize {BAR} --q 1 --gain-out x.json", 2, ("--gain-out", "--lqr")),
+        (f"linearize {BAR} --q 1 --lqr --weights-u 0", 2, ("--weights-u = 0", "definite")),
+        (f"linearize {BAR} --q 1 --lqr --weights-x 1,2,3", 2, ("--weights-x", "1, 2 or")),
+        (f"linearize {BAR} --q 1 --lqr --tau 0", 1, ("no gain: this is no equilibrium",)),
+        (f"animate {BAR} -o x.html", 2, ("CSV", "--mode")),
+        (f"animate {BAR} rows.csv --mode 1 --q 1 -o x.html", 2, ("not both",)),
+        (f"animate {BAR} rows.csv --q 1 -o x.html", 2, ("--q = 1", "--mode")),
+        (f"animate {BAR} --mode 3 --q 1 -o x.html", 2, ("--mode = 3", "modes 1 to 2")),
+        (f"animate {BAR} --mode 1 --q 1 --tau 0 -o x.html", 1, ("no modes", "no equilibrium")),
+    ],
+)
+def test_what_cannot_be_done_is_named(
+    robodyn: Run, line: str, code: int, parts: tuple[str, ...]
+) -> None:
+    given = robodyn(*line.split())
+    assert given.code == code
+    for part in parts:
+        assert part in given.err
+    assert not Path("x.html").exists()
+
+
+def test_what_is_left_out_is_told(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "leg.yaml"
+    leg = "{name: leg, m: 1, l: 1, r: 1, I: 0, friction: {static: 2, torque: 1}}"
+    scene.write_text(f"gravity: 9.81\nlinks: [{leg}]\n")
+    given = robodyn("equilibrium", scene, "--q", "-1")
+    assert given.err == "Note: dry friction and hard stops hold nothing here\n"
+    assert float(given.rows[0]["q1"]) == pytest.approx(-math.pi / 2, abs=1e-12)
