@@ -166,12 +166,13 @@ def _rows(
 ) -> np.ndarray:
     """The columns' values (T, columns) at times and states; `moving` is what moves there."""
     n = mechanism.n
-    q, qd = y[:, :n], y[:, n:]
+    q, qd = y[:, :n], y[:, n : 2 * n]
     tau = applied_torques(mechanism, torques, t, y)
     solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
     forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
     energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
-    parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]
+    driven = tau[:, list(mechanism.actuated)]
+    parts = [t[:, None], q, qd, solution.qdd, driven, forces, energy[:, None]]
     if mechanism.rows:
         gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
         parts.append(gap[:, None])
