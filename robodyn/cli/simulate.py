@@ -69,7 +69,8 @@ def simulate(
 
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
-    accelerates the control model by qdd_ref + kd ed + kp e.
+    accelerates the control model by qdd_ref + kd ed + kp e; pid: that of pd and ki z, zd = e less
+    what a limit cuts off, by kp.  state-feedback: tau = tau0 - gain [x - x0; xd], at a pose x0.
 
     \b
     Examples:
@@ -82,6 +83,8 @@ def simulate(
         --kd 30,10 --tau-max 40
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control computed-torque \\
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
+      robodyn simulate robots/2r.yaml --q 0,0 --hold 90deg,0 --control pid --kp 80,20 \\
+        --kd 16,1 --ki 60,20
     """
     mechanism = load(model)
     settings = how.settings()
