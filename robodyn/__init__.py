@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from robodyn.control.laws import controller as controller
+    from robodyn.control.state_feedback import StateFeedback as StateFeedback
     from robodyn.control.tracking import ReferenceTable as ReferenceTable
     from robodyn.dynamics.closed_form import closure_gap as closure_gap
     from robodyn.dynamics.closed_form import closure_jacobian as closure_jacobian
@@ -90,6 +91,7 @@ _ROOMS = {
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "simulation.simulation": ["Motion", "simulate"],
+    "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.time_scaling": ["shortest_motion"],
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],

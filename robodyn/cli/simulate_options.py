@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
 from typer import Option
@@ -158,21 +158,22 @@ def _controlled(
     from robodyn.control.laws import controller
     from robodyn.control.tracking import ReferenceTable
 
-    law, rate, feedback = options.control, None, None
+    law, rate = options.control, None
     assert law is not None
-    aims = ("gain",) if law == "state-feedback" else ("track", "hold")
+    tracks, feeds = ["track", "hold"], ["gain", "at"]
+    aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
+    for option in options.given(*others):
+        raise InputError(option, limit=f"is not for --control {law}")
     given = options.given(*aims)
     if len(given) > 1:
         raise InputError(" and ".join(given), limit="exclude each other")
     if not given:
-        limit = f"missing: --control {law} needs it{', or --hold' if len(aims) > 1 else ''}"
-        raise InputError(f"--{aims[0]}", limit=limit)
-    for option in options.given(*(("track", "hold") if "gain" in aims else ("gain", "at"))):
-        raise InputError(option, limit=f"is not for --control {law}")
+        limit = f"missing: --control {law} needs it"
+        raise InputError(" or ".join(f"--{aim}" for aim in aims), limit=limit)
     if not mechanism.actuated:
         raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
     believed = None if options.control_model is None else load(options.control_model)
-    gains = {
+    gains: dict[str, Any] = {
         name: parse_vector(text, where="--" + name.replace("_", "-"), angles=False)
         for name in ("kp", "kd", "ki", "tau_max")
         if (text := getattr(options, name)) is not None
@@ -186,25 +187,15 @@ def _controlled(
         reference = reference.until(end)
     else:
         if options.gain is not None:
-            feedback = _feedback(mechanism, options.gain, options.at)
-            point, whole = feedback.q, True
+            gains["gain"] = _feedback(mechanism, options.gain, options.at)
+            source = Source(Quantity("q", None), gains["gain"].q, [], True)
         else:
             source = option_source(mechanism, Quantity("hold", options.hold))
-            point, whole = source.values, source.whole
-        point = [point[k] for k in mechanism.actuated] if whole else point
+        point = [source.values[k] for k in mechanism.actuated] if source.whole else source.values
         reference = ReferenceTable.set_point(point, end)
     with named():
         torques = controller(
-            mechanism,
-            reference,
-            law,
-            gains.get("kp"),
-            gains.get("kd"),
-            gains.get("tau_max"),
-            rate,
-            believed,
-            gains.get("ki"),
-            feedback,
+            mechanism, reference, law, control_rate=rate, control_model=believed, **gains
         )
     return torques, end
 
@@ -217,10 +208,8 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
         found = read_feedback(mechanism, stream.read(), name)
     source = Source(Quantity("q", None), found.q, [], True)
     if at is not None:
-        source, name = (
-            replace(option_source(mechanism, Quantity("at", at)), quantity=source.quantity),
-            "--at",
-        )
+        given, name = option_source(mechanism, Quantity("at", at)), "--at"
+        source = replace(given, quantity=source.quantity)
     try:
         (pose,) = complete(mechanism, [source], [np.array(source.values)])
     except RobodynError as error:

@@ -18,7 +18,7 @@ tau_max are cut off.  pd+g may have Ki z as well.  The integral z is 0 at the st
 while a torque is cut off, Ki z goes to what the limit leaves for it, with the time constant Kp/Ki
 (back-calculation: Astrom, Murray, "Feedback Systems", 2008, 10.4).  zd is continuous.
 
-A fourth law, state-feedback, keeps to a pose (`state_feedback.py`).
+The law state-feedback keeps to a pose (`state_feedback.py`).
 
 A law acts continuously, or is sampled: at times k/rate the torque is computed from the state that
 the run has reached, and held until the next; z grows by zd/rate from sample to sample.

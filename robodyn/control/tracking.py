@@ -44,16 +44,15 @@ class ReferenceTable:
         qdd: ArrayLike | None = None,
         where: str = "reference",
     ) -> None:
-        self.where = where
         stamps = np.asarray(times, float)
         given = [np.asarray(x, float) for x in (q, qd, qdd) if x is not None]
         if qd is None and qdd is not None:
             raise InputError("qdd", where=where, limit="needs qd beside it")
         _check(stamps, given, where)
-        self._consist(stamps.tolist(), _coefficients(stamps, given))
+        self._consist(where, stamps.tolist(), _coefficients(stamps, given))
 
-    def _consist(self, times: list[float], coefficients: Array) -> None:
-        self.times = times
+    def _consist(self, where: str, times: list[float], coefficients: Array) -> ReferenceTable:
+        self.where, self.times = where, times
         self.coefficients = coefficients  # (T - 1, m, degree + 1) of t - times[k]
         self.joints = coefficients.shape[1]
         bends, jumps, stops = _kinks(np.array(times), coefficients)
@@ -61,21 +60,13 @@ class ReferenceTable:
         self.stops = bool(stops.any())  # whether qd_ref does, where the reference is held
         inner = np.array(times[1:-1])
         self.kinks: list[float] = inner[bends | stops].tolist()  # where a derivative jumps
-
-    def _like(self, times: list[float], coefficients: Array) -> ReferenceTable:
-        other = object.__new__(ReferenceTable)
-        other.where = self.where
-        other._consist(times, coefficients)
-        return other
+        return self
 
     @classmethod
     def set_point(cls, q: ArrayLike, t: float, where: str = "set-point") -> ReferenceTable:
         """The angles or displacements q (m,) from 0 to t (s; negative: from t to 0)."""
         coefficients = np.asarray(q, float)[None, :, None] * np.array([1.0, 0.0, 0.0])
-        point = object.__new__(cls)
-        point.where = where
-        point._consist([min(t, 0.0), max(t, 0.0)], coefficients)
-        return point
+        return object.__new__(cls)._consist(where, [min(t, 0.0), max(t, 0.0)], coefficients)
 
     def until(self, t: float) -> ReferenceTable:
         """The same, held at its end until t if that is later."""
@@ -84,11 +75,13 @@ class ReferenceTable:
             return self
         held = np.zeros_like(self.coefficients[:1])
         held[0, :, 0] = self.at(end)[0]
-        return self._like([*self.times, t], np.concatenate([self.coefficients, held]))
+        coefficients = np.concatenate([self.coefficients, held])
+        return object.__new__(ReferenceTable)._consist(self.where, [*self.times, t], coefficients)
 
     def of(self, joints: Sequence[int]) -> ReferenceTable:
         """The reference of some of these joints (from 0)."""
-        return self._like(self.times, self.coefficients[:, list(joints)])
+        coefficients = self.coefficients[:, list(joints)]
+        return object.__new__(ReferenceTable)._consist(self.where, self.times, coefficients)
 
     def at(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> tuple[Array, Array]:
         """q_ref and qd_ref (..., m) at times t (...); at a row those on this side of it."""
