@@ -403,6 +403,16 @@ class TestStateFeedback:
         apart = motion.q - other.q + [0, 2 * np.pi]
         assert np.abs(apart).max() < (1e-4 if low else 1e-7)
 
+    @pytest.mark.parametrize("method", ["RK45", "LSODA", "Radau"])
+    def test_where_an_angle_is_half_a_turn_away(self, method: str) -> None:
+        """The torque jumps there; six times in this run."""
+        start = [0.2, np.pi / 2 + 2.6]
+        runs = [self.run(start, 3.0, each, tau_max=8.0) for each in ("DOP853", method)]
+        below = np.floor((runs[0].q[:, 1] + np.pi / 2) / (2 * np.pi))
+        assert np.abs(np.diff(below)).sum() == 6
+        assert runs[0].q[-1] == pytest.approx(runs[1].q[-1], abs=1e-6)
+        assert runs[0].report.energy_drift < 1e-9
+
     def test_of_a_closed_mechanism(self) -> None:
         """A four-bar held at a pose by its crank's and its rocker's displacements."""
         mech = load(ROBOTS / "four-bar.yaml")

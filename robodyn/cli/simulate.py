@@ -69,8 +69,8 @@ def simulate(
 
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
-    accelerates the control model by qdd_ref + kd ed + kp e; pid: that of pd and ki z, zd = e less
-    what a limit cuts off, by kp.  state-feedback: tau = tau0 - gain [x - x0; xd], at a pose x0.
+    accelerates the control model by qdd_ref + kd ed + kp e; pid: that of pd and ki z,
+    zd = e - (what a limit cuts off)/kp; state-feedback: tau0 - gain [x - x0; xd], at a pose x0.
 
     \b
     Examples:
