@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from robodyn.control.laws import controller as controller
+    from robodyn.control.state_feedback import StateFeedback as StateFeedback
     from robodyn.control.tracking import ReferenceTable as ReferenceTable
     from robodyn.dynamics.closed_form import closure_gap as closure_gap
     from robodyn.dynamics.closed_form import closure_jacobian as closure_jacobian
@@ -98,6 +99,7 @@ _ROOMS = {
     "rest.linear_model": ["linearize"],
     "rest.regulator": ["lqr"],
     "simulation.simulation": ["Motion", "simulate"],
+    "control.state_feedback": ["StateFeedback"],
     "control.tracking": ["ReferenceTable"],
     "trajectories.inverse_kinematics": ["inverse_kinematics"],
     "trajectories.time_scaling": ["shortest_motion"],

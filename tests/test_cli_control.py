@@ -18,6 +18,7 @@ Run = Callable[..., Outcome]
 ARM = ("simulate", "robots/2r.yaml", "--q", "0.1,0.05")
 CRANK = ("simulate", "robots/four-bar.yaml", "--q", "1")
 PD = ("--control", "pd", "--kp", "80,20", "--kd", "16,1")
+FED_BACK = ("--control", "state-feedback", "--gain")
 TORQUE = ("--control", "computed-torque", "--kp", "25", "--kd", "10")
 HEADER = "t,q1,q2,qd1,qd2,qdd1,qdd2"
 REFERENCE = "\n".join(
@@ -125,7 +126,62 @@ def test_trajectory_makes_references(shell: Run) -> None:
     assert numbers[:3] == pytest.approx([2.0, math.pi / 2, math.pi / 4], abs=1e-8)
 
 
+def test_held_at_its_end_and_held_throughout(robodyn: Run, ref: Path) -> None:
+    options = (*ARM, *PD[:2], "--kp", "80,20", "--kd", "16,1", "--every", "0.5", "--quiet")
+    given = robodyn(*options, "--track", ref, "--time", 3).succeeds()
+    for name, end in (("1", math.sin(1.5)), ("2", math.cos(1.5))):
+        q, e = (np.array(given.column(x + name))[-3:] for x in "qe")
+        assert e == pytest.approx(end - q, abs=1e-12)
+    still = f"t,q1,q2\n0,{math.radians(30)},-0.2\n1,{math.radians(30)},-0.2\n"
+    runs = [
+        robodyn(*options, *more, "--time", 4, stdin=still).succeeds().out
+        for more in (("--track", "-"), ("--hold", "30deg,-0.2"))
+    ]
+    assert [float(x) for x in runs[0].splitlines()[-1].split(",")] == pytest.approx(
+        [float(x) for x in runs[1].splitlines()[-1].split(",")], abs=1e-6
+    )
+    assert robodyn(*options, "--hold", "0,0").succeeds().column("t")[-1] == 10.0
+
+
 # Laws
+
+
+def test_an_integral_removes_what_pd_leaves(robodyn: Run) -> None:
+    options = (*ARM, "--hold", "45deg,0.3", "--kp", "80,20", "--kd", "16,1", "--points", 2)
+    left, none = (
+        robodyn(*options, "--control", law, *more, "--time", 40, "--quiet", "--method", "LSODA")
+        for law, *more in (("pd",), ("pid", "--ki", "60,20", "--tau-max", "60,20"))
+    )
+    for name in ("e1", "e2"):
+        assert abs(left.succeeds().column(name)[-1]) > 0.01
+        assert abs(none.succeeds().column(name)[-1]) < 1e-6
+
+
+@pytest.mark.parametrize("more", [(), ("--control-rate", 50, "--method", "taylor")])
+def test_state_feedback(robodyn: Run, tmp_path: Path, more: tuple[object, ...]) -> None:
+    """The cart-pole comes to its pose, and to another that --at gives."""
+    gain = tmp_path / "gain.json"
+    facts = {"coordinates": ["q1", "q2"], "q": [0, math.pi / 2], "tau": [0], "other": 1}
+    gain.write_text(json.dumps(facts | {"gain": [[-1, 50, -2, 12]]}))
+    options = ("simulate", "robots/cart-pole.yaml", "--q", "0.2,440deg", *FED_BACK, gain, *more)
+    for at, x in (((), 0.0), (("--at", "1,90deg"), 1.0)):
+        given = robodyn(*options, *at, "--points", 3, "--time", 40, "--quiet").succeeds()
+        end = {name: float(text) for name, text in given.rows[-1].items()}
+        assert [end["q1"], end["q2"]] == pytest.approx([x, 2.5 * math.pi], abs=2e-3)
+        assert end["e1"] == pytest.approx(x - end["q1"], abs=1e-12)
+        first = {name: float(text) for name, text in given.rows[0].items()}
+        wanted = (0.2 - x) + 50 * math.radians(10)
+        assert first["tau1"] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_pose_that_does_not_close(robodyn: Run, tmp_path: Path) -> None:
+    gain = tmp_path / "gain.json"
+    facts = {"coordinates": ["q1"], "q": [1, 1, 1], "tau": [0], "gain": [[9, 1]]}
+    gain.write_text(json.dumps(facts))
+    robodyn(*CRANK, *FED_BACK, gain).fails(2, "gain.json", "loops are open")
+    robodyn(*CRANK, *FED_BACK, gain, "--at", "1,1,1").fails(2, "--at", "loops are open")
+    options = ("--at", "1", "--points", 2, "--time", 0.1, "--quiet")
+    assert robodyn(*CRANK, *FED_BACK, gain, *options).succeeds().column("tau1")[0] == 0.0
 
 
 def test_torques_are_those_of_the_law(robodyn: Run, ref: Path) -> None:
@@ -259,7 +315,6 @@ def test_an_accuracy(robodyn: Run, ref: Path) -> None:
         ((*PD, "--track", "REF", "--control-rate", "0"), ("--control-rate = 0", "> 0")),
         ((*PD, "--track", "REF", "--control-rate", "fast"), ("--control-rate = fast", "100Hz")),
         ((*PD, "--track", "REF", "--control-rate", "1e9"), ("--control-rate", "too many")),
-        ((*PD, "--track", "REF", "--time", 2), ("ref.csv = 0 to 1.5 s", "must cover 0 to 2 s")),
         ((*PD, "--track", "REF", "--time", -1), ("ref.csv", "must cover 0 to -1 s")),
         ((*PD, "--track", "none.csv"), ("none.csv", "no such file")),
         ((*PD, "--track", ""), ("--track", "name a file")),
@@ -268,13 +323,35 @@ def test_an_accuracy(robodyn: Run, ref: Path) -> None:
             ("--control-model = robots/four-bar.yaml", "3 joints", "2 joints in robots/2r.yaml"),
         ),
         ((*PD, "--track", "REF", "--method", "taylor"), ("no series", "DOP853")),
-        (("--control", "pid", "--track", "REF"), ("--control", "computed-torque")),
+        (("--control", "pi", "--track", "REF"), ("--control", "computed-torque", "pid")),
+        (("--control", "pid", "--track", "REF", "--kp", 1, "--kd", 1), ("--ki", "missing", "pid")),
+        ((*PD, "--track", "REF", "--ki", 1), ("--ki", "not for", "pd")),
+        ((*PD, "--track", "REF", "--hold", "0,0"), ("--track and --hold", "exclude")),
+        ((*PD, "--hold", "0"), ("--hold = 0 (1 value)", "2 values", "upper arm, forearm")),
+        ((*PD, "--hold", "0,up"), ("--hold", "entry 2 = up")),
+        ((*PD, "--hold", "0,0", "--at", "0,0"), ("--at", "not for", "pd")),
+        ((*PD, "--hold", "0,0", "--gain", "REF"), ("--gain", "not for", "pd")),
+        (("--hold", "0,0"), ("--hold", "needs --control")),
+        (("--gain", "REF"), ("--gain", "needs --control")),
+        (("--at", "0,0"), ("--at", "needs --control")),
+        (("--ki", "1"), ("--ki", "needs --control")),
+        (("--control", "state-feedback"), ("--gain", "missing", "state-feedback")),
+        ((*FED_BACK, "REF"), ("ref.csv", "is not JSON")),
+        ((*FED_BACK, "none.json"), ("none.json", "no such file")),
+        ((*FED_BACK, "REF", "--hold", "0,0"), ("--hold", "not for", "state-feedback")),
+        ((*FED_BACK, "GAIN", "--kp", "1"), ("--kp", "not for", "state-feedback")),
+        ((*FED_BACK, "GAIN", "--control-model", "robots/2r.yaml"), ("--control-model", "not for")),
+        ((*FED_BACK, "GAIN", "--at", "0,0,0"), ("--at", "3 values")),
+        ((*FED_BACK, "GAIN", "--method", "taylor"), ("no series", "DOP853")),
     ],
 )
 def test_wrong_usage(
     robodyn: Run, ref: Path, options: tuple[object, ...], parts: tuple[str, ...]
 ) -> None:
-    words = [ref if word == "REF" else word for word in options]
+    gain = ref.parent / "gain.json"
+    facts = {"coordinates": ["q2"], "q": [0, 0.1], "tau": [8, 2], "gain": [[9, 1], [5, 0.4]]}
+    gain.write_text(json.dumps(facts))
+    words = [{"REF": ref, "GAIN": gain}.get(str(word), word) for word in options]
     given = robodyn(*ARM, *words).fails(2, *parts)
     assert given.out == ""
 
@@ -308,6 +385,7 @@ def test_sampling_does_not_run_backwards(robodyn: Run) -> None:
 
 def test_help(robodyn: Run) -> None:
     given = robodyn("simulate", "--help").succeeds()
-    for option in ("control", "track", "kp", "kd", "tau-max", "control-rate", "control-model"):
+    options = "control track hold kp kd ki gain at tau-max control-rate control-model"
+    for option in options.split():
         assert re.search(rf"^\s+--{option}\b", given.out, re.MULTILINE), option
     assert "--control computed-torque" in given.out

@@ -481,7 +481,7 @@ class TestRefused:
         self.refused("tau_max = inf", "finite", tau_max=[1.0, np.inf])
 
     def test_laws(self) -> None:
-        self.refused("control = pid", "pd, pd+g, computed-torque", control="pid")
+        self.refused("control = pi", "pd, pd+g, computed-torque", control="pi")
 
     def test_rates(self) -> None:
         for rate in (0.0, -1.0, np.nan, np.inf):

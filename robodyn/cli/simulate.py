@@ -72,7 +72,8 @@ def simulate(
 
     With e = q_ref - q and ed = qd_ref - qd the controllers are pd: tau = kp e + kd ed; pd+g: that
     and the torque that holds the control model at rest at q; computed-torque: the torque that
-    accelerates the control model by qdd_ref + kd ed + kp e.
+    accelerates the control model by qdd_ref + kd ed + kp e; pid: that of pd and ki z,
+    zd = e - (what a limit cuts off)/kp; state-feedback: tau0 - gain [x - x0; xd], at a pose x0.
 
     \b
     Examples:
@@ -86,6 +87,8 @@ def simulate(
         --kd 30,10 --tau-max 40
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control computed-torque \\
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
+      robodyn simulate robots/2r.yaml --q 0,0 --hold 90deg,0 --control pid --kp 80,20 \\
+        --kd 16,1 --ki 60,20
     """
     mechanism = load_with(model, force)
     settings = how.settings()
@@ -177,12 +180,13 @@ def _rows(
 ) -> np.ndarray:
     """The columns' values (T, columns) at times and states; `moving` is what moves there."""
     n = mechanism.n
-    q, qd = y[:, :n], y[:, n:]
+    q, qd = y[:, :n], y[:, n : 2 * n]
     tau = applied_torques(mechanism, torques, t, y)
     solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
     forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
     energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
-    parts = [t[:, None], y, solution.qdd, tau[:, list(mechanism.actuated)], forces, energy[:, None]]
+    driven = tau[:, list(mechanism.actuated)]
+    parts = [t[:, None], q, qd, solution.qdd, driven, forces, energy[:, None]]
     if mechanism.rows:
         gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
         parts.append(gap[:, None])

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Annotated, Literal
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
+import numpy as np
 from typer import Option
 
 from robodyn.cli.files import input_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
-from robodyn.cli.states import read_columns
+from robodyn.cli.states import Quantity, Source, complete, open_input, option_source, read_columns
 from robodyn.cli.times import frequency_from, value_from
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -23,18 +24,23 @@ from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
 
 if TYPE_CHECKING:
+    from robodyn.control.state_feedback import StateFeedback
     from robodyn.control.tracking import ReferenceTable
 
 DEFAULT_DURATION = 10.0  # s
-Law = Literal["pd", "pd+g", "computed-torque"]  # what makes torque of the tracking error
+Law = Literal["pd", "pd+g", "computed-torque", "pid", "state-feedback"]
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
 _VOLT = "Voltages of the motors of the actuated joints, V: as --tau."
 _TAU_FROM = "CSV with t,tau1,.. (- for stdin), interpolated between its rows."
-_CONTROL = "Makes the torques track a reference."
-_TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin)."
+_CONTROL = "Makes the torques track a reference, or keep to a pose."
+_TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin), then held."
+_HOLD = "A set-point in place of it: rad, 90deg, m of the actuated joints."
 _KP = f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}."
 _KD = f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}."
+_KI = f"Gain of its integral, N m/(rad s), of pid and perhaps pd+g: {EACH}."
+_GAIN = "JSON with coordinates, q, tau, gain, of state-feedback (- for stdin)."
+_AT = "Pose of state-feedback, as --q. Default: that of --gain."
 _TAU_MAX = f"Where the controller's torques are cut off, N m: {EACH}."
 _SAMPLES = "Samples a second, each torque held. Default: continuous."
 _MODEL = "Scene that the controller believes. Default: MODEL."
@@ -49,8 +55,12 @@ class TorqueOptions:
     volt: Annotated[Text, Option("--volt", metavar="VOLTS", help=_VOLT)] = None
     control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
     track: Annotated[Text, input_file("--track", _TRACK)] = None
+    hold: Annotated[Text, vector("--hold", _HOLD)] = None
     kp: Annotated[Text, vector("--kp", _KP)] = None
     kd: Annotated[Text, vector("--kd", _KD)] = None
+    ki: Annotated[Text, vector("--ki", _KI)] = None
+    gain: Annotated[Text, input_file("--gain", _GAIN)] = None
+    at: Annotated[Text, vector("--at", _AT)] = None
     tau_max: Annotated[Text, vector("--tau-max", _TAU_MAX)] = None
     control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_SAMPLES)] = None
     control_model: Annotated[Text, input_file("--control-model", _MODEL)] = None
@@ -126,8 +136,9 @@ def torque_source(
         raise InputError(" and ".join(sources), limit="exclude each other")
     if options.control is not None:
         return _controlled(mechanism, options, duration)
-    for option in options.given("track", "kp", "kd", "tau_max", "control_model", "control_rate"):
-        raise InputError(option, limit="needs --control: pd, pd+g or computed-torque")
+    control = ("track", "hold", "kp", "kd", "ki", "gain", "at", "tau_max")
+    for option in options.given(*control, "control_model", "control_rate"):
+        raise InputError(option, limit=f"needs --control: one of {', '.join(get_args(Law))}")
     end = DEFAULT_DURATION if duration is None else duration
     if options.tau is not None:
         return actuation.expressions(mechanism, options.tau, "--tau"), end
@@ -145,33 +156,71 @@ def _controlled(
     mechanism: Mechanism, options: TorqueOptions, duration: float | None
 ) -> tuple[Actuation, float]:
     from robodyn.control.laws import controller
+    from robodyn.control.tracking import ReferenceTable
 
     law, rate = options.control, None
     assert law is not None
-    for name in ("track", "kp", "kd"):
-        if not options.given(name):
-            raise InputError(f"--{name}", limit=f"missing: --control {law} needs it")
+    tracks, feeds = ["track", "hold"], ["gain", "at"]
+    aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
+    for option in options.given(*others):
+        raise InputError(option, limit=f"is not for --control {law}")
+    given = options.given(*aims)
+    if len(given) > 1:
+        raise InputError(" and ".join(given), limit="exclude each other")
+    if not given:
+        limit = f"missing: --control {law} needs it"
+        raise InputError(" or ".join(f"--{aim}" for aim in aims), limit=limit)
+    if not mechanism.actuated:
+        raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
     believed = None if options.control_model is None else load(options.control_model)
-    gains = {
+    gains: dict[str, Any] = {
         name: parse_vector(text, where="--" + name.replace("_", "-"), angles=False)
-        for name in ("kp", "kd", "tau_max")
+        for name in ("kp", "kd", "ki", "tau_max")
         if (text := getattr(options, name)) is not None
     }
     if options.control_rate is not None:
         rate = value_from(options.control_rate, frequency_from, "--control-rate", "100 or 100Hz")
-    reference = _reference(mechanism, options.track or "")
+    end = DEFAULT_DURATION if duration is None else duration
+    if options.track is not None:
+        reference = _reference(mechanism, options.track)
+        end = reference.times[-1] if duration is None else duration
+        reference = reference.until(end)
+    else:
+        if options.gain is not None:
+            gains["gain"] = _feedback(mechanism, options.gain, options.at)
+            source = Source(Quantity("q", None), gains["gain"].q, [], True)
+        else:
+            source = option_source(mechanism, Quantity("hold", options.hold))
+        point = [source.values[k] for k in mechanism.actuated] if source.whole else source.values
+        reference = ReferenceTable.set_point(point, end)
     with named():
         torques = controller(
             mechanism, reference, law, control_rate=rate, control_model=believed, **gains
         )
-    return torques, reference.times[-1] if duration is None else duration
+    return torques, end
+
+
+def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
+    """What the file tells, at the pose of --at if that is given; the pose must close."""
+    from robodyn.control.state_feedback import read_feedback
+
+    with open_input(file) as (stream, name):
+        found = read_feedback(mechanism, stream.read(), name)
+    source = Source(Quantity("q", None), found.q, [], True)
+    if at is not None:
+        given, name = option_source(mechanism, Quantity("at", at)), "--at"
+        source = replace(given, quantity=source.quantity)
+    try:
+        (pose,) = complete(mechanism, [source], [np.array(source.values)])
+    except RobodynError as error:
+        error.add_place(name)
+        raise
+    return replace(found, q=pose.tolist())
 
 
 def _reference(mechanism: Mechanism, file: str) -> ReferenceTable:
     from robodyn.control.tracking import ReferenceTable
 
-    if not mechanism.actuated:
-        raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
     joints = len(mechanism.actuated)
 
     def columns(header: Sequence[str], where: str) -> list[str]:

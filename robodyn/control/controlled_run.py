@@ -16,7 +16,8 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
 
 Array = NDArray[np.float64]
-Law = Callable[..., tuple[float, ...]]  # torques of the actuated joints from t, q0.., qd0..
+# torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
+Law = Callable[..., tuple[float, ...]]
 
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 
@@ -57,8 +58,11 @@ class Tracked:
 
     restarts = False
 
-    def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: Law) -> None:
+    def __init__(
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int
+    ) -> None:
         self.mechanism, self.reference, self.law = mechanism, reference, law
+        self.states = states
         self._forget()
 
     def _forget(self) -> None:
@@ -71,7 +75,8 @@ class Tracked:
 
     def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
         """Those that act at t, in the state y = (q, qd, ...)."""
-        return self.law(t, *y[: 2 * self.mechanism.n])
+        found = self.law(t, *y[: 2 * self.mechanism.n + self.states])
+        return found[: self.reference.joints]
 
     def errors(self, t: Array, y: Array) -> Array:
         """q_ref - q (k, actuated) at times t (k,) and states y (k, n or more)."""
@@ -83,15 +88,20 @@ class Tracked:
         n, driven = self.mechanism.n, list(self.mechanism.actuated)
         rates = self.reference.at(t)[1]
         e, ed = self.errors(t, y), rates - y[:, n : 2 * n][:, driven]
+        ended = ed  # as the step that ends there sees it
+        if self.reference.stops:
+            ended = ed + self.reference.at(t, "left")[1] - rates
         for k in range(len(t)):
             acting = np.abs(self.torques(float(t[k]), y[k].tolist()))
             self._torque = np.fmax(self._torque, acting)
         self._compare(np.broadcast_to(t[:, None], e.shape), np.abs(e))
         if self._last is not None:
             t, e, ed = (np.concatenate(pair) for pair in zip(self._last, (t, e, ed), strict=True))
+        else:
+            ended = ended[1:]
         self._last = t[-1:], e[-1:], ed[-1:]
         h = np.diff(t)[:, None]
-        cubic = _cubics(h, e, ed)
+        cubic = _cubics(e, ed[:-1] * h, ended * h)
         for u, extreme in _extremes(cubic):
             self._compare(t[:-1, None] + u * h, np.abs(extreme))
         parts = [cubic[i] * cubic[j] / (i + j + 1) for i, j in product(range(4), repeat=2)]
@@ -115,9 +125,9 @@ class Tracked:
         return [JointTracking(*row) for row in rows]
 
 
-def _cubics(h: Array, e: Array, ed: Array) -> tuple[Array, Array, Array, Array]:
-    """The cubic of each step (k,), by the powers of u from 0 to 1 along it."""
-    slope, end, rise = ed[:-1] * h, ed[1:] * h, np.diff(e, axis=0)
+def _cubics(e: Array, slope: Array, end: Array) -> tuple[Array, Array, Array, Array]:
+    """The cubic of each step, by the powers of u from 0 to 1 along it, as are its slopes there."""
+    rise = np.diff(e, axis=0)
     return e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
 
 
@@ -139,9 +149,15 @@ class Continuous(Tracked):
     """A law that acts all the time."""
 
     def __init__(
-        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, pieces: Pieces, jumps: bool
+        self,
+        mechanism: Mechanism,
+        reference: ReferenceTable,
+        law: Law,
+        states: int,
+        pieces: Pieces,
+        jumps: bool,
     ) -> None:
-        super().__init__(mechanism, reference, law)
+        super().__init__(mechanism, reference, law, states)
         self.restarts = jumps
         self.pieces = pieces
         self.forward = True
@@ -158,14 +174,17 @@ class Continuous(Tracked):
 
 
 class Sampled(Tracked):
-    """A law that is sampled, its torques held from one sample to the next."""
+    """A law that is sampled, its torques held from one sample to the next.
+
+    Its own states are summed up: z + zd/rate at the next sample.
+    """
 
     restarts = True
 
     def __init__(
-        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, rate: float
+        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int, rate: float
     ) -> None:
-        super().__init__(mechanism, reference, law)
+        super().__init__(mechanism, reference, law, states)
         self.rate = rate
         self.times = array("d")
         self.values = array("d")  # torques (actuated) of each sample in turn
@@ -176,11 +195,15 @@ class Sampled(Tracked):
             raise InputError("control_rate", value=f"{self.rate:g}", limit=limit)
         self._forget()
         self.times, self.values = array("d"), array("d")
+        self.z = [0.0] * self.states
         self.reach(0.0, y)
 
     def reach(self, t: float, y: Sequence[float]) -> None:
         if not self.times or t > self.times[-1]:
-            self.values.extend(self.law(t, *y[: 2 * self.mechanism.n]))
+            found = self.law(t, *y[: 2 * self.mechanism.n], *self.z)
+            joints = self.reference.joints
+            self.values.extend(found[:joints])
+            self.z = [z + zd / self.rate for z, zd in zip(self.z, found[joints:], strict=True)]
             self.times.append(t)
 
     def at(self, t: float) -> Sequence[float]:

@@ -6,7 +6,8 @@ Between its rows the reference is a polynomial in time, of the degree that the r
 - q, qd given: cubic Hermite; qdd_ref jumps at a row;
 - q given: the cubic spline (not-a-knot), twice continuously differentiable.
 
-qd_ref and qdd_ref are always the derivatives of q_ref.
+qd_ref and qdd_ref are always the derivatives of q_ref.  Beyond its end a reference may be held:
+q_ref stays, and qd_ref = qdd_ref = 0.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import comb
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,31 +44,49 @@ class ReferenceTable:
         qdd: ArrayLike | None = None,
         where: str = "reference",
     ) -> None:
-        self.where = where
         stamps = np.asarray(times, float)
         given = [np.asarray(x, float) for x in (q, qd, qdd) if x is not None]
         if qd is None and qdd is not None:
             raise InputError("qdd", where=where, limit="needs qd beside it")
         _check(stamps, given, where)
-        self.times: list[float] = stamps.tolist()
-        self._rows = stamps, given
-        self.coefficients = _coefficients(stamps, given)  # (T - 1, m, degree + 1) of t - times[k]
-        self.joints = self.coefficients.shape[1]
-        bends, jumps = _kinks(stamps, self.coefficients)
+        self._consist(where, stamps.tolist(), _coefficients(stamps, given))
+
+    def _consist(self, where: str, times: list[float], coefficients: Array) -> ReferenceTable:
+        self.where, self.times = where, times
+        self.coefficients = coefficients  # (T - 1, m, degree + 1) of t - times[k]
+        self.joints = coefficients.shape[1]
+        bends, jumps, stops = _kinks(np.array(times), coefficients)
         self.jumps = bool(jumps.any())  # whether qdd_ref does at some row
-        self.kinks: list[float] = stamps[1:-1][bends].tolist()  # rows at which a derivative jumps
+        self.stops = bool(stops.any())  # whether qd_ref does, where the reference is held
+        inner = np.array(times[1:-1])
+        self.kinks: list[float] = inner[bends | stops].tolist()  # where a derivative jumps
+        return self
+
+    @classmethod
+    def set_point(cls, q: ArrayLike, t: float, where: str = "set-point") -> ReferenceTable:
+        """The angles or displacements q (m,) from 0 to t (s; negative: from t to 0)."""
+        coefficients = np.asarray(q, float)[None, :, None] * np.array([1.0, 0.0, 0.0])
+        return object.__new__(cls)._consist(where, [min(t, 0.0), max(t, 0.0)], coefficients)
+
+    def until(self, t: float) -> ReferenceTable:
+        """The same, held at its end until t if that is later."""
+        end = self.times[-1]
+        if not t > end:
+            return self
+        held = np.zeros_like(self.coefficients[:1])
+        held[0, :, 0] = self.at(end)[0]
+        coefficients = np.concatenate([self.coefficients, held])
+        return object.__new__(ReferenceTable)._consist(self.where, [*self.times, t], coefficients)
 
     def of(self, joints: Sequence[int]) -> ReferenceTable:
         """The reference of some of these joints (from 0)."""
-        times, given = self._rows
-        q, qd, qdd = (given[k][:, list(joints)] if k < len(given) else None for k in range(3))
-        assert q is not None
-        return ReferenceTable(times, q, qd, qdd, self.where)
+        coefficients = self.coefficients[:, list(joints)]
+        return object.__new__(ReferenceTable)._consist(self.where, self.times, coefficients)
 
-    def at(self, t: ArrayLike) -> tuple[Array, Array]:
-        """q_ref and qd_ref (..., m) at times t (...)."""
+    def at(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> tuple[Array, Array]:
+        """q_ref and qd_ref (..., m) at times t (...); at a row those on this side of it."""
         t = np.asarray(t, float)
-        k = np.searchsorted(self.times, t, side="right") - 1
+        k = np.searchsorted(self.times, t, side=side) - 1
         k = np.clip(k, 0, len(self.times) - 2)
         x = (t - np.asarray(self.times)[k])[..., None]
         c = self.coefficients[k]
@@ -103,8 +123,8 @@ def _coefficients(times: Array, given: list[Array]) -> Array:
     return np.moveaxis(hermite(times, *given), 1, -1).copy()
 
 
-def _kinks(times: Array, c: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """At each row between pieces (T - 2,): whether a derivative jumps there, and whether qdd does.
+def _kinks(times: Array, c: Array) -> list[NDArray[np.bool_]]:
+    """At each row between pieces (T - 2,): whether a derivative of qd jumps there, qdd, or qd.
 
     That of a smooth motion written in close rows does not: the next piece goes on as the one
     before, but for what no tolerance sees.
@@ -119,6 +139,8 @@ def _kinks(times: Array, c: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]
     ]
     size = np.abs(2.0 * c[..., 2]).max(initial=0.0)
     closest = np.minimum(h[:-1], h[1:])
-    small = BEND * size + ROUNDING * np.abs(c[..., 0]).max(initial=0.0) / closest**2
+    rounding = ROUNDING * np.abs(c[..., 0]).max(initial=0.0) / closest
+    small, slow = BEND * size + rounding / closest, BEND * np.abs(c[..., 1]).max() + rounding
     apart = sum(d * (d - 1) * np.abs(jumps[d]) * h[1:] ** (d - 2) for d in range(2, degree + 1))
-    return (apart > small).any(axis=-1), (2.0 * np.abs(jumps[2]) > small).any(axis=-1)
+    found = apart > small, 2.0 * np.abs(jumps[2]) > small, np.abs(jumps[1]) > slow
+    return [each.any(axis=-1) for each in found]

@@ -178,7 +178,8 @@ def rates(
 
     def derivative(t: float, y: Array) -> Array:
         try:
-            tau = np.array(torques(t, y.tolist()))
+            found = torques(t, y.tolist())
+            tau = np.array(found[:n])
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
         if not np.isfinite(tau).all():
@@ -196,7 +197,7 @@ def rates(
         if work and forced:
             tau = tau + other_forces(system.mechanism, y[:n], qd, t)
         power = [tau @ qd - system.damping @ qd**2] if work else []
-        return np.concatenate([qd, qdd, power])
+        return np.concatenate([qd, qdd, found[n:], power])
 
     return derivative
 

@@ -42,7 +42,7 @@ def compile_rates(
     least_pivot: float,
     otherwise: RateFunction,
 ) -> RateFunction:
-    """dy/dt for y = (q, qd), and the work done by torques less dampers where `work` is wanted.
+    """dy/dt for y = (q, qd, states of the torques' own), then the work done where it is wanted.
 
     Constant torques are folded in.  A state in which a closure's relative pivot does not exceed
     `least_pivot` is handed to `otherwise`; every state is, where there is no formula.
@@ -55,7 +55,7 @@ def compile_rates(
     needed = formula.outputs[:n] + formula.pivots + formula.outputs[n + len(mechanism.rows) :]
     body, outputs = source_text.float_source(needed)
     rates = [f"qd{k}" for k in range(n)]
-    names = [f"q{k}" for k in range(n)] + rates
+    names = [f"q{k}" for k in range(n)] + rates + actuation.own("z")
     power = ""
     if work:
         power = f", {outputs[-1]}"
@@ -68,7 +68,7 @@ def compile_rates(
         *actuation.lines,
         *body,
         *guard,
-        f"return [{', '.join(rates + outputs[:n])}{power}]",
+        f"return [{', '.join(rates + outputs[:n] + actuation.own('zd'))}{power}]",
     ]
     # an integrator's trial step may overflow, or leave a torque's domain: it must try a shorter one
     source = "\n        ".join(["def rates(t, y):\n    try:", *statements])

@@ -37,7 +37,9 @@ class Actuation:
 
     `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
     onto them.  It calls `told`, where there is one, at the start and at each of them.  `leaves` are
-    ends of times, counted from the start: no step may be longer than one that it enters.
+    ends of times, counted from the start: no step may be longer than one that it enters.  Torques
+    may have `states` of their own, z0..: zero at the start, integrated beside q and qd by the rates
+    zd0.. that the lines set.
     """
 
     constants: tuple[float, ...] | None
@@ -51,6 +53,7 @@ class Actuation:
     leaves: tuple[float, ...] = ()
     told_by_leaves: bool = True  # else it changes too fast for them
     given: Actuation | None = None  # what was given, where this was made of it for a run
+    states: int = 0
 
     @property
     def told(self) -> Steps | None:
@@ -62,13 +65,18 @@ class Actuation:
         """Whether any torque can act at all."""
         return self.constants is None or any(self.constants)
 
+    def own(self, name: str) -> list[str]:
+        """Its states by name, or their rates."""
+        return [f"{name}{k}" for k in range(self.states)]
+
     def function(self, n: int) -> Callable[[float, Sequence[float]], list[float]]:
-        """The torques (n) as a function of t and y = (q, qd, ...)."""
+        """The torques (n), and the rates of their own states, of t and y = (q, qd, z, ...)."""
         if self.constants is not None:
             constants = list(self.constants)
             return lambda t, y: constants
-        names = [f"q{k}" for k in range(n)] + [f"qd{k}" for k in range(n)]
-        result = ", ".join(f"tau{k}" for k in range(n))
+        z, zd = self.own("z"), self.own("zd")
+        names = [*(f"{name}{k}" for name in ("q", "qd") for k in range(n)), *z]
+        result = ", ".join([*(f"tau{k}" for k in range(n)), *zd])
         body = [f"{', '.join(names)}, *_ = y", *self.lines, f"return [{result}]"]
         scope: dict[str, object] = {"__builtins__": {}, **self.scope}
         source = "def torques(t, y):\n    " + "\n    ".join(body) + "\n"

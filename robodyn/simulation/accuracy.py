@@ -182,7 +182,7 @@ class _Motion:
         outcome, recorder = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
         if outcome is not Outcome.FINISHED:
             return None
-        return Sampled(np.concatenate(rows), recorder.settle().work_missed)
+        return Sampled(np.concatenate(rows)[:, : len(self._of[1])], recorder.settle().work_missed)
 
 
 def difference(first: Sampled | None, second: Sampled | None) -> float:

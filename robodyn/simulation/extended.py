@@ -59,6 +59,8 @@ def reference(mechanism: Mechanism, state: Array, times: Array, actuation: Actua
     """
     if mechanism.switches:
         raise _lost(mechanism, "has joints that stick or end: the reference is of smooth motions")
+    if actuation.states:
+        raise _lost(mechanism, "has a controller that integrates: the reference is of q and qd")
     actuation = over_a_scene_run(mechanism, actuation, state.tolist(), float(times[-1]))
     with np.errstate(all="ignore"):
         try:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
 Array = NDArray[np.float64]
-Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n), of one mode
+Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
@@ -281,7 +281,7 @@ class Recorder:
             t = np.concatenate([t for t, _ in self.rows])
             y = np.concatenate([y for _, y in self.rows])
             self.rows, self.waiting = [], 0
-            self.sink(t, y[:, : 2 * self.mechanism.n], self.mechanism)
+            self.sink(t, y[:, : 2 * self.mechanism.n + self.actuation.states], self.mechanism)
 
     def flush_steps(self) -> None:
         """Take the waiting steps into the statistics."""
@@ -299,7 +299,7 @@ class Recorder:
             self.actuation.control.observe(t, y)
         q, qd = y[:, :n], y[:, n : 2 * n]
         KE, PE = closed_form.energies(mechanism, q, qd)
-        work = y[:, 2 * n] if y.shape[1] > 2 * n else np.zeros(len(t))
+        work = y[:, -1] if y.shape[1] > 2 * n else np.zeros(len(t))
         if self.unseen is not None:
             unseen = self.unseen(t, q, qd)
             work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))

@@ -1,6 +1,7 @@
 """dy/dt of a mechanism for an integrator, and the projection back onto states that close.
 
-The state is y = (q, qd), with the work done by torques less dampers appended where it is wanted.
+The state is y = (q, qd), followed by the states that torques have of their own (the integrals of a
+controller), and last by the work done by torques less dampers where it is wanted.
 Three evaluators serve three sizes (`make bench` shows where they cross):
 
 - few links: generated straight-line floats;
@@ -109,11 +110,12 @@ def right_hand_side(
         return RightHandSide(solved, project, kind)
 
     # across a change point the state's own torque is kept: beside it it may bend
-    held = [0.0] * mechanism.n
+    held = [0.0] * (mechanism.n + actuation.states)
     beside, torques = solved, None
     if actuation.constants is None:
-        names = ", ".join(f"tau{k}" for k in range(mechanism.n))
-        beside = solving(Actuation(None, (f"{names}, = _held",), {"_held": held}))
+        names = ", ".join([*(f"tau{k}" for k in range(mechanism.n)), *actuation.own("zd")])
+        steady = Actuation(None, (f"{names}, = _held",), {"_held": held}, states=actuation.states)
+        beside = solving(steady)
         torques = actuation.function(mechanism.n)
 
     def across(t: float, y: Array, near: Singular) -> Any:
@@ -174,7 +176,8 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
     def rates(t: float, y: Array) -> Array:
         q, qd = y[:n], y[n : 2 * n]
         try:
-            tau = np.array(torques(t, y.tolist()))
+            found = torques(t, y.tolist())
+            tau = np.array(found[:n])
         except (ArithmeticError, ValueError):  # outside the torque's domain
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
@@ -186,6 +189,6 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
         except TableLeftError:  # a shorter step may not
             return np.full(len(y), np.nan)
         power = [tau @ qd - damping @ qd**2] if work else []
-        return np.concatenate([qd, qdd, power])
+        return np.concatenate([qd, qdd, found[n:], power])
 
     return rates

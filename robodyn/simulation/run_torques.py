@@ -58,4 +58,5 @@ def applied_torques(mechanism: Mechanism, actuation: Actuation, t: Array, y: Arr
             return [np.nan] * mechanism.n  # where the run could not go on
 
     rows = [at(*row) for row in zip(t.tolist(), y.tolist(), strict=True)]
-    return np.array(rows, float).reshape(len(t), mechanism.n)
+    count = mechanism.n + actuation.states
+    return np.array(rows, float).reshape(len(t), count)[:, : mechanism.n]

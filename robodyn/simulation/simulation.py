@@ -167,7 +167,7 @@ def run(
     watch: Callable[[float], bool] | None = None,
     events: EventWatch | None = None,
 ) -> tuple[Outcome, Recorder]:
-    """Integrate from `state` (2n,) and hand rows (t (k,), y (k, 2n)) to `sink` as they come.
+    """Integrate from `state` (2n,); rows (t (k,), y (k, 2n or more)) go to `sink` as they come.
 
     Rows are at `times`, or at the accepted steps.  `watch`, called with t after every step, ends
     the run as interrupted when it returns True; `events` finds events, and may end it as well.
@@ -192,7 +192,7 @@ def run(
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     n = mechanism.n
     work = actuation.active or mechanism.changes_energy or mechanism.switches
-    y = np.concatenate([state, [0.0]]) if work else np.array(state, float)
+    y = np.concatenate([state, [0.0] * (actuation.states + work)])
     if t_end != 0.0 and mechanism.rows:
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if report.stabilize == "projection":

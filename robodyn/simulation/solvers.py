@@ -280,7 +280,8 @@ def solver_of(
     """The solver of this name along a way (t, y, bound), which the recorder observes."""
     (t, y, bound), (rtol, atol) = way, tolerances
     each = np.full(len(y), atol)
-    each[2 * recorder.mechanism.n :] = 1e100  # the work is a by-product: it chooses no step
+    by_product = 2 * recorder.mechanism.n + actuation.states
+    each[by_product:] = 1e100  # the work chooses no step
     kind: Any = projected(method)
     solver: OdeSolver = kind(
         side.rates,

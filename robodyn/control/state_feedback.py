@@ -1,0 +1,86 @@
+"""Feedback of displacements and rates from a pose, with a gain K such as `linearize --lqr` finds.
+
+    tau = tau0 - K [xi - xi0; xid]
+
+xi are the coordinates that K names, of any joints; angles differ from the pose's by half a turn at
+most, so that a joint which has turned round is where it was.  tau0 holds the mechanism at the pose.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class StateFeedback:
+    """A gain and its pose: `gain` (actuated, 2f) of f `coordinates` (joints from 0), then rates.
+
+    q (n) in rad and m; tau (actuated) in N m, N for joints that slide.
+    """
+
+    coordinates: tuple[int, ...]
+    q: list[float]
+    tau: list[float]
+    gain: list[list[float]]
+
+
+def read_feedback(mechanism: Mechanism, text: bytes, where: str) -> StateFeedback:
+    """The feedback that JSON with `coordinates`, `q`, `tau` and `gain` tells; InputError if none.
+
+    `coordinates` are columns such as "q1".
+    """
+    try:
+        given = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON", where=where, limit=str(error)) from None
+    keys = ("coordinates", "q", "tau", "gain")
+    if not isinstance(given, dict):
+        raise InputError("the file", where=where, limit=f"must have {', '.join(keys)}")
+    for key in keys:
+        if key not in given:
+            raise InputError(key, where=where, limit=f"is missing; needed are {', '.join(keys)}")
+    names = _list(given["coordinates"], "coordinates", None, where)
+    columns = [f"q{k + 1}" for k in range(mechanism.n)]
+    for k, name in enumerate(names):
+        if name not in columns or name in names[:k]:
+            limit = f"must be of {', '.join(columns)}, each once"
+            raise InputError("coordinates", where=where, value=name, limit=limit)
+    driven = len(mechanism.actuated)
+    rows = _list(given["gain"], "gain", (driven, "rows", "one an actuated joint"), where)
+    wide = 2 * len(names), "values", "coordinates, then their rates"
+    return StateFeedback(
+        tuple(map(columns.index, names)),
+        _numbers(given["q"], "q", (mechanism.n, "values", "one a joint"), where),
+        _numbers(given["tau"], "tau", (driven, "values", "one an actuated joint"), where),
+        [_numbers(row, f"gain[{k}]", wide, where) for k, row in enumerate(rows)],
+    )
+
+
+def _list(given: Any, key: str, wanted: tuple[int, str, str] | None, where: str) -> list[Any]:
+    if not isinstance(given, list):
+        raise InputError(key, where=where, value=json.dumps(given), limit="must be a list")
+    if wanted is not None and len(given) != wanted[0]:
+        count, of, which = wanted
+        limit = f"must have {count}: {which}"
+        raise InputError(key, where=where, value=f"{len(given)} {of}", limit=limit)
+    return given
+
+
+def _numbers(given: Any, key: str, wanted: tuple[int, str, str], where: str) -> list[float]:
+    found = []
+    for x in _list(given, key, wanted, where):
+        try:
+            value = float(x) if isinstance(x, int | float) and x is not True else math.nan
+        except OverflowError:
+            value = math.inf
+        if not math.isfinite(value):
+            limit = "must be finite numbers"
+            raise InputError(key, where=where, value=json.dumps(x), limit=limit)
+        found.append(value)
+    return found
