@@ -80,7 +80,17 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
     bent = reach * (np.abs(accelerations).sum(axis=-2)[..., None] + fast**2)
     torques = np.zeros_like(q)
     torques[..., list(mechanism.actuated)] = qdd[..., list(mechanism.actuated)]
-    return {
+    slopes: dict[str, Compared] = {}
+    if not (mechanism.rows or mechanism.passive):
+        inverse = robodyn.inverse_dynamics_derivatives(mechanism, q, qd, qdd)[1:4]
+        forward = robodyn.forward_dynamics_derivatives(mechanism, q, qd, np.zeros_like(q))[1:4]
+        dtau, dqdd = (np.concatenate(x, axis=-1) for x in (inverse, forward))
+        size = np.abs(np.linalg.inv(M)) @ np.abs(dtau)
+        slopes = {
+            "dtau": Compared(dtau, (q, qd, qdd), dtau),
+            "dqdd": Compared(dqdd, (q, qd), np.concatenate([dqdd, size], axis=-1)),
+        }
+    return slopes | {
         "M": Compared(M, (q,), M),
         "G": Compared(G, (q,), weight),
         "bias": Compared(bias, (q, qd), passing),

@@ -83,6 +83,22 @@ class Model:
         back = self.back
         return pin.rnea(self.model, self.data, q[back], qd[back], qdd[back])[self.joints]
 
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """d tau by q, qd and qdd, side by side, (n, 3n)."""
+        back = self.back
+        found = pin.computeRNEADerivatives(self.model, self.data, q[back], qd[back], qdd[back])
+        by_q, by_qd, M = found
+        M = np.triu(M) + np.triu(M, 1).T
+        return np.hstack([x[np.ix_(self.joints, self.joints)] for x in (by_q, by_qd, M)])
+
+    def forward_slopes(self, q: Array, qd: Array) -> Array:
+        """d qdd by q, qd and tau, without torques."""
+        back = self.back
+        state = q[back], qd[back], np.zeros(len(q))
+        by_q, by_qd, Minv = pin.computeABADerivatives(self.model, self.data, *state)
+        Minv = np.triu(Minv) + np.triu(Minv, 1).T
+        return np.hstack([x[np.ix_(self.joints, self.joints)] for x in (by_q, by_qd, Minv)])
+
     def accelerations(self, q: Array, qd: Array) -> Array:
         """Without torques; closures by its proximal solver, whose normal row is empty."""
         state = q[self.back], qd[self.back], np.zeros(len(q))
@@ -263,6 +279,7 @@ def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:
         "bias": model.bias,
         "tau": closed if mechanism.rows else model.torques,
         "qdd": model.accelerations,
+        **({} if mechanism.rows else {"dtau": model.slopes, "dqdd": model.forward_slopes}),
         **model.tips.terms(),
     }
 
