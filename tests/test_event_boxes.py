@@ -163,7 +163,7 @@ def test_boxes_change_no_event(seed: int, kind: str, monkeypatch: pytest.MonkeyP
 
     with_boxes = found()
     monkeypatch.setattr(
-        EventWatch, "_boxed", lambda self, function, *box: np.zeros(len(box[0]), np.int64)
+        "robodyn.events.watch.by_boxes", lambda function, *box: np.zeros(len(box[0]), np.int64)
     )
     assert found() == with_boxes
 
