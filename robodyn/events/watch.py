@@ -92,6 +92,11 @@ class EventWatch:
         self.signs = [*self.signs[:own], *(1 for _ in guards)]
         self._touched = [*self._touched[:own], *(None for _ in guards)]
 
+    @property
+    def may_end(self) -> bool:
+        """Whether an event may end the run, or a phase of it."""
+        return bool(self.stops) or len(self.watched) > len(self.functions)
+
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """How often each event happened, and each of some others."""
         pairs = zip(self.functions, self.happened, strict=True)
