@@ -681,7 +681,10 @@ def test_wrong_values_are_refused() -> None:
         ("friction: {torque: 1}", "friction.speed: is missing"),
         ("friction: {torque: 1, speed: 1, static: 2}", "friction.speed: is an unknown key"),
         ("limits: {}", "limits: needs a min, a max, or both"),
-        ("limits: {min: 0, stiffness: 1, restitution: 1}", "limits.restitution: is an unknown key"),
+        (
+            "limits: {min: 0, stiffness: 1, restitution: 1}",
+            "limits.restitution: and stiffness exclude each other",
+        ),
         ("limits: {min: 0, damping: 1}", "limits.damping: is an unknown key"),
         ("limits: 3", "limits = 3: must be a mapping with min, max"),
         ("friction: [1, 2]", "friction = a list: must be a mapping"),

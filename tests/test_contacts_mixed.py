@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from test_contacts import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
 import robodyn
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.sticking import mode_at
+from robodyn.events import pieces, signs
 from robodyn.mechanics import actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Outcome
@@ -77,7 +79,7 @@ def test_which_joints_of_a_loop_stick_against_all_choices(
 ) -> None:
     numbers = random.Random(joints)
     seen = set()
-    for _ in range(8):
+    for _ in range(5):
         mechanism, plain = in_loop(text, joints, numbers)
         angles = [2.0 + numbers.uniform(-0.2, 0.0), 1.0 + numbers.uniform(-0.2, 0.2)]
         q = robodyn.assemble(mechanism, angles[:driven])
@@ -189,9 +191,11 @@ def test_a_machine_with_everything() -> None:
             was = motion.qd[int(np.searchsorted(motion.t, hit.t - 1e-13))]
             exact = kkt(mechanism, hit.y[:3], was, 1, 0.5)
             np.testing.assert_allclose(hit.y[3:], exact, atol=1e-11)
-    one, other = ([x for x in run.events if x.name not in RATES] for run in runs.values())
+    one, other = (run.events for run in runs.values())
     names = [event.name for event in one]
     assert {"arm meets its max", "arm leaves its max", "arm stops", "arm starts"} <= set(names)
+    jumps = [event.t for event in one if event.name == "first"]
+    assert {event.t for event in one if "hits" in event.name} <= set(jumps)
     assert names == [event.name for event in other]
     times = [[event.t for event in events] for events in (one, other)]
     np.testing.assert_allclose(*times, atol=1e-8)
@@ -289,9 +293,10 @@ def test_events_at_one_instant_are_told_once_each(method: str) -> None:
         "half": "t - 1", "both": "q1 + q2 + 1", "back": "qd1 < 0", "past": "t > 1",
         "later": "t - 1.25",
     }  # fmt: skip
+    small = {"Radau": 1e-8, "LSODA": 1e-9}.get(method, 1e-10)
     run = partial(
-        simulate, scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 2.0,
-        method=method, rtol=1e-10, atol=1e-10,
+        simulate, scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 1.75,
+        method=method, rtol=small, atol=small,
     )  # fmt: skip
     motion = run(events=events)
     found = {name: [x.t for x in motion.events if x.name == name] for name in events}
@@ -303,7 +308,51 @@ def test_events_at_one_instant_are_told_once_each(method: str) -> None:
     assert abs(t - 1.25) < 1e-12
     times = [event.t for event in motion.events]
     assert times == sorted(times)
-    np.testing.assert_allclose(motion.q[-1], [0.5, -2, 0.25, 3 - 3 * (1 - np.pi / 5)], atol=1e-8)
+    last = [0.625, -2, 0.25, 3 - 3 * (0.75 - np.pi / 5)]
+    np.testing.assert_allclose(motion.q[-1], last, atol=100.0 * small)
     ended = run(until="t > 1")
     assert ended.outcome is Outcome.EVENT
     assert abs(ended.t[-1] - 1.0) < 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rate", [-0.5, -8.0])
+def test_what_jumps_through_zero_by_an_impact_is_told(method: str, rate: float) -> None:
+    """Also where a function has one sign along the single step of the phase before."""
+    ball = scene(
+        "gravity: 9.81\nlinks:\n  - {name: ball, joint: prismatic, axis: [0, 1], m: 1, l: 0, "
+        "r: 0, I: 0, limits: {min: 0, restitution: 0.5}}\n"
+    )
+    events = {"turns": "qd1", "up": "qd1 > 0", "shifted": "qd1 + t"}
+    motion = simulate(ball, [0.1], [rate], 0.3, method=method, rtol=1e-6, atol=1e-9, events=events)
+    hits = [event for event in motion.events if "hits" in event.name and event.y[1] > 1e-3]
+    assert hits
+    for name in events:
+        found = [event.t for event in motion.events if event.name == name]
+        for hit in hits:
+            jumps = name != "shifted" or -hit.y[1] / 0.5 + hit.t < 0.0
+            assert sum(abs(t - hit.t) < 1e-9 for t in found) == jumps
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
+def test_what_rounding_hides_for_long_is_told_once(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Along its stop a joint follows this but for what the method misses: zero, or nearly."""
+    boxes = 0
+    stretches = signs.stretches
+
+    def counted(*given: Any) -> Any:
+        nonlocal boxes
+        boxes += 1
+        return stretches(*given)
+
+    monkeypatch.setattr(signs, "stretches", counted)
+    monkeypatch.setattr(pieces, "stretches", counted)
+    motion = simulate(
+        scene(BLOCKS), [0.0] * 4, [1.0, -2.0, 0.5, 3.0], 1.3, method=method, rtol=1e-7,
+        atol=1e-7, events={"same": "q4 - 3 - 3*sin(5*(t - 1))/5"},
+    )  # fmt: skip
+    assert boxes < 40 * (motion.report.steps + 5)  # 20,000 a step, if it were looked for
+    told = [text for text in motion.report.remarks if "is zero to rounding" in text]
+    assert len(told) == (method == "taylor") or method == "DOP853"

@@ -75,9 +75,11 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
 
 
 def check_displacements(
-    mechanism: Mechanism, text: str, joints: Sequence[int] | None, flag: str
+    mechanism: Mechanism, text: str | None, joints: Sequence[int] | None, flag: str
 ) -> None:
     """Raise InputError where an entry of joints that slide (the actuated, for None) is an angle."""
+    if text is None or not mechanism.slides:
+        return
     entries = zip(mechanism.actuated if joints is None else joints, text.replace(",", " ").split())  # noqa: B905
     for place, (joint, entry) in enumerate(entries, start=1):
         if joint not in mechanism.slides:

@@ -107,8 +107,8 @@ class TrajectoryOptions:
         def acceleration(text: str) -> float:
             return quantities.parse_angle(text.removesuffix("/s^2"))
 
-        _check_units(mechanism, self.max_qd, "--max-qd")
-        _check_units(mechanism, self.max_qdd, "--max-qdd")
+        check_displacements(mechanism, self.max_qd, None, "--max-qd")
+        check_displacements(mechanism, self.max_qdd, None, "--max-qdd")
         return limits_of(
             mechanism,
             _entries(self.max_qd, "--max-qd", quantities.parse_rate, "6.28, 60rpm or 90deg/s"),
@@ -125,12 +125,6 @@ def _entries(
         if text is None
         else quantities.parse_entries(text, parse, where=option, example=example)
     )
-
-
-def _check_units(mechanism: Mechanism, text: str | None, option: str) -> None:
-    """Raise InputError where a joint that slides is given an angle or its rate."""
-    if text is not None and mechanism.slides:
-        check_displacements(mechanism, text, None, option)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +190,7 @@ def sweep_from(
         raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
     if duration is None or not (math.isfinite(duration) and duration > 0.0):
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
-    _check_units(mechanism, given.amplitude, "--amplitude")
+    check_displacements(mechanism, given.amplitude, None, "--amplitude")
     sizes = for_each_actuated(mechanism, sizes, "--amplitude")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
@@ -225,7 +219,7 @@ def turning_from(
             raise InputError("--turns", value=given.turns, limit=limit)
         way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
         return ConstantSpeed(start, way), duration
-    _check_units(mechanism, given.speed, "--speed")
+    check_displacements(mechanism, given.speed, None, "--speed")
     rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:

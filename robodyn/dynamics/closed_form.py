@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, matvec, placed
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.mechanics.modes import pressed
+from robodyn.mechanics.modes import Mode, in_mode, pressed
 from robodyn.mechanics.planar_model import Arrays
 
 Array = NDArray[np.float64]
@@ -129,6 +129,8 @@ def potential_energy(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
     """KE and PE, (...), J, of the same states: the links' directions are found once."""
+    if any(stop.stiffness is not None for _, stop in mechanism.limits):
+        return _energies_by_stops(mechanism, q, qd)
     arrays, at = mechanism.arrays, placed(mechanism, q)
     KE = _kinetic(mechanism, at, qd)
     PE: Array = mechanism.energy_offset - (at.X @ arrays.weights).real
@@ -138,24 +140,21 @@ def energies(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, 
         from robodyn.engines.row_values import rows_of
 
         PE = PE + rows_of(parts.stored, mechanism)("PE", q)[..., 0]
-    if mechanism.limits:
-        PE = PE + _stop_energy(mechanism, *np.broadcast_arrays(q, qd))
     return KE, PE
 
 
-def _stop_energy(mechanism: Mechanism, q: Array, qd: Array) -> Array:
-    """What compliant stops hold that push in states (..., n), (...), J."""
-    limits = dict(mechanism.limits)
-
-    def held(joint: int, side: int, at: float) -> float:
-        return 0.5 * (limits[joint].stiffness or 0.0) * (at - dict(limits[joint].ends)[side]) ** 2
-
-    states = zip(*(x.reshape(-1, mechanism.n).tolist() for x in (q, qd)), strict=True)
-    each = [
-        sum(held(joint, side, at[joint]) for joint, side in pressed(mechanism, at, rates))
-        for at, rates in states
-    ]
-    return np.array(each, float).reshape(q.shape[:-1])
+def _energies_by_stops(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """The same of states in each of which other compliant stops may push."""
+    states = np.broadcast_arrays(as_states(mechanism, "q", q), as_states(mechanism, "qd", qd))
+    flat = [x.reshape(-1, mechanism.n) for x in states]
+    modes: dict[Mode, list[int]] = {}
+    for k, (at, rates) in enumerate(zip(*(x.tolist() for x in flat), strict=True)):
+        modes.setdefault(Mode(pressed=pressed(mechanism, at, rates)), []).append(k)
+    found = np.empty((2, len(flat[0])))
+    for mode, which in modes.items():
+        found[:, which] = energies(in_mode(mechanism, mode), *(x[which] for x in flat))
+    KE, PE = found.reshape(2, *states[0].shape[:-1])
+    return KE, PE
 
 
 def closure_gap(mechanism: Mechanism, q: ArrayLike) -> Array:

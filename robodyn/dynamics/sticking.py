@@ -235,17 +235,19 @@ def _independent(mechanism: Mechanism, mode: Mode, q: Array) -> Mode:
     if not mechanism.rows or not mode.held:
         return mode
     kept: list[int] = []
-    rank = _rank(mechanism, q, kept)
+    rows = scaled_jacobian(mechanism, q)
+    each = float(np.abs(rows).max()) * np.eye(mechanism.n)  # the rows of what is held
+    rank = _rank(rows)
     for joint in mode.held:
-        if (more := _rank(mechanism, q, [*kept, joint])) > rank:
-            kept, rank = [*kept, joint], more
+        tried = np.concatenate([rows, each[joint : joint + 1]])
+        if (more := _rank(tried)) > rank:
+            kept, rows, rank = [*kept, joint], tried, more
     return mode._replace(held=tuple(kept))
 
 
-def _rank(mechanism: Mechanism, q: Array, held: Sequence[int]) -> int:
-    rows = scaled_jacobian(in_mode(mechanism, Mode(tuple(held))), q)
+def _rank(rows: Array) -> int:
     s = np.linalg.svd(rows, compute_uv=False)
-    return int((s > TOGETHER * s[0]).sum()) if len(s) else 0
+    return int((s > TOGETHER * s[0]).sum())
 
 
 def margins(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 from robodyn.engines import expression
@@ -229,9 +230,10 @@ def joint_jacobian(state: Recorded, series: Series) -> list[list[Value]]:
     return [state.to_joints([row.get(k, 0.0) for k in range(n)]) for row in rows]
 
 
+@lru_cache(maxsize=64)
 def forward_formula(
     mechanism: Mechanism,
-    torques: Sequence[float] | None = None,
+    torques: tuple[float, ...] | None = None,
     baumgarte: float = 0.0,
     power: bool = False,
     parameters: bool = False,

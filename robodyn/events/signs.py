@@ -121,7 +121,8 @@ def stretches(f: Sampled, begin: float, end: float, budget: Budget) -> Iterator[
         if size[1] > SLOPES[2:] @ size[2:] + SLOPES[-1] * error:
             yield from _monotone(box, begin, end)
             return
-        if (np.abs(values) <= noises).all():  # no sign is left to find
+        steady = size[1:].sum() <= noises.min()  # its halves would tell no more
+        if steady or (np.abs(values) <= noises).all():
             yield Stretch(begin, end, 0, middle)
             return
         near = 2.0 * math.sqrt(error / size[2]) if size[2] else 1.0

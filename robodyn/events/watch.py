@@ -14,21 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
+from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
 from robodyn.events.pieces import States, along, remembered, signs_along
-from robodyn.events.signs import NODES, Budget, Stretch, bracket, certain
+from robodyn.events.signs import Budget, Stretch, bracket
 
 Array = NDArray[np.float64]
-Signs = NDArray[np.int64]
 
 APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
 TOLD = 5  # times that a remark names
 MOST = 1_000_000  # events that are kept
+LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
+LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
-# What a look at many steps asks of a function beyond its rounding: of its size along a step, and of
-# what it misses at the step's end, where the state is brought back onto closures.
-MARGIN, MISSED = 1e-9, 4.0
 
 
 class Event(NamedTuple):
@@ -63,7 +61,8 @@ class EventWatch:
 
     `signs` are those that functions have had; 0 where that is not yet known: what holds at the
     start is no event.  `grazes` has, by name, the times at which a function touches zero as far as
-    rounding tells, without passing it; `lost` where it changes sign too often to be followed.
+    rounding tells, without passing it; `hidden` from when to when it is zero so for long; `lost`
+    where it changes sign too often to be followed.
     """
 
     functions: Sequence[EventFunction]
@@ -71,6 +70,7 @@ class EventWatch:
     stops: frozenset[int] = frozenset()
     found: list[Event] = field(default_factory=list)
     grazes: dict[str, list[float]] = field(default_factory=dict)
+    hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     lost: dict[str, list[float]] = field(default_factory=dict)
     signs: list[int] = field(default_factory=list)
     happened: list[int] = field(default_factory=list)
@@ -80,6 +80,7 @@ class EventWatch:
         self.happened = [0] * len(self.functions)
         self.watched = list(self.functions)
         self._known: list[Signs] = []  # of the steps looked at together
+        self._along: list[int] = []  # of that one of them which is looked at by itself
         self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
         self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step looked at
         self._cut: dict[int, float] = {}  # when a function's event came with the end of a phase
@@ -90,6 +91,11 @@ class EventWatch:
         self.watched = [*self.functions, *guards]
         self.signs = [*self.signs[:own], *(1 for _ in guards)]
         self._touched = [*self._touched[:own], *(None for _ in guards)]
+
+    @property
+    def may_end(self) -> bool:
+        """Whether an event may end the run, or a phase of it."""
+        return bool(self.stops) or len(self.watched) > len(self.functions)
 
     def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
         """How often each event happened, and each of some others."""
@@ -105,6 +111,11 @@ class EventWatch:
         for name, times in self.grazes.items():
             limit = "rounding hides whether it passes"
             found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
+        for i, touched in enumerate(self._touched):
+            self._hidden_until(i, touched[1] if touched else 0.0)
+        for name, spans in self.hidden.items():
+            told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
+            found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
         for name, times in self.lost.items():
             found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
         blurred = [event for event in self.found if event.apart > self._instant]
@@ -121,7 +132,11 @@ class EventWatch:
 
     @property
     def _instant(self) -> float:
-        return APART * abs(self.t_end)
+        return APART * self._length
+
+    @property
+    def _length(self) -> float:
+        return abs(self.t_end)
 
     def series(
         self,
@@ -139,7 +154,7 @@ class EventWatch:
         and how.
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
-        known = [self._boxed(function, *box) for function in self.watched]
+        known = [by_boxes(function, *box) for function in self.watched]
         if not all(signs.all() for signs in known):
             left = np.flatnonzero(~np.logical_and.reduce(known))
             self._look(known, left, times, sampled(left), ends[left])
@@ -148,35 +163,21 @@ class EventWatch:
             places = self.begin(j, places)
             stop = self.step(step(j), places) if places else None
             if stop is not None:
-                for i in set(range(len(self._known))) - set(places):
-                    self.signs[i] = int(self._known[i][j]) or self.signs[i]
                 return j, stop
         self.seen()
         return None
-
-    def _boxed(self, function: EventFunction, *box: Array) -> Signs:
-        """The signs (m,) that a function keeps along steps, as far as boxes tell; else 0."""
-        sure: Any = 1
-        for part in (*function.switches, function):
-            if part.around is None:
-                return np.zeros(len(box[0]), np.int64)
-            value, reach = part.around(*box)
-            sure = sure * (np.abs(value) > reach)
-        return np.where(sure, np.sign(value), 0).astype(np.int64)
 
     def _look(
         self, known: list[Signs], places: Signs, times: Array, sampled: Array, ends: Array
     ) -> None:
         """Find the signs of functions along the steps at `places`, as far as samples tell."""
         m, nodes = sampled.shape[:2]
-        begin = times[places]
-        at = begin[:, None] + (times[places + 1] - begin)[:, None] * NODES
-        at = np.concatenate([at.ravel(), times[places + 1]])
+        at = np.append(node_times(times[places], times[places + 1]), times[places + 1])
         y = np.concatenate([sampled.reshape(m * nodes, -1), ends])
         for function, signs in zip(self.watched, known, strict=True):
             found = signs[places]
             if not found.all():
-                looked = self._looked_at(function, at, y, m)
+                looked = by_samples(function, at, y, m)
                 signs[places] = np.where(found, found, looked)
 
     def _doubtful(self, known: list[Signs]) -> dict[int, list[int]]:
@@ -193,43 +194,9 @@ class EventWatch:
                 doubtful.setdefault(j, []).append(i)
         return doubtful
 
-    def _looked_at(self, function: EventFunction, at: Array, y: Array, m: int) -> Signs:
-        """The signs (m,) that a function keeps along steps, as far as samples tell; else 0."""
-
-        def split(values: Array) -> tuple[Array, Array]:
-            inner = values[:-m].reshape(m, -1)
-            return inner, MISSED * np.abs(inner[:, -1] - values[-m:])
-
-        with np.errstate(all="ignore"):
-            inner, missed = split(function.values(at, y))
-            size = np.abs(inner).max(axis=1)
-            signs = certain(inner, missed + MARGIN * size)
-            if function.way:
-                stays = -function.way if function.strict else function.way
-                signs = np.where((size == 0.0) & (missed == 0.0), stays, signs)
-            for switch in function.switches:
-                inner, missed = split(switch.values(at, y))
-                margin = MARGIN * np.abs(inner).max(axis=1)
-                signs = np.where(certain(inner, missed + margin), signs, 0)
-        return signs
-
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
         """For steps of an explicit method, which functions may pass zero in each, by its stages."""
-        m = len(steps)
-        both, h = two_guesses(steps), np.array([step.h_previous for step in steps])
-        at = np.array([step.t_old for step in steps])[:, None] + h[:, None] * NODES
-        at, y = np.concatenate([at.ravel(), at.ravel()]), both.reshape(-1, both.shape[-1])
-        found = []
-        for function in self.watched:
-            known = np.ones(m, np.int64)
-            with np.errstate(all="ignore"):
-                for part in (*function.switches, function):
-                    better, worse = part.values(at, y).reshape(2, m, -1)
-                    noise = np.abs(better - worse).max(axis=1)
-                    noise += MARGIN * np.abs(better).max(axis=1)
-                    known = np.where(known, certain(better, noise), 0)
-            found.append(known)
-        return self._doubtful(found)
+        return self._doubtful(by_stages(self.watched, steps))
 
     def begin(self, j: int, places: Sequence[int]) -> list[int]:
         """Know the signs at the start of step j of those looked at together.
@@ -240,6 +207,7 @@ class EventWatch:
         for i in places:
             if j and self._known[i][j - 1]:
                 self.signs[i] = int(self._known[i][j - 1])
+        self._along = [int(signs[j]) for signs in self._known]
         return [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
 
     def _goes_on(self, i: int, sign: int) -> bool:
@@ -289,9 +257,11 @@ class EventWatch:
 
         What passes zero at this instant is told; it has any sign from then on.
         """
+        for i, sign in enumerate(self._along):
+            self.signs[i] = sign or self.signs[i]
         for i, signs in self._signs_from.items():
             self.signs[i] = [x for at, x in signs if (t - at) * forward >= 0.0][-1]
-            self._touched[i] = None
+            self._hidden_until(i, t)
         for at, _, i in passed:
             if abs(at - t) <= self._instant:
                 self.signs[i], self._cut[i] = 0, t
@@ -299,6 +269,7 @@ class EventWatch:
     def _crossings(self, i: int, step: Step, states: States) -> list[tuple[float, float]]:
         """When a function passes zero in the way that counts, and how far that may be off."""
         function, budget = self.watched[i], Budget(LEAST * abs(step.end - step.begin))
+        budget.left >>= min(len(self.lost.get(function.name, ())), LESS)
         found: list[tuple[float, float]] = []
         before: Stretch | None = None
         known = self._signs_from[i] = [(step.begin, self.signs[i])]
@@ -307,7 +278,8 @@ class EventWatch:
             if not sign:
                 self._hidden(i, stretch)
                 continue
-            touched, self._touched[i] = self._touched[i], None
+            touched = self._touched[i]
+            told = self._hidden_until(i, stretch.begin)
             if self.signs[i] not in (0, sign):
                 if function.way in (0, sign):
                     t = step.begin
@@ -315,7 +287,7 @@ class EventWatch:
                         t = self._passed(function, sign, before, stretch, states)
                     width = abs(touched[1] - touched[0]) if touched else 0.0
                     found.append((t, max(stretch.blur, width)))
-            elif touched and i < len(self.functions):
+            elif touched and self.signs[i] and i < len(self.functions) and not told:
                 self._graze(function.name, touched[0])
             self.signs[i], before = sign, stretch
             known.append((stretch.begin, sign))
@@ -335,9 +307,20 @@ class EventWatch:
     def _hidden(self, i: int, stretch: Stretch) -> None:
         if not stretch.defined and self._lasts(stretch):
             self.signs[i], self._touched[i] = 0, None
-        elif self.signs[i]:
+        elif self.signs[i] or not stretch.stays:
             begin = self._touched[i] or (stretch.begin, stretch.end)
             self._touched[i] = begin[0], stretch.end
+
+    def _hidden_until(self, i: int, t: float) -> bool:
+        """Rounding hides a function no longer; tells whether that was long enough to be told."""
+        touched, self._touched[i] = self._touched[i], None
+        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self._length:
+            return False
+        spans = self.hidden.setdefault(self.functions[i].name, [])
+        if spans and abs(touched[0] - spans[-1][1]) <= self._instant:
+            touched = spans.pop()
+        spans.append((touched[0], t))
+        return True
 
     def _passed(
         self, function: EventFunction, sign: int, before: Stretch, after: Stretch, states: States
@@ -358,8 +341,9 @@ class EventWatch:
             times.append(t)
 
 
-def _listed(times: Sequence[float]) -> str:
-    return ", ".join(f"{t:.9g}" for t in times[:TOLD]) + (", ..." if times[TOLD:] else "")
+def _listed(times: Sequence[float | str]) -> str:
+    told = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
+    return ", ".join(told) + (", ..." if times[TOLD:] else "")
 
 
 def _state(step: Step, t: float) -> Array:

@@ -251,7 +251,17 @@ FORMS = {
 }
 
 
+def _form_name(kind: str, keys: Container[str]) -> str:
+    forms = MAPPINGS.get(kind, {kind: ()})
+    return next(form for form, marks in forms.items() if all(x in keys for x in marks))
+
+
 def form_of(kind: str, keys: Container[str]) -> Form:
     """The form of a mapping of this kind that has these keys."""
-    forms = MAPPINGS.get(kind, {kind: ()})
-    return FORMS[next(form for form, marks in forms.items() if all(x in keys for x in marks))]
+    return FORMS[_form_name(kind, keys)]
+
+
+def excluded(kind: str, keys: Container[str]) -> dict[str, str]:
+    """The keys that tell other forms of this kind, each with that which tells the form of these."""
+    forms, own = MAPPINGS.get(kind, {kind: ()}), _form_name(kind, keys)
+    return {x: y for form in forms if form != own for x in forms[form] for y in forms[own][:1]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from robodyn.errors import MOST_FAULTS, Fault
-from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WORDS, Key, form_of
+from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WORDS, Key, excluded, form_of
 from robodyn.scene.quantities import parse_angle, parse_number
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
@@ -35,9 +35,18 @@ class ValueReader:
         self.compared = 0
 
     def keys(
-        self, node: Node, place: str, needed: list[str], optional: list[str], kind: str = "key"
+        self,
+        node: Node,
+        place: str,
+        needed: list[str],
+        optional: list[str],
+        kind: str = "key",
+        beside: dict[str, str] | None = None,
     ) -> dict[str, Node]:
-        """The known keys of a mapping; faults for unknown, repeated and missing ones."""
+        """The known keys of a mapping; faults for unknown, repeated and missing ones.
+
+        `beside` has keys that one of the known ones excludes, and which.
+        """
         if not isinstance(node, Mapping):
             limit = f"must be a mapping with {', '.join(needed + optional)}"
             self.fault(place, node, limit, self.shown(node))
@@ -48,6 +57,8 @@ class ValueReader:
         for key, value in node.pairs:
             if key.text not in known:
                 limit = f"is an unknown {kind}{self.nearest(key.text, list(known))}"
+                if beside and key.text in beside:
+                    limit = f"and {beside[key.text]} exclude each other: give one"
                 self.fault(prefix + key.text, key, limit)
             elif key.text in found:
                 self.fault(prefix + key.text, key, "is given twice")
@@ -62,7 +73,8 @@ class ValueReader:
         """What a mapping of this kind holds, key by key."""
         given = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else ()
         form = form_of(kind, given)
-        found = self.keys(node, place, form.named(needed=True), form.named(needed=False))
+        names = form.named(needed=True), form.named(needed=False)
+        found = self.keys(node, place, *names, beside=excluded(kind, given))
         prefix = f"{place}." if place else ""
         given_one = [name for name in form.one if name in found]
         if form.one and not given_one and isinstance(node, Mapping):

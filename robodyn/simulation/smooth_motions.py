@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from robodyn.simulation.settings import Settings
 
 if TYPE_CHECKING:
     from robodyn.simulation.phases import Phases
-    from robodyn.taylor.steps import SteppingEngine
 
 Array = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class SmoothMotions:
     def __init__(self, actuation: Actuation, settings: Settings, t_end: float, work: bool) -> None:
         self.actuation, self.settings, self.t_end, self.work = actuation, settings, t_end, work
         self._sides: dict[Mechanism, RightHandSide] = {}
-        self._engines: dict[Mechanism, SteppingEngine] = {}
+        self._engines: dict[tuple[Mechanism, str], Any] = {}  # of the Taylor series
 
     def side(self, mechanism: Mechanism) -> RightHandSide:
         """The rates of the mechanism."""

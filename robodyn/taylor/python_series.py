@@ -138,9 +138,10 @@ class StraightEngine(SteppingEngine):
 
     def make(self, held: tuple[float, ...] | None) -> Steps:
         given = self.actuation
-        if given.constants is None and not given.linear:
+        if given.control is not None and not given.linear:
             return step_text(self.mechanism, given, self.order, self.work, held)
-        return _kept(self.mechanism, self.order, given.constants, self.work)
+        lines = () if given.linear else given.lines
+        return _kept(self.mechanism, self.order, given.constants, lines, self.work, held)
 
 
 class InterpretedEngine(SteppingEngine):
@@ -152,7 +153,13 @@ class InterpretedEngine(SteppingEngine):
 
 @lru_cache(maxsize=64)
 def _kept(
-    mechanism: Mechanism, order: int, constants: tuple[float, ...] | None, work: bool
+    mechanism: Mechanism,
+    order: int,
+    constants: tuple[float, ...] | None,
+    lines: tuple[str, ...],
+    work: bool,
+    held: tuple[float, ...] | None,
 ) -> Steps:
-    """Code that depends on nothing but numbers: constant torques, or those that are linear."""
-    return step_text(mechanism, Actuation(constants, linear=constants is None), order, work)
+    """Code of constant torques, of expressions, or else of torques that are linear."""
+    actuation = Actuation(constants, lines, linear=constants is None and not lines)
+    return step_text(mechanism, actuation, order, work, held)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ STRAIGHT, MOST_LINKS = 6000, 120
 COMPILED_STEPS = 4096
 TOGETHER = 4 * STEPS  # of those in Python that are looked at for events: looks cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
-AHEAD = 8  # where an event ends the run, at first
+AHEAD = 4  # where an event ends the run, or a phase of it, at first
 CALL = 0.1  # s that a call of compiled code may take
 WORTH = 1500  # steps of a scene in Python that cost what making machine code does
 ROW_BY_ROW = 5  # of those that the rows make one by one: a hundred times as long
@@ -131,13 +131,12 @@ def taylor_run(
     max_step: float,
     side: Callable[[], RightHandSide],
     begin: float = 0.0,
-    engines: dict[Mechanism, SteppingEngine] | None = None,
+    engines: dict[tuple[Mechanism, str], Any],
 ) -> Outcome:
     """Integrate from (begin, y) to t_end; `side` makes what DOP853 needs, where it is needed.
 
     `engine` is python, compiled, or auto: compiled where as many steps of the mechanism as WORTH
-    were made in this process, or are to be expected.  `engines` keeps those in Python for the next
-    run.
+    were made in this process, or are to be expected.  `engines` keeps them for the next phase.
     """
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
@@ -149,22 +148,23 @@ def taylor_run(
         return misses is not None and misses.crosses(y[: mechanism.n])
 
     def careful() -> SteppingEngine:
-        made = None if engines is None else engines.get(mechanism)
-        if made is None:
-            made = stepping_engine(
+        if (mechanism, "python") not in engines:
+            engines[mechanism, "python"] = stepping_engine(
                 mechanism, actuation, rtol, atol, order=order, project=project, work=work
             )
-        if engines is not None:
-            engines[mechanism] = made
+        made: SteppingEngine = engines[mechanism, "python"]
         made.halts = recorder.watch
         return made
 
     key = mechanism, actuation.constants, rtol, atol, order, project, work
 
     def fast() -> Engine | None:
-        return _spare.pop(key, None) or compiled_engine(
-            mechanism, actuation, rtol, atol, order, project=project, work=work
-        )
+        if (mechanism, "compiled") not in engines:
+            engines[mechanism, "compiled"] = _spare.pop(key, None) or compiled_engine(
+                mechanism, actuation, rtol, atol, order, project=project, work=work
+            )
+        made: Engine | None = engines[mechanism, "compiled"]
+        return made
 
     stepping: Engine | None = None
     slow: SteppingEngine | None = None
@@ -191,8 +191,8 @@ def taylor_run(
     idle = 0  # times in a row that nothing led on
     held = False  # whether steps may leap, or start too near: the engine in Python holds them
     watched = recorder.events is not None
-    may_end = recorder.events is not None and bool(recorder.events.stops)
     most_ahead = max(1, min(COMPILED_STEPS, KEPT // mechanism.n))
+    may_end = recorder.events is not None and recorder.events.may_end
     ahead = AHEAD if may_end else most_ahead  # steps at a time: those beyond the end are lost
     while True:
         bound = next_stop(actuation.kinks, actuation.leaves, t, t_end)

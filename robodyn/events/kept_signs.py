@@ -1,0 +1,85 @@
+"""The sign that an event's function keeps along each of many steps, as far as a look at all tells.
+
+Three looks, from the cheapest on: by boxes that the states stay in, by states at Chebyshev's points
+of each step, and, of explicit methods, by what a step's stages tell.  None of them finds where a
+function passes zero; a sign of 0 says that it may.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.events.explicit_steps import two_guesses
+from robodyn.events.functions import EventFunction
+from robodyn.events.signs import NODES, certain
+
+Array = NDArray[np.float64]
+Signs = NDArray[np.int64]
+
+# What a look at many steps asks of a function beyond its rounding: of its size along a step, and of
+# what it misses at the step's end, where the state is brought back onto closures.
+MARGIN, MISSED = 1e-9, 4.0
+
+
+def by_boxes(function: EventFunction, *box: Array) -> Signs:
+    """The signs (m,) along m steps from begin (m,) to end, the states within dy (m, N) of y."""
+    sure: Any = 1
+    for part in (*function.switches, function):
+        if part.around is None:
+            return np.zeros(len(box[0]), np.int64)
+        value, reach = part.around(*box)
+        sure = sure * (np.abs(value) > reach)
+    return np.where(sure, np.sign(value), 0).astype(np.int64)
+
+
+def node_times(begin: Array, end: Array) -> Array:
+    """The times (m * nodes) of Chebyshev's points of m steps."""
+    at: Array = begin[:, None] + (end - begin)[:, None] * NODES
+    return at.ravel()
+
+
+def by_samples(function: EventFunction, at: Array, y: Array, m: int) -> Signs:
+    """The signs (m,) along m steps, by the states y at the times `at`.
+
+    Those are the nodes of each step, as from its series, and after them the m ends of the steps.
+    """
+
+    def split(values: Array) -> tuple[Array, Array]:
+        inner = values[:-m].reshape(m, -1)
+        return inner, MISSED * np.abs(inner[:, -1] - values[-m:])
+
+    with np.errstate(all="ignore"):
+        inner, missed = split(function.values(at, y))
+        size = np.abs(inner).max(axis=1)
+        signs = certain(inner, missed + MARGIN * size)
+        if function.way:
+            stays = -function.way if function.strict else function.way
+            signs = np.where((size == 0.0) & (missed == 0.0), stays, signs)
+        for switch in function.switches:
+            inner, missed = split(switch.values(at, y))
+            margin = MARGIN * np.abs(inner).max(axis=1)
+            signs = np.where(certain(inner, missed + margin), signs, 0)
+    return signs
+
+
+def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Signs]:
+    """The signs (m,) of each function along m steps of an explicit method."""
+    both, m = two_guesses(steps), len(steps)
+    begin = np.array([step.t_old for step in steps])
+    at = node_times(begin, begin + np.array([step.h_previous for step in steps]))
+    at, y = np.concatenate([at, at]), both.reshape(-1, both.shape[-1])
+    found = []
+    for function in functions:
+        known = np.ones(m, np.int64)
+        with np.errstate(all="ignore"):
+            for part in (*function.switches, function):
+                better, worse = part.values(at, y).reshape(2, m, -1)
+                noise = np.abs(better - worse).max(axis=1)
+                noise += MARGIN * np.abs(better).max(axis=1)
+                known = np.where(known, certain(better, noise), 0)
+        found.append(known)
+    return found
