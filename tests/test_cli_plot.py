@@ -296,3 +296,19 @@ def test_text_needs_no_matplotlib(shell: Run, motion: Path) -> None:
     code += f"cli.run(['plot', {str(motion)!r}, '--format', 'text']); "
     code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
     assert shell(f'python -c "{code}"').code == 0
+
+
+def test_units_of_joints_that_slide(robodyn: Run) -> None:
+    rows = "t,q1,q2,tau2\n0,0,0.1,5\n1,1,0.3,6\n"
+    given = ("plot", "-", "--format", "text", "--ascii")
+    plain = robodyn(*given, stdin=rows).succeeds().out
+    told = robodyn(*given, "--model", "robots/rp-arm.yaml", stdin=rows).succeeds().out
+    assert "q [rad]" in plain
+    assert "[m]" not in plain
+    for part in ("q1 [rad]", "q2 [m]", "tau2 [N]"):
+        assert part in told
+    mapped = ("--x", "q1", "--y", "q2", "--colour", "tau2", "--model", "robots/rp-arm.yaml")
+    found = robodyn(*given, *mapped, stdin=rows).succeeds().out
+    for part in ("q1 [rad]", "q2 [m]", "tau2 [N]"):
+        assert part in found
+    robodyn(*given, "--model", "nowhere.yaml", stdin=rows).fails(2, "nowhere.yaml")

@@ -44,8 +44,8 @@ def map_figure(content: ValueMap, size: tuple[float, float] | None) -> Any:
         shades[row < 0] = 255
         axes.pcolorfast(x_edges, y_edges, shades)
     for axis, name in ((axes.xaxis, content.x_name), (axes.yaxis, content.y_name)):
-        axis.set_label_text(with_unit(shown(name)))
-        if unit_of(name) == "rad":
+        axis.set_label_text(with_unit(shown(name), content.units))
+        if unit_of(name, content.units) == "rad":
             low, high = axis.get_view_interval()
             values, texts = angle_ticks(low, high, 9)
             axis.set_ticks(values, _with_minus(texts))
@@ -120,7 +120,7 @@ def _colour_bar(axes: Any, content: ValueMap) -> None:
         bar.yaxis.set_label_position("right")
         values, texts = content.scale.ticks(9)
         bar.set_yticks(content.scale.fraction(np.array(values)), _with_minus(texts))
-        bar.set_ylabel(with_unit(shown(content.name)))
+        bar.set_ylabel(with_unit(shown(content.name), content.units))
     if content.has_none:
         box = axes.inset_axes((1.03, 0.0, 0.045, 0.05), facecolor=NONE, xticks=[], yticks=[])
         text = "none" if content.scale else f"{shown(content.name)}: none"
@@ -139,7 +139,7 @@ def _name_words(axes: Any, content: ValueMap) -> None:
     told += [(NONE, "none")] if content.has_none else []
     axes.legend(
         handles=[Patch(color=colour, label=word) for colour, word in told],
-        title=with_unit(shown(content.name)),
+        title=with_unit(shown(content.name), content.units),
         loc="upper left",
         bbox_to_anchor=(1.01, 1.015),
         alignment="left",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -9,12 +10,14 @@ from typer import Option
 
 from robodyn.cli import figures
 from robodyn.cli.figures import parse_size, picture_format, save, write_characters
-from robodyn.cli.files import input_argument
+from robodyn.cli.files import input_argument, input_file
 from robodyn.cli.options import Ascii, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
 from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import load
 from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of
+from robodyn.pictures.column_units import TURNING, scene_units
 from robodyn.pictures.value_map import ColourColumn, ValueMap, value_map
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
@@ -22,6 +25,7 @@ from robodyn.tables.table import Reader
 ONE_Y = "a map has one column along y"
 _X = "Along x. Default: t, else the row."
 _Y = "Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all."
+_MODEL = "Scene of the rows: units of joints that slide."
 _COLOUR = "Draw a map: this column as colours over --x and --y."
 X = Annotated[str | None, Option("--x", metavar="COLUMN", help=_X)]
 Y = Annotated[str | None, Option("--y", metavar="COLUMNS", help=_Y)]
@@ -33,6 +37,7 @@ def plot(
     x: X = None,
     y: Y = None,
     colour: Colour = None,
+    model: Annotated[str | None, input_file("--model", _MODEL)] = None,
     log: Annotated[bool, Option("--log", help="Logarithmic --colour.")] = False,
     size: Size = None,
     format: OutputPicture = None,
@@ -47,6 +52,8 @@ def plot(
     With --colour points over --x and --y have the colour of that column: cells where they fill a
     grid, as rows of a sweep do.  It may hold numbers or words; where it is empty they are grey.
 
+    --model tells which joints slide, whose columns have m and N in place of rad and N m.
+
     Without --out a terminal gets a chart of characters, as wide as it is; in a pipe it takes
     --format text.
 
@@ -55,6 +62,8 @@ def plot(
       robodyn plot motion.csv --y "q*,energy"
       robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn plot - -o motion.svg
       robodyn plot one.csv two.csv --x q1 --y qd1 -o phase.png
+      robodyn simulate robots/rp-arm.yaml --q 0,0.2 --time 1 | \\
+        robodyn plot - --model robots/rp-arm.yaml -o motion.svg
       robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
     extent = parse_size(size)
@@ -68,8 +77,9 @@ def plot(
     if log and colour is None:
         raise InputError("--log", limit="is a scale of colours: give --colour")
     chosen = picture_format(format, out)
+    units = TURNING if model is None else scene_units(load(model))
     if colour is not None:
-        mapped = _read_map(files, x or "", patterns or [], colour, log)
+        mapped = _read_map(files, x or "", patterns or [], colour, log)._replace(units=units)
         if chosen == "text":
             from robodyn.pictures.characters import map_lines
 
@@ -79,7 +89,7 @@ def plot(
 
         save(map_figure(mapped, extent), out, chosen)
         return
-    content = _read(files, x, patterns)
+    content = _read(files, x, patterns, units)
     if chosen == "text":
         from robodyn.pictures.characters import chart_lines
 
@@ -93,7 +103,9 @@ def plot(
     save(figures.chart_figure(content, extent), out, chosen)
 
 
-def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
+def _read(
+    files: list[str], x: str | None, patterns: list[str] | None, units: Mapping[str, str]
+) -> Chart:
     names, along, tables = [], [], []
     for file in files:
         with open_input(file) as (stream, name):
@@ -106,7 +118,7 @@ def _read(files: list[str], x: str | None, patterns: list[str] | None) -> Chart:
         along.append(own)
         values = np.concatenate([np.zeros((0, len(columns))), *blocks])
         tables.append(dict(zip(columns, values.T, strict=True)))
-    return chart(names, along, tables)
+    return chart(names, along, tables, units)
 
 
 def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: bool) -> ValueMap:

@@ -215,9 +215,9 @@ def map_lines(
     x_values, x_texts = axis_ticks(content.x_name, left_edge, right_edge, x_most, ascii)
     at = [_place(value, left_edge, right_edge, inside) for value in x_values]
     return [
-        " " * (left - 1) + plain(with_unit(shown(content.y_name)), ascii),
+        " " * (left - 1) + plain(with_unit(shown(content.y_name), content.units), ascii),
         *("".join(parts).rstrip() for parts in drawn),
-        *x_axis(with_unit(shown(content.x_name)), at, x_texts, left, inside, ascii),
+        *x_axis(with_unit(shown(content.x_name), content.units), at, x_texts, left, inside, ascii),
         *([] if aside else [" " * left + line for line in legend]),
     ]
 
@@ -294,7 +294,7 @@ def _legend(content: ValueMap, long: int, ascii: bool, colours: str) -> list[str
         codes = [f"38;{_code(shade, colours)}" if colours else "" for shade in shades]
         return styled(zip(marks, codes, [""] * len(marks), strict=True))
 
-    name = plain(with_unit(shown(content.name)), ascii)
+    name = plain(with_unit(shown(content.name), content.units), ascii)
     grey = [sample(NO_VALUE[ascii], [rgb(NONE)]) + " none"] if content.has_none else []
     if content.words:
         count = len(content.words)

@@ -8,14 +8,14 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import quantity_of, unit_of, with_unit
+from robodyn.pictures.column_units import TURNING, quantity_of, unit_of, with_unit
 from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
@@ -102,9 +102,14 @@ def _matching(header: Sequence[str], pattern: str, star: str) -> list[str]:
 
 
 def chart(
-    sources: Sequence[str], xs: Sequence[str | None], tables: Sequence[dict[str, Array]]
+    sources: Sequence[str],
+    xs: Sequence[str | None],
+    tables: Sequence[dict[str, Array]],
+    units: Mapping[str, str] = TURNING,
 ) -> Chart:
     """The chart of tables: of each its name, its column along x, and its columns, (T,) each.
+
+    `units` are those of a scene (`column_units.scene_units`).
 
     Raises InputError where a table has no row, or the tables have different columns along x.
     """
@@ -124,10 +129,11 @@ def chart(
             along = rows if x is None else drawable(x, table[x], sources[file])
             label = shown(f"{name} {labels[file]}".rstrip())
             curve = Curve(name, file, label, *thinned(along, y))
-            grouped.setdefault(unit_of(name), []).append(curve)
+            grouped.setdefault(unit_of(name, units), []).append(curve)
     x_name = xs[0] or ROW
     panels = tuple(Panel(_label(unit, curves), tuple(curves)) for unit, curves in grouped.items())
-    return Chart(shown(with_unit(x_name)), panels, {unit_of(x_name)} == grouped.keys() == {"m"})
+    to_scale = {unit_of(x_name, units)} == grouped.keys() == {"m"}
+    return Chart(shown(with_unit(x_name, units)), panels, to_scale)
 
 
 def _label(unit: str, curves: Sequence[Curve]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robodyn.errors import InputError
 from robodyn.pictures.chart import drawable, limits
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
-from robodyn.pictures.column_units import unit_of
+from robodyn.pictures.column_units import TURNING, unit_of
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Chunk
 
@@ -55,6 +55,7 @@ class ValueMap(NamedTuple):
     words: tuple[str, ...]
     scale: ColourScale | None
     grid: Grid | None
+    units: Mapping[str, str] = TURNING  # of the scene
 
     @property
     def has_none(self) -> bool:
@@ -78,7 +79,7 @@ class ValueMap(NamedTuple):
     @property
     def to_scale(self) -> bool:
         """Whether x and y have one unit, and extents that can be drawn to one scale."""
-        alike = unit_of(self.x_name) == unit_of(self.y_name) != ""
+        alike = unit_of(self.x_name, self.units) == unit_of(self.y_name, self.units) != ""
         return alike and 1.0 / MOST_FLAT <= self.flat <= MOST_FLAT
 
     def rows_at(self, columns: int, rows: int) -> Rows:
