@@ -195,3 +195,22 @@ def test_an_empty_text_of_json_is_no_null() -> None:
     writer.write_row(["", None])
     writer.close()
     assert json.loads(out.getvalue()) == [{"a": "", "b": None}]
+
+
+def test_a_sweep_whose_points_have_not_all_a_value(robodyn: Run) -> None:
+    """Of columns with empty fields the rows that have one count."""
+    given = ("sweep", ARM, "--vary", "q1=0:2:5", "--time", 0.8, "--result", "flip", "--quiet")
+    rows = list(csv.DictReader(io.StringIO(robodyn(*given).succeeds().out)))
+    told = {row["column"]: row for row in robodyn(*given, "--extremes").succeeds().rows}
+    assert list(told) == ["q1", "flip"]
+    there = [(float(row["flip"]), float(row["q1"])) for row in rows if row["flip"]]
+    assert 0 < len(there) < len(rows)
+    found = [float(told["flip"][x]) for x in ("min", "min_q1", "max", "max_q1", "mean")]
+    assert found == pytest.approx([*min(there), *max(there), np.mean([x for x, _ in there])])
+    assert told["q1"]["mean"] == "1.0"
+
+
+def test_a_sweep_whose_points_have_no_value(robodyn: Run) -> None:
+    given = ("sweep", ARM, "--vary", "q1=0:2:3", "--time", 0.01, "--result", "flip", "--quiet")
+    row = robodyn(*given, "--extremes").succeeds().rows[1]
+    assert row == {"column": "flip"} | dict.fromkeys(EXTREMES[1:], "")

@@ -12,8 +12,8 @@ from typing import Annotated
 from typer import Option
 
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Model, Number, Quiet, Text, named_options
-from robodyn.cli.output import note
+from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options
+from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.sweep_options import SweepOptions, plan_of
 from robodyn.errors import InputError
@@ -37,6 +37,7 @@ def sweep(
         Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
     ] = None,
     patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None,
+    extremes: Extremes = False,
     quiet: Quiet = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
@@ -46,7 +47,7 @@ def sweep(
     or a number of the scene: links.forearm.m, gravity, springs[0].stiffness, ... (an unknown name
     lists them).  The last --vary of a grid changes fastest.  A row has what varies, the results,
     and the outcome; a point without a result has empty fields.  With --out the same command goes
-    on with a sweep that was cut off.
+    on with a sweep that was cut off; with --extremes, which keeps no rows, it begins anew.
 
     \b
     Examples:
@@ -70,7 +71,7 @@ def sweep(
     size = plan.variation.size
     begun = time.perf_counter()
 
-    def compute(begin: int, write: Callable[[bytes], object]) -> None:
+    def compute(begin: int, write: Callable[[Rows], object]) -> None:
         first = begin * plan.chunk
         patient = PATIENCE if patience is None else patience
         with (
@@ -79,17 +80,20 @@ def sweep(
             closing(results(plan, begin, workers, scheduler, patient, note)) as chunks,
         ):
             for rows in chunks:
-                write(_lines(rows))
+                write(rows)
                 outcomes.update(rows.outcomes)
                 show((first + outcomes.total()) / size)
 
+    if extremes:
+        with RowOptions(extremes, out=out).writer(plan.columns()[:-1]) as writer:
+            compute(0, lambda rows: writer.write_columns(rows.values))
     # devices and pipes are written as they come
-    if out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
+    elif out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
         from robodyn.tables.output_file import open_output
 
         with open_output(out) as stream:
             stream.write(header)
-            compute(0, lambda lines: (stream.write(lines), stream.flush()))
+            compute(0, lambda rows: (stream.write(_lines(rows)), stream.flush()))
     else:
         with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
             done = min(file.done * plan.chunk, size)
@@ -99,7 +103,7 @@ def sweep(
             if done and not quiet:
                 note(f"{file.partial} has {done} of {size} points: going on from there")
             try:
-                compute(file.done, file.append)
+                compute(file.done, lambda rows: file.append(_lines(rows)))
             except BaseException:
                 done += outcomes.total()
                 text = f"{done} of {size} points are in {file.partial}: the same command goes on"

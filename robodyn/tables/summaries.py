@@ -91,11 +91,13 @@ class SummaryWriter(Writer):
 class Extremes(SummaryWriter):
     """Of each column but t: least and greatest, the t and q1 of that row, mean and rms.
 
-    Rows count equally; of equal values the first is told.
+    Rows count equally, but for those in which a column has no value (NaN); of equal values the
+    first is told.
     """
 
     def _begin(self) -> None:
-        self._count, width = 0, len(self._header)
+        width = len(self._header)
+        self._count = np.zeros(width, np.int64)
         self._ends = np.full((2, 3, width), np.nan)  # least and greatest: the value, its t, its q1
         self._ends[:, 0] = [[np.inf], [-np.inf]]
         self._sums = np.zeros((2, width), np.longdouble)  # of values, and of their squares
@@ -106,25 +108,35 @@ class Extremes(SummaryWriter):
         for k, name in enumerate(("t", "q1")):
             if (place := self.numeric(name)) is not None:
                 where[k] = values[:, place]
-        for end, pick, beats in zip(
-            self._ends, (np.argmin, np.argmax), (np.less, np.greater), strict=True
+        known = ~np.isnan(values)
+        for end, pick, beats, last in zip(
+            self._ends,
+            (np.argmin, np.argmax),
+            (np.less, np.greater),
+            (np.inf, -np.inf),
+            strict=True,
         ):
-            row = pick(values, axis=0)
+            row = pick(np.where(known, values, last), axis=0)
             found = np.stack([values[row, every], *(x[row] for x in where)])
             new = beats(found[0], end[0])
             end[:, new] = found[:, new]
-        self._count += count
-        wide = values.astype(np.longdouble)  # whose range holds the squares of all floats
+        self._count += known.sum(axis=0)
+        wide = np.where(known, values, 0.0).astype(
+            np.longdouble
+        )  # whose range holds the squares of all floats
         self._sums += [wide.sum(axis=0), np.square(wide).sum(axis=0)]
 
     def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
         rows: list[list[float | str | None]] = []
-        mean, square = self._sums / self._count
+        mean, square = self._sums / np.maximum(self._count, 1)
         t, q1 = self.numeric("t"), self.numeric("q1")
         for name in self._header:
             if name == "t" or (k := self.numeric(name)) is None:
                 continue
             row: list[float | str | None] = [name]
+            if not self._count[k]:
+                rows.append([name, *(None for _ in EXTREMES[1:])])
+                continue
             for value, at_t, at_q1 in self._ends[:, :, k].tolist():
                 row += [value, None if t is None else at_t, None if q1 is None else at_q1]
             rows.append([*row, float(mean[k]), float(np.sqrt(square[k]))])
