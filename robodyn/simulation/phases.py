@@ -301,18 +301,20 @@ class Phases:
         ends = sorted({*hits, *touches})
         e = [self.limits[joint].restitution or 0.0 for joint, _ in ends]
         after = rates_after(self.mechanism, q, qd, ends, e)
-        slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
-        free = in_mode(self.mechanism, Mode((), slips))
-        qdd = forward_dynamics(free, q, after, self._torque(t, y), t)
-        over = False
+        leaving = [-side * float(after[joint]) for joint, side in ends]
+        qdd, over = np.zeros_like(qd), False
+        if any(leaves > 0.0 and part < 1.0 for leaves, part in zip(leaving, e, strict=True)):
+            slips = tuple((j, 1 if after[j] > 0.0 else -1) for j in self.dry if after[j])
+            free = in_mode(self.mechanism, Mode((), slips))
+            qdd = forward_dynamics(free, q, after, self._torque(t, y), t)
         for k, (joint, side) in enumerate(ends):
-            leaves, back = -side * after[joint], side * qdd[joint]
-            if leaves > 0.0 and e[k] < 1.0 and back > 0.0:
-                lasts = 2.0 * leaves / (back * (1.0 - e[k]))
+            back = side * float(qdd[joint])
+            if leaving[k] > 0.0 and e[k] < 1.0 and back > 0.0:
+                lasts = 2.0 * leaving[k] / (back * (1.0 - e[k]))
                 shown = self._resolves(joint, side * qd[joint], back)
                 if not shown or lasts < ENDLESS * abs(self.t_end):
                     e[k], over = 0.0, True
-            self.thrown[joint] = float(leaves)
+            self.thrown[joint] = leaving[k]
         if over:
             after = rates_after(self.mechanism, q, qd, ends, e)
         y = y.copy()
@@ -325,10 +327,8 @@ class Phases:
 
     def _resolves(self, joint: int, v: float, back: float) -> bool:
         """Whether a joint that meets its end with v was thrown back so far that steps show it."""
-        before = self.thrown.get(joint, 0.0)
-        return (
-            before**2 >= 2.0 * back * self.small or abs(v - before) <= BLUR * before or not before
-        )
+        last = self.thrown.get(joint, 0.0)
+        return last**2 >= 2.0 * back * self.small or abs(v - last) <= BLUR * last or not last
 
     def _energy(self, moving: Mechanism, y: Array) -> float:
         KE, PE = closed_form.energies(moving, *self._split(y))
