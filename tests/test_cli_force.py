@@ -83,6 +83,7 @@ def test_on_a_link_that_slides(robodyn: Run) -> None:
         ("rocker=1,1e999", ("--force rocker", "too large")),
         ("roker=1,2", ("--force = roker", "did you mean rocker?")),
         ("tip4=1,2", ("--force = tip4", "names no point")),
+        ("tip2,tip1=1,2", ("--force = tip2,tip1", "names 2 points; give one")),
         ("coupler@0.5=1,2", ("--force = coupler@0.5", "x,y (m)")),
     ],
 )

@@ -143,6 +143,8 @@ def test_convergence_is_that_of_cubic_splines() -> None:
         (YOKE, ("--qd", 5, "--fluctuation", 0.1), "q1\n", ("no rows",)),
         (YOKE, ("--qd", 5, "--fluctuation", 0.1), "q1\n0\n3\n2\n6.283185307\n", ("must rise",)),
         (YOKE, ("--qd", 5, "--fluctuation", 0.1), "t,q1\n0,0\n0,3\n1,6.283185307\n", ("t: must",)),
+        (YOKE, ("--qd", 5, "--fluctuation", 0.1), turn(2), ("360 degrees apart", "45 or less")),
+        (YOKE, ("--qd", 5, "--fluctuation", 0.1), turn(6), ("72 degrees apart",)),
         (YOKE, ("--qd", 5, "--fluctuation", 0.1, "--power"), turn(), ("--power and",)),
         (YOKE, ("--qd", 5, "--fluctuation", 0.1, "--extremes"), turn(), ("--extremes and",)),
         ("robots/2r.yaml", ("--fluctuation", 0.1), turn(), ("2r.yaml", "upper arm, forearm")),

@@ -114,6 +114,10 @@ def test_a_link_named_like_a_point_is_the_link() -> None:
     )
     assert named_points(mech, ["tip2"])[0].own == (0, 1.0)
     assert named_points(mech, ["b,c=d"])[0].own == (1, 2.0)
+    assert named_points(mech, ["P=b,c=d"])[0].own == (1, 2.0)
+    assert named_points(mech, ["b,c=d@0.5,-1"])[0][:2] == ("point1", (1, 0.5 - 1j))
+    assert named_points(mech, ["P=b,c=d@0.5,-1"])[0][:2] == ("P", (1, 0.5 - 1j))
+    assert [x.own for x in named_points(mech, ["Q=tip2@1,2,tip2"])] == [(0, 1 + 2j), (0, 1.0)]
 
 
 @pytest.mark.parametrize(

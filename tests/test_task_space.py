@@ -541,6 +541,7 @@ def test_length_until_a_part_of_a_path() -> None:
         (("--of", "tip2", "--arc", "0.5,0.6"), "--arc = 0.5,0.6: must be CENTRE:ANGLE"),
         (("--of", "tip2", "--arc", "0.5,0.6:x"), "--arc = x: is not a number"),
         (("--of", "tip2", "--arc", "0.5,0.6:0"), "the angle must not be 0"),
+        (("--of", "tip2,tip1", "--to-xy", "1,0"), "--of = tip2,tip1: names 2 points; give one"),
         (("--of", "tip2"), "--of: goes with --to-xy, --arc or --path"),
         (("--to", "0,1", "--max-speed", "1"), "--max-speed: goes with --to-xy, --arc or --path"),
         (
@@ -565,6 +566,8 @@ def test_bad_options(robodyn: Run, options: tuple[str, ...], told: str) -> None:
         ("x,y\n1,0\n", "points = 1: a path needs two points or more"),
         ("x,y\n1,0\n0.5,0.5\n0.5,0.5\n", "points 2 and 3: are the same"),
         ("x,y\n1,0\n1,0\n", "points 1 and 2: are the same"),
+        ("x,y\n0.8,0.6\n0.8,0.8\n0.8,0.6\n", "the path turns back at (0.8, 0.8)"),
+        ("x,y\n0.3,0.6\n0.6,0.9\n0.4,0.7\n0.7,1\n", "the path turns back at (0.6"),
         ("t,x,y\n0,1,0\n0,0.5,0.5\n", "times = 0, 0: must be finite and increase"),
         ("x,y\n1,0\n0.5,up\n", "up"),
     ],
@@ -597,6 +600,7 @@ def test_too_few_freedoms_and_no_pose(robodyn: Run) -> None:
         ({"xy": [1, 0], "of": "tip3"}, "near: missing"),
         ({"xy": [1, 0], "of": "tip3", "near": [0, 0]}, "points.shape"),
         ({"xy": [1, 0], "of": "nix"}, "names no point"),
+        ({"xy": [1, 0], "of": "tip3,tip2"}, "names 2 points; give one"),
         ({"xy": [1, 0], "of": "tip2", "angle": 0}, "2 freedoms; x, y and the angle need 3"),
     ],
 )

@@ -24,7 +24,7 @@ def load_with(model: str, forces: Sequence[str] | None) -> Mechanism:
     mechanism = load(model)
     if not forces:
         return mechanism
-    from robodyn.kinematics.point_motion import named_points
+    from robodyn.kinematics.point_motion import named_point
 
     loads = list(mechanism.description.loads)
     for text in forces:
@@ -36,5 +36,5 @@ def load_with(model: str, forces: Sequence[str] | None) -> Mechanism:
         values = parse_vector(force, where=where, angles=False)
         if len(values) != 2:
             raise InputError(where, value=shown(force), limit="must be FX,FY (N, ground axes)")
-        loads.append(Load(named_points(mechanism, [point], "--force")[0].own, complex(*values)))
+        loads.append(Load(named_point(mechanism, point, "--force").own, complex(*values)))
     return build(mechanism.description._replace(loads=tuple(loads)))

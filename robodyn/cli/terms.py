@@ -55,7 +55,8 @@ def terms(
     mechanism = load(model)
     for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
         if given is not None and not derivatives:
-            raise InputError(name, value=given, limit="is for --derivatives: give that too")
+            value = given if isinstance(given, str) else ", ".join(given)
+            raise InputError(name, value=value, limit="is for --derivatives: give that too")
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
     state = [Quantity("q", q, True), Quantity("qd", qd)]

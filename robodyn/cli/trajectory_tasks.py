@@ -12,7 +12,7 @@ from robodyn.cli.states import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import AssemblyError, InputError, RobodynError
-from robodyn.kinematics.point_motion import named_points
+from robodyn.kinematics.point_motion import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
@@ -57,7 +57,7 @@ def task_motion(
         if getattr(given, name) is None:
             which = "the point that is led" if name == "of" else "the pose that it begins from"
             raise InputError(f"--{name.strip('_')}", limit=f"missing: give {which}")
-    (point,) = named_points(mechanism, [given.of or ""], "--of")
+    point = named_point(mechanism, given.of or "", "--of")
     file = None if given.path is None else _read(given.path)
     if file is None or file.times is None:
         refuse("paths without times", ends=given.ends)
@@ -122,7 +122,11 @@ def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array)
                 error.add_place(file.source)
             raise
     if file is not None:
-        return AlongCurve(*spline_curve(file.points), how)
+        try:
+            return AlongCurve(*spline_curve(file.points), how)
+        except InputError as error:
+            error.add_place(file.source)
+            raise
     if given.arc is not None:
         text, colon, turn = given.arc.partition(":")
         centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")

@@ -26,6 +26,7 @@ from robodyn.errors import InputError
 Array = NDArray[np.float64]
 
 TURN_OFF = 1e-6  # rad by which rows may miss whole turns
+APART = math.radians(45.0)  # rad that rows may be apart, for a spline to tell a torque at all
 TORQUE_OFF = 1e-3  # part of the torque's size by which its ends may differ
 
 
@@ -42,7 +43,8 @@ def flywheel(angle: Array, torque: Array, seconds: float, delta: float) -> Flywh
     """The flywheel for torques (T,), N m, at angles (T,), rad, over whole turns in these seconds.
 
     Between the rows the torque is a periodic cubic spline.  Raises InputError where the rows are no
-    period: the angles rise or fall, over whole turns, and the torque ends as it began.
+    period: the angles rise or fall, over whole turns, and the torque ends as it began; and where
+    they are more than 45 degrees apart.
     """
     from scipy.interpolate import CubicSpline
 
@@ -53,6 +55,9 @@ def flywheel(angle: Array, torque: Array, seconds: float, delta: float) -> Flywh
         raise InputError("the angle of the rows", limit=limit)
     if not (np.diff(x) > 0.0).all():
         raise InputError("the angle of the rows", limit="must rise, or fall, from row to row")
+    if (most := float(np.diff(x).max())) > APART + TURN_OFF:
+        limit = f"up to {math.degrees(most):.6g} degrees apart; must be 45 or less, better 1"
+        raise InputError("the angle of the rows", limit=limit)
     if abs(torque[-1] - torque[0]) > TORQUE_OFF * np.abs(torque).max():
         limit = f"from {torque[0]:.6g} to {torque[-1]:.6g} N m; must end as it began, of a period"
         raise InputError("the torque of the rows", limit=limit)

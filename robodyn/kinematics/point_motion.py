@@ -73,16 +73,30 @@ def named_points(
     return [NamedPoint(name, point, tree.point(point)) for name, point in found.items()]
 
 
+def named_point(mechanism: Mechanism, text: str, where: str = "of") -> NamedPoint:
+    """The one point that is written as POINT or NAME=POINT; InputError for none and for several."""
+    found = named_points(mechanism, [text], where)
+    if len(found) > 1:
+        raise InputError(where, value=shown(text), limit=f"names {len(found)} points; give one")
+    return found[0]
+
+
+def _is_of_link(places: Places, text: str) -> bool:
+    """Whether this is a link, or a place of one; names of links may have commas and = in them."""
+    link, _, offset = text.rpartition("@")
+    return text in places.links or (link in places.links and offset.count(",") == 1)
+
+
 def _listed(places: Places, text: str) -> list[str]:
-    """The points of a text, at commas but for those after an @."""
-    whole = not text or text in places.links
+    """The points of a text, at commas but for those after an @ and those of names of links."""
+    whole = not text or any(_is_of_link(places, x) for x in (text, text.partition("=")[2]))
     return [text] if whole else re.findall(r"[^,@]*@[^,]*,[^,]*|[^,]+|(?<=,)$", text)
 
 
 def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
     """The name and the point of the k-th text."""
     given, equals, written = text.partition("=")
-    known = text in places.links or not equals
+    known = _is_of_link(places, text) or not equals
     name, written = ("", text.strip()) if known else (given.strip(), written.strip())
     try:
         point = places.point(written)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import named_points
+from robodyn.kinematics.point_motion import named_point
 from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
@@ -40,7 +40,7 @@ def inverse_kinematics(
 
     Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach.
     """
-    (named,) = named_points(mechanism, [of], "of")
+    named = named_point(mechanism, of, "of")
     places = np.asarray(xy, float)
     if places.ndim == 0 or places.shape[-1] != 2 or not np.isfinite(places).all():
         raise InputError("xy", value=places.shape, limit="must be (..., 2), finite: x and y, m")

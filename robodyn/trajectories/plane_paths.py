@@ -18,6 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.errors import InputError
 from robodyn.trajectories import splines
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, spread
 from robodyn.trajectories.profiles import Profile
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 Curve = Callable[[Array], Values]  # c, dc/ds, d2c/ds2, each (T, m), at parts s (T,)
 
 PARTS = 16  # of each piece of a spline, in which its length is integrated
+CUSP = 1e-6  # part of the length a unit of tau, below which a spline stands still
+HALVINGS = 60
 PASSES = 8  # of Newton's method for the place at a length
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
@@ -61,7 +64,8 @@ def arc(begin: Array, centre: Array, angle: float) -> tuple[Curve, float]:
 def spline_curve(points: Array) -> tuple[Curve, float]:
     """The natural cubic spline through points (K, 2 or more), and its length.
 
-    Of two points it is the line; no two that follow one another coincide.
+    Of two points it is the line; no two that follow one another coincide.  Raises InputError where
+    it turns back on itself: at a speed along it, the point's velocity would jump there.
     """
     knots = spread(points[:, :2])
     coefficients = splines.spline(knots, points, 3, natural=True)
@@ -80,6 +84,18 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
 
     behind = np.append(0.0, np.cumsum(lengths(edges[:-1], edges[1:])))
     length = float(behind[-1])
+    low, high = edges[:-2], edges[2:]
+    turned = (bent(low)[1][:, :2] * bent(high)[1][:, :2]).sum(axis=1) < 0.0
+    low, high = low[turned], high[turned]
+    for _ in range(HALVINGS):  # to where the speed is least
+        middle = 0.5 * (low + high)
+        _, c1, c2 = (x[:, :2] for x in bent(middle))
+        falls = (c1 * c2).sum(axis=1) < 0.0
+        low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+    c, c1, _ = (x[:, :2] for x in bent(low))
+    for x, y in c[np.linalg.norm(c1, axis=1) < CUSP * length]:
+        limit = "without times (t) a path must not turn back on itself; split it there, or give t"
+        raise InputError(f"the path turns back at ({x:.6g}, {y:.6g})", limit=limit)
 
     def curve(s: Array) -> Values:
         k = np.clip(np.searchsorted(behind, s * length, side="right") - 1, 0, len(edges) - 2)
