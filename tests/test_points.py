@@ -339,6 +339,20 @@ def test_limits_of_any_joint_end_a_range(robodyn: Run, scene: Callable) -> None:
     assert np.abs(np.sort(ends) - [-0.2, 0.1]).max() < 1e-12
 
 
+def test_a_range_that_begins_at_a_dead_centre(robodyn: Run, scene: Callable) -> None:
+    """a = 0.5, b + c = 1.3, g = 1.2: all is in a line at 90 degrees, where both branches meet."""
+    path = scene(
+        "links:\n  - {name: a, m: 1, l: 0.5, r: 0, I: 0}\n  - {name: b, m: 1, l: 0.6, r: 0, I: 0}\n"
+        "  - {name: c, m: 1, l: 0.7, r: 0, I: 0, from: [1.2, 0]}\nclosures: [[b, c]]\n"
+    )
+    for at in ("90deg", "-90deg"):
+        rows = robodyn("assemble", path, f"--q={at}", "--range").rows
+        assert [row["branch"] for row in rows] == ["open", "crossed"]
+        for row in rows:
+            ends = [float(row["low"]), float(row["high"])]
+            assert ends == pytest.approx([-math.pi / 2, math.pi / 2], abs=1e-9)
+
+
 def test_joints_outside_of_loops_turn_and_slide_freely(robodyn: Run) -> None:
     rows = robodyn("assemble", "robots/rp-arm.yaml", "--q", "0.5,0.2", "--range").succeeds().rows
     assert [row["low_end"] for row in rows] == ["full turn", "nothing"]

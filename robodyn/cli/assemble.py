@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Annotated, Any
 
@@ -78,7 +78,7 @@ def assemble(
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
     if range:
         reached = [branch for branch in found if branch[0] not in barred]
-        _write_ranges(mechanism, reached, format, out)
+        _write_ranges(mechanism, reached, dict(ways), format, out)
         return
     branches = [_content(mechanism, *item) for item in found]
     chosen = default_format(format, out)
@@ -97,6 +97,7 @@ def assemble(
 def _write_ranges(
     mechanism: Mechanism,
     found: list[tuple[str, list[np.ndarray]]],
+    ways: Mapping[str, tuple[str, ...] | None],
     format: Format | None,
     out: Text,
 ) -> None:
@@ -104,7 +105,7 @@ def _write_ranges(
     columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
     with row_writer(default_format(format, out), out, columns) as writer:
         for name, (q, *_) in found:
-            for joint, low, high, low_end, high_end in joint_ranges(mechanism, q):
+            for joint, low, high, low_end, high_end in joint_ranges(mechanism, q, ways[name]):
                 ends: list[float | str] = [name, f"q{joint + 1}"]
                 for last, end in ((low, low_end), (high, high_end)):
                     ends += ["" if end == "nothing" else last, end]

@@ -116,14 +116,14 @@ def points(
     q: ArrayLike,
     qd: ArrayLike | None = None,
     qdd: ArrayLike | None = None,
-    of: Sequence[str] = (),
+    of: str | Sequence[str] = (),
 ) -> PointMotion:
     """How points move along states q, qd, qdd (..., n), closed; rates not given are zero.
 
     `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; the scene's, else all tips,
     where it is empty.  Raises InputError for a point that is not there, and for shapes.
     """
-    named = named_points(mechanism, of)
+    named = named_points(mechanism, [of] if isinstance(of, str) else of)
     moved = point_motion(mechanism, [point for *_, point in named], q, qd, qdd)
     return PointMotion(tuple(name for name, *_ in named), *moved)
 

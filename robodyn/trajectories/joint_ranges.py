@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.errors import SingularError
+from robodyn.errors import AssemblyError, SingularError
+from robodyn.loops.assembly import assemble
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Limits
@@ -20,6 +23,7 @@ Array = NDArray[np.float64]
 
 FARTHEST = 4.0  # sides of all loops, beyond which nothing ends a displacement
 BESIDE = 1e-6  # rad or m, from a dead centre to the last state that could be closed
+NUDGE = 1e-6  # rad, or of a length of the mechanism, aside of a dead centre at the start
 SHORT = 1e-9  # part of a way by which one that ends is cut, to be followed again
 
 
@@ -37,22 +41,30 @@ class JointRange(NamedTuple):
     high_end: str
 
 
-def joint_ranges(mechanism: Mechanism, q: Array) -> list[JointRange]:
+def joint_ranges(
+    mechanism: Mechanism, q: Array, branches: Sequence[str] | None = None
+) -> list[JointRange]:
     """The range of each actuated joint from the closed configuration q (n,), on its branch.
+
+    At a dead centre, where branches meet, `branches` tell which (see `assembly.assemble`).
 
     A joint that ends nowhere has the range of a full turn about q.  Compliant stops give way, and
     are no ends.
     """
     found = []
     for place, joint in enumerate(mechanism.actuated):
-        (low, low_end), (high, high_end) = (_way(mechanism, q, place, way) for way in (-1.0, 1.0))
+        (low, low_end), (high, high_end) = (
+            _way(mechanism, q, place, way, branches) for way in (-1.0, 1.0)
+        )
         if low_end == high_end == "full turn":
             low, high = q[joint] - np.pi, q[joint] + np.pi
         found.append(JointRange(joint, low, high, low_end, high_end))
     return found
 
 
-def _way(mechanism: Mechanism, q: Array, place: int, sign: float) -> tuple[float, str]:
+def _way(
+    mechanism: Mechanism, q: Array, place: int, sign: float, branches: Sequence[str] | None
+) -> tuple[float, str]:
     """How far an actuated joint can go one way, and what ends it."""
     joint, moved = mechanism.actuated[place], list(mechanism.actuated)
     if not mechanism.rows:  # no other joint follows
@@ -69,6 +81,11 @@ def _way(mechanism: Mechanism, q: Array, place: int, sign: float) -> tuple[float
     try:
         followed = path(ahead)
     except PathEndError as error:
+        if not error.u and branches is not None:
+            beside = q[moved]
+            beside[place] += sign * NUDGE * mechanism.arrays.units[joint]
+            with suppress(AssemblyError):  # it ends there
+                return _way(mechanism, assemble(mechanism, beside, branches), place, sign, None)
         ended, ahead = error.kind, ahead * error.u
         if ended == "dead centre" and error.u:
             ahead[place] += _left(mechanism, error.q, place)
