@@ -27,13 +27,15 @@ MARGIN, MISSED = 1e-9, 4.0
 
 def by_boxes(function: EventFunction, *box: Array) -> Signs:
     """The signs (m,) along m steps from begin (m,) to end, the states within dy (m, N) of y."""
-    sure: Any = 1
+    found: Signs | None = None
     for part in (*function.switches, function):
         if part.around is None:
             return np.zeros(len(box[0]), np.int64)
         value, reach = part.around(*box)
-        sure = sure * (np.abs(value) > reach)
-    return np.where(sure, np.sign(value), 0).astype(np.int64)
+        signs = np.subtract(value > reach, value < -reach, dtype=np.int64)
+        found = signs if found is None else signs * np.abs(found)
+    assert found is not None
+    return found
 
 
 def node_times(begin: Array, end: Array) -> Array:

@@ -108,10 +108,10 @@ def _bounded(node: ast.expr, known: Callable[[str], Bounded]) -> Bounded:
 def _operated(op: ast.operator, left: Bounded, right: Bounded) -> Bounded:
     (a, da), (b, db) = left, right
     match op:
-        case ast.Add():
-            value, error = a + b, da + db
-        case ast.Sub():
-            value, error = a - b, da + db
+        case ast.Add() | ast.Sub():
+            value = a + b if isinstance(op, ast.Add) else a - b
+            # of a plain number there is none: a sum less, at many small calls
+            error = da if isinstance(db, float) and db == 0.0 else da + db
         case ast.Mult():
             value, error = a * b, abs(a) * db + abs(b) * da + da * db
         case ast.Div():
