@@ -24,7 +24,7 @@ from robodyn.dynamics.placed import placed, relative_matrix
 from robodyn.engines.expansion import MotionProgram
 from robodyn.engines.series import FLOATS
 from robodyn.errors import DescriptionError, InputError
-from robodyn.loops import assembly, closing
+from robodyn.loops import assembly, closing, loop_rates
 from robodyn.loops.loop_rates import check_closed
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
@@ -510,6 +510,51 @@ def check_drawn(mech, q, rng):
             assert np.abs(closed_form.closure_gap(mech, found)).max() <= 1e-12
             away.append(np.abs(placed(mech, found).X - here).max())
     assert min(away) <= 1e-8
+
+
+def geared_and_driven(seed: int) -> tuple[str, int | None]:
+    """A drawn scene with motors at some joints, and perhaps a coupling; the joint that it gives."""
+    text, n = drawn_scene(seed)
+    rng, coupled = np.random.default_rng([seed, 1]), None
+    lines = text.splitlines()
+    for k in range(2, 2 + n):
+        if rng.random() < 0.5:
+            motor = f"{{ratio: {rng.uniform(-30, 30):.2f}, inertia: {rng.uniform(1e-4, 1e-3):.5f}}}"
+            lines[k] = f"{lines[k][:-1]}, motor: {motor}}}"
+    if n > 2 and rng.random() < 0.6:
+        coupled, other = rng.choice(n, 2, replace=False).tolist()
+        terms = f"{rng.uniform(-1, 1):.3f} q{other + 1} + {rng.uniform(-0.3, 0.3):.3f}"
+        lines.append(f'couplings: ["q{coupled + 1} = {terms}"]'.replace("+ -", "- "))
+    return "\n".join(lines) + "\n", coupled
+
+
+def test_identities_of_drawn_scenes_with_motors_and_couplings():
+    """All that `check` tells, with joints of both kinds, pins, slots, blocks, gears, motors."""
+    seen = dict.fromkeys(("motor", "couplings", "on: {link", "prismatic", "aligned"), 0)
+    for seed in SEEDS:
+        text, coupled = geared_and_driven(seed)
+        try:
+            n = len(mechanism(text).parent)
+            freedoms = n - len(mechanism(text).rows)
+        except InputError:  # points that cannot move apart
+            continue
+        rng = np.random.default_rng(seed)
+        order = [k for k in rng.permutation(n) if k != coupled]
+        if freedoms <= 0:
+            continue
+        driven = ", ".join(f"l{k}" for k in order[:freedoms])
+        mech = mechanism(f"{text}actuated: [{driven}]\n")
+        for q in closing.close_positions(mech, closing.random_states(mech, rng, 20)):
+            gap = np.abs(closed_form.closure_gap(mech, q)).max(initial=0.0)
+            if gap < 1e-12 and regular(mech, q) and upright(mech, q):
+                qd = loop_rates.nearest_velocities(mech, q[None], rng.normal(size=(1, n)))
+                sample = identities.Sample(q[None], qd, 1.0)
+                for identity in identities.identities(mech, sample):
+                    assert identity.residual is None or identity.holds, (seed, identity)
+                for kind in seen:
+                    seen[kind] += kind in text
+                break
+    assert min(seen.values()) >= 2, seen
 
 
 # -- closed forms of textbook mechanisms -----------------------------------------------------------
