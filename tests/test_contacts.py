@@ -438,6 +438,20 @@ def test_no_method_leaps_over_the_bell_of_stribeck(method: str) -> None:
     )
 
 
+def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
+    pytest.importorskip("llvmlite", reason="the extra `fast`")
+    for stribeck in (0.1, 0.03, 0.1):  # one code for both
+        found = []
+        for engine in ("python", "compiled"):
+            motion = simulate(
+                arm(dry(1.0, 2.0, stribeck)), [0.0], [0.0], 6.0, "3 if sin(2*t) > 0 else -3",
+                method="taylor", engine=engine, rtol=1e-10, atol=1e-10,
+            )  # fmt: skip
+            assert motion.outcome is Outcome.FINISHED
+            found.append([motion.q[-1, 0], motion.qd[-1, 0]])
+        np.testing.assert_allclose(*found, atol=1e-7)
+
+
 def test_a_torque_that_jumps_lets_a_joint_go_at_once() -> None:
     mechanism = arm(dry(1.0, 2.0))
     for method in METHODS:

@@ -25,6 +25,7 @@ from robodyn.engines.machine_steps import ALIGNED, Items, Scene
 from robodyn.engines.segment import Segment
 from robodyn.loops.misses import SLOWEST, TURN, orientation
 from robodyn.loops.projection import PASSES
+from robodyn.mechanics.modes import BELL
 from robodyn.taylor import PARTS, Status
 
 RUNNING = -1.0
@@ -290,11 +291,30 @@ class _Step(Items):
                 self.call("compare")
                 agrees = k.multiply(agrees, self.get("agrees"))
                 self.reach(now)
-            poor = k.both(go, k.compare("oeq", agrees, k.number(0.0)))
+            poor = k.either(k.compare("oeq", agrees, k.number(0.0)), self._falls_over())
+            poor = k.both(go, poor)
             poor = k.both(poor, k.compare("oge", now, small))
             k.leave(k.invert(k.any(poor)), good)
             k.set(h, k.select(poor, k.multiply(now, k.number(0.5)), now))
             self.reach(k.get(h))
+
+    def _falls_over(self) -> Word:
+        """Whether friction that falls with the rate may rise and fall within the step.
+
+        It is `modes.falls_over`.
+        """
+        k, found, zero = self.k, self.k.all_lanes(False), self.k.number(0.0)
+        for j in self.scene.bells:
+            v, then, width = (self.get(name) for name in (f"qd{j}", f"to_qd{j}", f"bell{j}"))
+            size, other = k.intrinsic("fabs", v), k.intrinsic("fabs", then)
+            half = k.multiply(k.number(0.5), size)
+            most = k.select(k.less(half, width), width, half)
+            moved = k.less(most, k.intrinsic("fabs", k.subtract(then, v)))
+            nearest = k.select(k.less(size, other), size, other)
+            nearest = k.select(k.less(zero, k.multiply(v, then)), nearest, zero)
+            near = k.less(nearest, k.multiply(k.number(BELL), width))
+            found = k.either(found, k.both(moved, near))
+        return found
 
     def _land(self, go: Word, h: Word) -> None:
         """Where a step's end is no good start, a shorter part of it that is the best."""

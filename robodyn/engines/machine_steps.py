@@ -82,9 +82,19 @@ class Scene:
         self.values = {f"c{i}": x for i, x in enumerate(program.numbers)}
         self.values |= {f"u{j}": x for j, x in enumerate(actuation.constants or ())}
         self.values |= {f"arm{i}": program.arms[slot] for i, slot in enumerate(self.bends)}
+        bells = [(j, x.stribeck) for j, x, _ in mechanism.slips if x.stribeck is not None]
+        self.bells = [j for j, _ in bells]  # joints whose friction falls with the rate
+        self.values |= {f"bell{j}": width for j, width in bells}
         self.values |= kept or {}
         shapes = [program.shape, mechanism.above, mechanism.order, order, work, self.closes]
-        shapes += [mechanism.bends_inside, self.linear, rate_series, link, list(kept or ())]
+        shapes += [
+            self.bells,
+            mechanism.bends_inside,
+            self.linear,
+            rate_series,
+            link,
+            list(kept or ()),
+        ]
         shapes.append([bool(x) for x in actuation.constants or ()])
         if self.closes:
             closing = EquationsOfMotion(mechanism)

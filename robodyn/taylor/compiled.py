@@ -156,8 +156,6 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
-        if any(friction.stribeck is not None for _, friction, _ in mechanism.slips):
-            raise NoCodeError("steps along friction that falls with the rate are held in Python")
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
