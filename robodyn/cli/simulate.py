@@ -67,6 +67,10 @@ def simulate(
     tracking errors e1.. (rad).  Rows at 0, every so often, and always at the end.  A summary goes
     to stderr.  A run that does not finish writes what it computed and exits with 1.
 
+    --sensitivity adds for each NAME, links.forearm.m or a start value q1 or qd1, the columns
+    dq1/NAME.., dqd1/NAME..: d(state)/d(NAME), as exact as q and qd are, relatively.  What else
+    actuated joints start with is held, the passive ones follow.
+
     An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
     what holds at the start is none.  Its time is found to rounding.
 
@@ -82,6 +86,7 @@ def simulate(
       robodyn simulate robots/2r.yaml --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
       robodyn simulate robots/2r.yaml --q 0,0 --quiet | robodyn torque robots/2r.yaml - | tail -1
       robodyn simulate robots/2r.yaml --q 0,0 --force forearm=0,-20 --extremes
+      robodyn simulate robots/2r.yaml --q 0,0 --time 1 --sensitivity links.forearm.m,q1
       robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 > ref.csv
       robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
         --kd 30,10 --tau-max 40
@@ -108,7 +113,8 @@ def simulate(
     if how.accuracy is not None:
         from robodyn.simulation.accuracy import AUTO, settings_for
 
-        wanted = replace(settings, method=how.method or AUTO)
+        auto = AUTO if how.sensitivity is None else settings.method
+        wanted = replace(settings, method=how.method or auto)
         with named(), remarks():
             settings, estimate = settings_for(
                 mechanism, begin, duration, torques, wanted, how.accuracy
@@ -120,6 +126,12 @@ def simulate(
             estimate = error_estimate(mechanism, begin, duration, torques, settings)
     with named():
         torques = over_run(mechanism, torques, begin, duration, settings.atol)
+        carried = None
+        if how.sensitivity is not None:
+            from robodyn.simulation.sensitivity import with_sensitivities
+
+            wanted_by = [name.strip() for name in how.sensitivity.split(",")]
+            carried = with_sensitivities(mechanism, torques, begin, wanted_by, settings.method)
     format = default_format(None, out) if extremes else "csv"
     units = scene_units(mechanism)
 
@@ -132,10 +144,15 @@ def simulate(
         @cache
         def writer() -> Writer:  # a run that cannot start writes no header
             names, make = _columns(mechanism, torques), maker(stream, format, out, units)
+            names += carried.columns if carried else []
             return extremes_writer(make, names) if extremes else make(names)
 
         def sink(t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
-            writer().write_columns(_rows(mechanism, moving, torques, t, y))
+            rows = _rows(mechanism, moving, torques, t, y)
+            if carried:
+                by = np.swapaxes(carried.of(y), 1, 2).reshape(len(t), -1)
+                rows = np.concatenate([rows, by], axis=-1)
+            writer().write_columns(rows)
 
         with ExitStack() as files:
             file = None if report is None else files.enter_context(open_output(report))
@@ -144,7 +161,15 @@ def simulate(
             )
             with named(), remarks():
                 outcome, recorder = run(
-                    mechanism, begin, duration, torques, settings, sink, times, watch, watched
+                    mechanism,
+                    begin,
+                    duration,
+                    carried.actuation if carried else torques,
+                    settings,
+                    sink,
+                    times,
+                    watch,
+                    watched,
                 )
                 facts = recorder.settle()
             if estimate is not None and math.isfinite(estimate):

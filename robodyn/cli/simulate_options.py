@@ -81,6 +81,7 @@ _ESTIMATE = "Run again, 100 times as tight: the error's size."
 _CLOSED = "What keeps loops closed."
 _RATE = "Decay rate of a gap."
 _ASSEMBLE = "Correct a start that does not close."
+_SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scene, start values."
 _EVALS = "Give up after so many evaluations."
 _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 
@@ -102,6 +103,9 @@ class RunOptions:
     stabilize: Annotated[Stabilize, Option("--stabilize", help=_CLOSED)] = "projection"
     baumgarte_rate: Annotated[float, Option("--baumgarte-rate", metavar="1/S", help=_RATE)] = 20.0
     assemble: Annotated[bool, Option("--assemble", help=_ASSEMBLE)] = False
+    sensitivity: Annotated[Text, Option("--sensitivity", metavar="NAME,..", help=_SENSITIVITY)] = (
+        None
+    )
     max_evals: Annotated[int, Option("--max-evals", metavar="N", help=_EVALS)] = MAX_EVALUATIONS
 
     def settings(self) -> Settings:

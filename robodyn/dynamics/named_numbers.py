@@ -37,7 +37,7 @@ def number_formula(mechanism: Mechanism, name: str) -> Formula:
     """
     graph = Graph()
     x = graph.variable(name)
-    named = _with_variable(mechanism, name, x)
+    named = with_variable(mechanism, name, x)
     state = Recorded(named, KINDS[1:], True, graph=graph)
     _, _, K, R = residuals(state)
     slopes = [slope.get(name, 0.0) for slope in tangents(R, [name])]
@@ -46,12 +46,9 @@ def number_formula(mechanism: Mechanism, name: str) -> Formula:
     return Formula(inputs, tuple(outputs), ())
 
 
-def _with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
+def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
     """The mechanism whose number is what it is plus x."""
-    values = _values(mechanism)
-    if name not in values:
-        limit = f"is no number of the scene{nearest(name, values.names)}"
-        raise InputError(name, where=mechanism.source, limit=limit)
+    values = _values(mechanism, name)
     base = values.base
     size, (whole, half) = _changed(values, name)
     plain = base._replace(closures=tuple(c._replace(aligned=None) for c in base.closures))
@@ -68,8 +65,25 @@ def _with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
     return replace(made, rows=(*made.rows, *couplings), dry=(), limits=())
 
 
-def _values(mechanism: Mechanism) -> SceneValues:
-    return numbers_of(yaml_tree.read_text(Path(mechanism.source)), mechanism.source)
+def size_of(mechanism: Mechanism, name: str) -> float:
+    """The size of the number called `name`, or 1 where it is zero.
+
+    Raises InputError for none, and where the mechanism is no longer that of its file.
+    """
+    values = _values(mechanism, name)
+    if values.base != mechanism.description:
+        limit = "no derivative is known by it: the mechanism has more than its file (--force)"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return abs(values.number(name)) or 1.0
+
+
+def _values(mechanism: Mechanism, name: str) -> SceneValues:
+    """The numbers of the mechanism's file, of which `name` is one."""
+    values = numbers_of(yaml_tree.read_text(Path(mechanism.source)), mechanism.source)
+    if name not in values:
+        limit = f"is no number of the scene{nearest(name, values.names)}"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return values
 
 
 class _NoMultipleError(Exception):

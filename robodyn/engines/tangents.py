@@ -33,9 +33,15 @@ SLOPES: dict[str, Callable[[Any, Any], Value]] = {
 }
 
 
-def tangents(outputs: Sequence[Value], inputs: Sequence[str]) -> list[Tangents]:
-    """The derivatives of each output by the inputs, which are variables or parameters."""
-    by = set(inputs)
+def tangents(
+    outputs: Sequence[Value], inputs: Sequence[str] | Mapping[str, Tangents]
+) -> list[Tangents]:
+    """The derivatives of each output by the inputs, which are variables or parameters.
+
+    Inputs that depend on others are given with their own derivatives.
+    """
+    if not isinstance(inputs, Mapping):
+        return tangents(outputs, {name: {name: 1.0} for name in inputs})
     known: dict[int, Tangents] = {}
 
     def of(a: Any) -> Tangents:
@@ -46,8 +52,7 @@ def tangents(outputs: Sequence[Value], inputs: Sequence[str]) -> list[Tangents]:
         found: Tangents
         match node.op:
             case "var" | "par":
-                name = str(x[0])
-                found = {name: 1.0} if name in by else {}
+                found = inputs.get(str(x[0]), {})
             case "keep" | "+" | "-" | "neg":
                 signs = {"-": (1.0, -1.0), "neg": (-1.0,)}.get(node.op, (1.0, 1.0))
                 found = _combined(zip(signs, map(of, x), strict=False))

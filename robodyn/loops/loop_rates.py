@@ -33,7 +33,7 @@ def loop_velocities(mechanism: Mechanism, q: ArrayLike, qd_actuated: ArrayLike) 
     q (..., n) is a closed configuration.  Raises SingularError at a dead centre or change point.
     """
     q = as_states(mechanism, "q", q)
-    return _complete(mechanism, q, np.asarray(qd_actuated, float), 0.0)
+    return closing_rates(mechanism, q, np.asarray(qd_actuated, float), 0.0)
 
 
 def loop_accelerations(
@@ -45,7 +45,7 @@ def loop_accelerations(
     change point they are those of the motion which leads across.
     """
     q, given = as_states(mechanism, "q", q), np.asarray(qdd_actuated, float)
-    found = _complete(mechanism, q, given, closure_bias(mechanism, q, qd))
+    found = closing_rates(mechanism, q, given, closure_bias(mechanism, q, qd))
     if not mechanism.rows or not found.size:
         return found
     q, rates = (np.broadcast_to(x, found.shape) for x in (q, np.asarray(qd, float)))
@@ -54,7 +54,7 @@ def loop_accelerations(
         chosen = found[state][list(mechanism.actuated)]
 
         def beside(q: Array, qd: Array, chosen: Array = chosen) -> Array:
-            there = _complete(mechanism, q, chosen, closure_bias(mechanism, q, qd))
+            there = closing_rates(mechanism, q, chosen, closure_bias(mechanism, q, qd))
             return np.hstack([there, qd**2])  # what they are small against: they may all vanish
 
         led = state_led_across(mechanism, q[state], rates[state], beside)
@@ -170,7 +170,7 @@ def _smallest(mechanism: Mechanism, Psi: Array) -> Array:
     return np.asarray(s[..., -1] / loop_size(mechanism), dtype=float)
 
 
-def _complete(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
+def closing_rates(mechanism: Mechanism, q: Array, actuated: Array, bias: Array | float) -> Array:
     """x with Psi x = -bias, given its actuated part."""
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     values = np.zeros((*np.broadcast_shapes(q.shape[:-1], actuated.shape[:-1]), mechanism.n))

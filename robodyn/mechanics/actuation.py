@@ -38,8 +38,8 @@ class Actuation:
     `kinks` are the increasing times at which the torque bends or jumps; an integrator must step
     onto them.  It calls `told`, where there is one, at the start and at each of them.  `leaves` are
     ends of times, counted from the start: no step may be longer than one that it enters.  Torques
-    may have `states` of their own, z0..: zero at the start, integrated beside q and qd by the rates
-    zd0.. that the lines set.
+    may have `states` of their own, z0..: integrated beside q and qd by the rates zd0.. that the
+    lines set.
     """
 
     constants: tuple[float, ...] | None
@@ -54,6 +54,8 @@ class Actuation:
     told_by_leaves: bool = True  # else it changes too fast for them
     given: Actuation | None = None  # what was given, where this was made of it for a run
     states: int = 0
+    start: tuple[float, ...] = ()  # of its states, where that is not zero
+    alone: Actuation | None = None  # the torques without the sensitivities that they carry
 
     @property
     def told(self) -> Steps | None:
@@ -71,7 +73,7 @@ class Actuation:
 
     def function(self, n: int) -> Callable[[float, Sequence[float]], list[float]]:
         """The torques (n), and the rates of their own states, of t and y = (q, qd, z, ...)."""
-        if self.constants is not None:
+        if self.constants is not None and not self.states:
             constants = list(self.constants)
             return lambda t, y: constants
         z, zd = self.own("z"), self.own("zd")

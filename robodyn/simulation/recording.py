@@ -77,9 +77,9 @@ class Recorder:
     kept: list[KeptStep] = field(default_factory=list)  # not yet looked at for events
 
     def begin(self, y: Array) -> None:
-        smooth = self.actuation.constants is not None or self.actuation.linear
-        if not smooth and self.actuation.control is None:
-            self.unseen = UnseenWork(self.actuation.function(self.mechanism.n), self.report.t_end)
+        given = self.actuation.alone or self.actuation
+        if given.constants is None and not given.linear and given.control is None:
+            self.unseen = UnseenWork(given.function(self.mechanism.n), self.report.t_end)
         zero = np.zeros(1)
         if self.times is None or (len(self.times) and self.times[0] == 0.0):
             self._row(zero, y[None, :])
@@ -299,7 +299,7 @@ class Recorder:
             self.actuation.control.observe(t, y)
         q, qd = y[:, :n], y[:, n : 2 * n]
         KE, PE = closed_form.energies(mechanism, q, qd)
-        work = y[:, -1] if y.shape[1] > 2 * n else np.zeros(len(t))
+        work = y[:, -1] if y.shape[1] > 2 * n + self.actuation.states else np.zeros(len(t))
         if self.unseen is not None:
             unseen = self.unseen(t, q, qd)
             work, self.missed = work + unseen, max(self.missed, float(np.abs(unseen).max()))

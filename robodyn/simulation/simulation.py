@@ -41,7 +41,10 @@ UNTIL = "until"  # the name of the event that ends a run
 
 @dataclass
 class Motion:
-    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report."""
+    """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report.
+
+    With sensitivities d(q, qd) by each of k names, (T, 2n, k).
+    """
 
     t: Array
     q: Array
@@ -52,6 +55,7 @@ class Motion:
     events: list[Event]
     _phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)
     _settle: Callable[[], Report] = field(repr=False, compare=False)
+    sensitivity: Array | None = None
 
     @cached_property
     def report(self) -> Report:
@@ -89,6 +93,7 @@ def simulate(
     max_step: float = np.inf,
     events: Mapping[str, str] | None = None,
     until: str | None = None,
+    sensitivity: Sequence[str] = (),
 ) -> Motion:
     """The motion from the state q, qd (n,) at t = 0 to t_end (s; negative: backwards).
 
@@ -99,7 +104,8 @@ def simulate(
     and whose `engine` is "python", "compiled" (machine code, with the extra `fast`), or "auto":
     compiled where a run takes, or this process took, many steps of the mechanism.
     `events` are expressions by name, {"apex": "qd1", "high": "q1 > 90deg"}: `motion.events` tells
-    when each passes zero, or becomes true; the run ends where `until` does.
+    when each passes zero, or becomes true; the run ends where `until` does.  `sensitivity` names
+    numbers of the scene and start values, ["links.forearm.m", "q1"]: `motion.sensitivity`.
     Raises InputError for arguments that do not fit, a state that does not close among them.
     """
     q = as_states(mechanism, "q", q)
@@ -112,6 +118,11 @@ def simulate(
         raise fault[1]
     state = np.concatenate([q, qd])
     actuation = over_run(mechanism, as_actuation(mechanism, tau), state, t_end, atol)
+    carried = None
+    if sensitivity:
+        from robodyn.simulation.sensitivity import with_sensitivities
+
+        carried = with_sensitivities(mechanism, actuation, state, sensitivity, method)
     rows: list[tuple[Array, Array]] = []
     times = None if t_eval is None else np.asarray(t_eval, float)
     watch = watched_events(mechanism, events or {}, until, float(t_end))
@@ -125,7 +136,7 @@ def simulate(
         mechanism,
         state,
         float(t_end),
-        actuation,
+        carried.actuation if carried else actuation,
         Settings(method, rtol, atol, stabilize, BAUMGARTE, max_evals, order, engine, max_step),
         keep,
         times,
@@ -133,13 +144,14 @@ def simulate(
     )
     found = [] if watch is None else [x._replace(y=x.y[: 2 * mechanism.n]) for x in watch.found]
     n = mechanism.n
-    rows = rows or [(np.zeros(0), np.zeros((0, 2 * n)))]
+    rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
     t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
     found += recorder.contacts
     found.sort(key=lambda event: abs(event.t))
-    return Motion(t, q, qd, torques, outcome, mechanism, found, phases, recorder.settle)
+    by = carried.of(y) if carried else None
+    return Motion(t, q, qd, torques, outcome, mechanism, found, phases, recorder.settle, by)
 
 
 def watched_events(
@@ -192,7 +204,8 @@ def run(
     report.stabilize = settings.stabilize if mechanism.rows else "none"
     n = mechanism.n
     work = actuation.active or mechanism.changes_energy or mechanism.switches
-    y = np.concatenate([state, [0.0] * (actuation.states + work)])
+    own = actuation.start or [0.0] * actuation.states
+    y = np.concatenate([state, own, [0.0] * work])
     if t_end != 0.0 and mechanism.rows:
         loop_rates.check_way_on(mechanism, y[None, :n], y[None, n : 2 * n])
     if report.stabilize == "projection":

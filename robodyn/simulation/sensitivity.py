@@ -1,0 +1,232 @@
+"""How a motion changes with a number of its scene, or a start value: its variational equations.
+
+Along the motion s = (s_q, s_qd) = d(q, qd)/dp follows, with the residuals R of `residuals`, from
+
+    s_q' = s_qd        s_qd' = -K^-1 (R_q s_q + R_qd s_qd + R_tau dtau/dp + R_p)
+
+Such s are integrated beside the motion as states of the torques' own; times the size of p, so that
+a tolerance is the same angle for them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
+from robodyn.dynamics.named_numbers import size_of, with_variable
+from robodyn.engines import expression
+from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.expression import Graph, Value
+from robodyn.engines.factors import Factors
+from robodyn.engines.formulas import Formula, Recorded, cheapest
+from robodyn.engines.frames import relative
+from robodyn.engines.straightline import compile_floats
+from robodyn.engines.tangents import SLOPES, Tangents, substituted, tangents
+from robodyn.errors import InputError
+from robodyn.loops.closing import regular_rank
+from robodyn.loops.loop_rates import closing_rates, loop_accelerations
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+CHANGE = "p"  # the variable that a number changes by
+_START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """By what a motion is differentiated, and the torques that carry it."""
+
+    names: tuple[str, ...]
+    sizes: Array  # (k,)
+    actuation: Actuation
+    n: int
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of its columns: d q1/d NAME is dq1/NAME."""
+        state = [f"d{kind}{i + 1}" for kind in ("q", "qd") for i in range(self.n)]
+        return [f"{x}/{name}" for name in self.names for x in state]
+
+    def of(self, y: Array) -> Array:
+        """d(q, qd)/d(each name) (T, 2n, k) in states y (T, 2n + 2n k)."""
+        first, count = 2 * self.n, len(self.names)
+        s = y[:, first : first * (count + 1)].reshape(-1, count, first)
+        return np.swapaxes(s / self.sizes[:, None], 1, 2)
+
+
+def with_sensitivities(
+    mechanism: Mechanism, actuation: Actuation, state: Array, names: Sequence[str], method: str
+) -> Sensitivities:
+    """The torques of a run from `state` (2n), as `over_run` gives them, with sensitivities.
+
+    The names are those of numbers of the scene, `links.forearm.m`, or of start values, `q1`, `qd1`.
+    Raises InputError for a name that is none, and for what has no derivative.
+    """
+    where = mechanism.source
+    limit = ""
+    if method == "taylor":
+        limit = "the Taylor series does not carry sensitivities: take --method DOP853"
+    elif mechanism.switches:
+        limit = "is of smooth motions: the scene has dry friction or stops"
+    elif actuation.control is not None:
+        limit = "is not for controllers: take --tau, --tau-from or --volt"
+    elif not elimination_is_safe(mechanism) or (
+        mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
+    ):
+        limit = "links without inertia of their own, or closures that depend on one another"
+    if limit or not names or len(set(names)) < len(names):
+        raise InputError("sensitivity", where=where, limit=limit or "needs names, each once")
+    q, qd = np.split(state, 2)
+    n, sizes, starts = mechanism.n, [], []
+    for name in names:
+        sizes.append(1.0 if _is_start(mechanism, name) else size_of(mechanism, name))
+        starts.append(sizes[-1] * _start(mechanism, name, q, qd))
+    formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes))
+    if formula is None:
+        raise InputError("sensitivity", where=where, limit="its equation divides by zero")
+    z = [range(2 * n * k, 2 * n * (k + 1)) for k in range(len(names))]
+    rates = [f"zd{i}" for each in z for i in each[n:]]
+    moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
+    lines = [
+        *actuation.lines,
+        *moved,
+        f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})",
+    ]
+    if actuation.constants is not None:
+        lines[:0] = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
+    scope = {**actuation.scope, "_slopes": compile_floats(formula, "slopes")}
+    carried = replace(
+        actuation,
+        lines=tuple(lines),
+        scope=scope,
+        states=2 * n * len(names),
+        start=tuple(np.concatenate(starts).tolist()),
+        alone=actuation,
+    )
+    return Sensitivities(tuple(names), np.array(sizes), carried, n)
+
+
+def _is_start(mechanism: Mechanism, name: str) -> bool:
+    match = _START.fullmatch(name)
+    if match and int(match[2]) > mechanism.n:
+        limit = f"must be one of {match[1]}1..{match[1]}{mechanism.n}"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    if name.startswith("start."):
+        limit = "is where assembly begins; name a start value, q1 or qd1"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return match is not None
+
+
+def _formula(
+    mechanism: Mechanism, actuation: Actuation, way: bool, names: Sequence[str], sizes: list[float]
+) -> Formula:
+    """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
+    graph, n = Graph(), mechanism.n
+    state = Recorded(mechanism, KINDS[1:], way, graph=graph)
+    series, r, _, R = residuals(state)
+    factors = series.factorise()
+    assert isinstance(factors, Factors)
+    u = {f"u{i}": x for i, x in enumerate(factors.solve([-x for x in r]))}
+    torques = _torques(mechanism, actuation, graph)
+    z = [f"z{i}" for i in range(2 * n * len(names))]
+    outputs: list[Value] = []
+    for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
+        own = z[2 * n * k : 2 * n * (k + 1)]
+        by: dict[str, Tangents] = {
+            x: {CHANGE: graph.variable(s)} for x, s in zip(state.inputs[: 2 * n], own, strict=True)
+        }
+        residual = R
+        if not _is_start(mechanism, name):
+            if ".motor." in name and any(tangents(torques, list(by))):
+                limit = "no derivative is known by it where torques depend on q or qd"
+                raise InputError(name, where=mechanism.source, limit=limit)
+            named = with_variable(mechanism, name, graph.variable(CHANGE))
+            residual = residuals(Recorded(named, KINDS[1:], way, graph=graph))[3]
+            by[CHANGE] = {CHANGE: size}
+        by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
+        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(residual, by)]
+        right = [-x for x in substituted(slopes, {CHANGE: 0.0, **u})]
+        outputs += relative(mechanism, factors.solve(right)[:n])
+    constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
+    return Formula((*state.inputs, *z, "t"), tuple(substituted(outputs, constants)), ())
+
+
+def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[Value]:
+    """Those of the torques (n) that depend on the state, as nodes; 0 for the others."""
+    found: list[Value] = [0.0] * mechanism.n
+    if actuation.constants is not None or actuation.linear:
+        return found
+    scope: dict[str, object] = {f"_{name}": partial(expression.call, name) for name in SLOPES}
+    scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
+    for line in (actuation.given or actuation).lines:
+        names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
+        state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
+        if not state:
+            continue
+        target, _, code = line.partition(" = ")
+        variables = {x: graph.variable(x) for x in (*state, "t")}
+        try:
+            found[int(target.removeprefix("tau"))] = eval(code, {**scope, **variables})
+        except (TypeError, NameError, ValueError, AttributeError):
+            joint = target.removeprefix("tau")
+            what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
+            limit = "has no derivative: of q and qd take arithmetic and smooth functions"
+            raise InputError(what, where=mechanism.source, limit=limit) from None
+    return found
+
+
+def _start(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
+    """d(q, qd)/d(name) (2n) at the start: the actuated joints' values are what is given."""
+    n, driven = mechanism.n, list(mechanism.actuated)
+    moved, turned = np.zeros(n), np.zeros(n)
+    match = _START.fullmatch(name)
+    joint = None if match is None else int(match[2]) - 1
+    if match is not None and joint is not None:
+        unit = np.eye(n)[joint]
+        if mechanism.rows:
+            if joint not in driven:
+                limit = f"joint {mechanism.link_names[joint]} follows the actuated ones"
+                raise InputError(name, where=mechanism.source, limit=limit)
+            unit = closing_rates(mechanism, q, unit[driven], 0.0)
+        if match[1] == "qd":
+            return np.concatenate([moved, unit])
+        moved = unit
+    elif mechanism.rows:
+        gap, rate = _gap_slopes(mechanism, name, q, qd)
+        none = np.zeros(len(driven))
+        moved = closing_rates(mechanism, q, none, gap)
+        turned = closing_rates(mechanism, q, none, rate)
+    if mechanism.rows and np.any(moved) and np.any(qd):
+        # the bias is a quadratic form in the rates: this is its part between qd and the change
+        still = np.zeros(len(driven))
+        ahead, behind = (
+            loop_accelerations(mechanism, q, x, still) for x in (qd + moved, qd - moved)
+        )
+        turned = turned + 0.25 * (ahead - behind)
+    return np.concatenate([moved, turned])
+
+
+def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[Array, Array]:
+    """The derivatives of the gap (r) and of its rate (r) by a number, with q and qd held."""
+    graph = Graph()
+    named = with_variable(mechanism, name, graph.variable(CHANGE))
+    state = Recorded(named, ("qd",), True, graph=graph)
+    series = state.series([0.0] * mechanism.n)
+    series.residuals(0)
+    rows = [series.real[slot] for slot in series.program.named["gap"]]
+    slopes = [
+        x.get(CHANGE, 0.0) for p in (0, 1) for x in tangents([row[p] for row in rows], [CHANGE])
+    ]
+    outputs = tuple(substituted(slopes, {CHANGE: 0.0}))
+    function = compile_floats(Formula((*state.inputs, "t"), outputs, ()), "gaps")
+    found = np.array(function(*q.tolist(), *qd.tolist(), 0.0))
+    return found[: len(rows)], found[len(rows) :]
