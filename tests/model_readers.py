@@ -19,6 +19,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 Array = np.ndarray
+Powers = tuple[float, ...]
 
 
 @dataclass
@@ -36,6 +37,8 @@ class Body:
     armature: float = 0.0
     stiffness: float = 0.0
     springref: float = 0.0
+    friction: float = 0.0
+    range: tuple[float, float] | None = None
     mass: float = 0.0
     centre: Array = field(default_factory=lambda: np.zeros(3))
     inertia: Array = field(default_factory=lambda: np.zeros((3, 3)))  # about the centre
@@ -57,8 +60,11 @@ class Model:
     )
     # sums of joints that are constant: {joint: factor}, and the constant
     sums: list[tuple[dict[str, float], float]] = field(default_factory=list)
-    # springs along tendons: the sites, stiffness, length, damping
-    springs: list[tuple[tuple[str, str], float, float, float]] = field(default_factory=list)
+    # springs along tendons: the sites, or {joint: factor}; powers of stiffness, where it is
+    # slack, powers of damping
+    springs: list[tuple[tuple[str, str] | dict[str, float], Powers, Powers, Powers]] = field(
+        default_factory=list
+    )
     # constant wrenches on a site, in the frame of it or of another
     wrenches: list[tuple[str, str | None, Array]] = field(default_factory=list)
     motors: list[str] = field(default_factory=list)
@@ -138,9 +144,16 @@ class Model:
             if body.joint is not None:
                 j = self.joints.index(body.joint)
                 Q[j] -= body.stiffness * (q[body.joint] - body.springref) + body.damping * rates[j]
-        for ends, stiffness, length, damping in self.springs:
-            stretched, slope = self.length(q, ends)
-            Q -= (stiffness * (stretched - length) + damping * slope @ rates) * slope
+        for ends, stiffness, slack, damping in self.springs:
+            if isinstance(ends, dict):
+                slope = np.array([ends.get(joint, 0.0) for joint in self.joints])
+                stretched = slope @ [q[joint] for joint in self.joints]
+            else:
+                stretched, slope = self.length(q, ends)
+            x, v = stretched - np.clip(stretched, *slack), slope @ rates
+            pull = sum(c * x ** (k + 1) for k, c in enumerate(stiffness))
+            drag = sum(c * np.abs(v) ** k for k, c in enumerate(damping)) * v
+            Q -= (pull + drag) * slope
         for site, frame, wrench in self.wrenches:
             body, at = self.sites[site]
             _, Jv, Jw = self.slopes(q, body, at)
@@ -190,13 +203,13 @@ def read_urdf(text: str) -> Model:
                 continue
             place, turn = _urdf_origin(joint)
             body = Body(name, parent, place, turn)
-            if joint.get("type") in ("continuous", "prismatic"):
+            if joint.get("type") in ("continuous", "prismatic", "revolute"):
                 body.joint, body.axis = joint.get("name"), unit(one(joint, "axis").get("xyz"))
                 body.slides = joint.get("type") == "prismatic"
-                if body.slides:
-                    limit = {key: float(value) for key, value in one(joint, "limit").items()}
+                if joint.get("type") != "continuous":
+                    limit = one(joint, "limit").attrib
                     assert limit.keys() == {"lower", "upper", "effort", "velocity"}
-                    assert -limit["lower"] == limit["upper"] == limit["effort"] >= 1e6
+                    body.range = float(limit["lower"]), float(limit["upper"])
             else:
                 assert joint.get("type") == "fixed"
             for mimic in joint.findall("mimic"):
@@ -204,7 +217,7 @@ def read_urdf(text: str) -> Model:
                 sums.append((ratios, float(mimic.get("offset"))))
             for dynamics in joint.findall("dynamics"):
                 body.damping = float(dynamics.get("damping", "0"))
-                assert float(dynamics.get("friction", "0")) == 0.0
+                body.friction = float(dynamics.get("friction", "0"))
             for inertial in links[name].findall("inertial"):
                 body.centre, turn = _urdf_origin(inertial)
                 body.mass = float(one(inertial, "mass").get("value"))
@@ -255,7 +268,11 @@ def read_mjcf(text: str) -> Model:
                 assert joint.get("type") in ("hinge", "slide")
                 body.slides = joint.get("type") == "slide"
                 assert body.slides or "xyaxes" not in child.attrib
-                assert not {"range", "ref", "pos"} & set(joint.keys())
+                assert not {"ref", "pos"} & set(joint.keys())
+                assert ("range" in joint.attrib) == ("limited" in joint.attrib)
+                if "range" in joint.attrib:
+                    body.range = tuple(numbers(joint.get("range"), 2).tolist())
+                body.friction = float(joint.get("frictionloss", "0"))
                 body.armature = float(joint.get("armature", "0"))
                 body.joint, body.axis = joint.get("name"), unit(joint.get("axis"))
                 body.damping, body.stiffness, body.springref = (
@@ -300,10 +317,16 @@ def read_mjcf(text: str) -> Model:
             continue
         pair = (tendons[equal.get(key)] for key in ("tendon1", "tendon2"))
         model.equal_tendons.append((*pair, numbers(equal.get("polycoef"), 5).tolist()))
-    for tendon in root.findall("tendon/spatial"):
-        if "stiffness" in tendon.attrib:
-            values = (float(tendon.get(key)) for key in ("stiffness", "springlength", "damping"))
-            model.springs.append((tendons[tendon.get("name")], *values))
+    for tendon in root.findall("tendon/*"):
+        if "stiffness" in tendon.attrib or "damping" in tendon.attrib:
+            stiffness, slack, damping = (
+                tuple(float(word) for word in tendon.get(key, "0").split())
+                for key in ("stiffness", "springlength", "damping")
+            )
+            assert max(len(stiffness), len(damping)) <= 3
+            name = tendon.get("name")
+            ends = tendons[name] if tendon.tag == "spatial" else fixed[name]
+            model.springs.append((ends, stiffness, (slack[0], slack[-1]), damping))
     for general in root.findall("actuator/general"):
         constant = {"gainprm": "0", "biastype": "affine", "biasprm": "1 0 0"}
         assert constant.items() <= general.attrib.items()

@@ -126,6 +126,21 @@ def test_a_massless_link_is_named(robodyn: Run, scene: Callable[[str], Path]) ->
     assert robodyn("export", path, "--format", "urdf").code == 0
 
 
+def test_notes_on_ends_of_joints(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    path = scene(
+        "gravity: 0\nlinks: [{name: a, m: 1.5, l: 1, r: 1, I: 0.1, limits: {max: 1},"
+        " friction: {torque: 1, static: 2}}]\n"
+    )
+    given = robodyn("export", path, "--format", "mjcf")
+    assert given.code == 0
+    assert given.err == (
+        "Note: joint a: MuJoCo stops it at its limits, where robodyn ends a run\n"
+        "Note: joint a: MuJoCo's friction is 1 N m at rest too, not 2, and what sticks creeps\n"
+    )
+    given = robodyn("export", path, "--format", "urdf")
+    assert (given.code, given.err.count("Note: joint a: URDF")) == (0, 2)
+
+
 def test_a_loop_that_cannot_close_has_no_keyframe(
     robodyn: Run, four_bar_text: str, scene: Callable[[str], Path]
 ) -> None:

@@ -28,8 +28,10 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
+from robodyn.export.contacts import contact_notes, damping_ratio, restitution
 from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
 from robodyn.mechanics.mechanism import build, load
+from robodyn.mechanics.modes import Mode, in_mode, pressed
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
@@ -281,6 +283,76 @@ class TestSlides:
             mjcf(mechanism(f"links: [{pole}, {cart}]"))
 
 
+ARM = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+LAWS = """
+gravity: 9.81
+links:
+  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082}
+  - {name: c, joint: prismatic, axis: [1, 0], m: 0.9, l: 0.6, r: 0.25, I: 0.031}
+springs:
+  - {joint: c, law: "100*x + 3*x**2 - x**3/2 + 2*v", length: 0.1}
+  - {joint: a, law: "x*(1 + x)", angle: -1}
+  - {between: [c, [1, 1]], law: "-(-40*x) + 3*v**3", length: 0.1}
+  - {joint: a, law: "0.2*v", angle: 0}
+"""
+STOPS = """
+gravity: 9.81
+links:
+  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, limits: {min: -30deg, max: 60deg, stiffness: 500}}
+  - {name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, limits: {max: 0.4, stiffness: 30}, damping: 0.1}
+  - {name: c, joint: prismatic, axis: [1, 0], m: 0.9, l: 0.6, r: 0.25, I: 0.03,
+     limits: {min: -0.2, stiffness: 1000}}
+"""
+
+
+class TestContacts:
+    @pytest.mark.parametrize("seed", range(8))
+    def test_stops_without_damping_are_exact(self, seed):
+        mech = mechanism(STOPS)
+        q, qd = np.random.default_rng(seed).uniform(-1.5, 1.5, (2, mech.n))
+        moving = in_mode(mech, Mode((), (), pressed(mech, q.tolist(), qd.tolist())))
+        model, there = read(mech)
+        at, rates = angles(model, there, q), angles(model, there, qd)
+        _, G = model.terms(at, model.gravity)
+        wanted = robodyn.other_forces(moving, q, qd) - robodyn.gravity_vector(moving, q)
+        wanted = wanted - moving.arrays.damping * qd
+        theirs = (model.forces(at, rates) - G)[there]
+        assert_close(theirs, wanted, max(1.0, *np.abs(wanted)), 1e-13)
+        assert contact_notes(mech) == []
+
+    def test_a_damped_stop_is_a_limit_as_weak_as_can_be(self):
+        arm = ARM.replace("0.1}", "0.1, limits: {max: 0.5, stiffness: 70, damping: 7}}")
+        joint = ElementTree.fromstring(mjcf(mechanism(arm))).find("worldbody/body/joint")
+        w = 1.0 / 0.35
+        stiffness, damping = map(float, joint.get("solreflimit").split())
+        assert (stiffness, damping) == pytest.approx((-70 * w, -7 * w))
+        assert joint.get("range") == "-1000000000.0 0.5"
+        assert joint.get("solimplimit").startswith("0.0001 0.0001 ")
+        (note,) = contact_notes(mechanism(arm))
+        assert "1e-4" in note
+
+    @pytest.mark.parametrize("part", [0.0, 0.05, 0.2, 0.7, 0.99, 1.0])
+    def test_a_hard_stop_has_the_damping_that_throws_back_so_much(self, part):
+        z = damping_ratio(part)
+        x, v = 0.0, 1.0  # of x" + 2 z x' + x = 0, until nothing is pushed
+        step = 1e-4
+        while x + 2.0 * z * v > 0.0:
+            v -= step * (2.0 * z * v + x)
+            x += step * v
+        assert -v == pytest.approx(max(part, restitution(2.5)), abs=2e-3)
+        text = ARM.replace("0.1}", f"0.1, limits: {{min: 0, restitution: {part}}}}}")
+        (note,) = contact_notes(mechanism(text))
+        assert f"about {max(part, restitution(2.5)):.2g} of" in note
+        assert read(mechanism(text))[0].bodies[0].range == (0.0, 1e9)
+
+    def test_dry_friction_is_its_level_in_motion(self):
+        text = ARM.replace("0.1}", "0.1, friction: {torque: 0.5, static: 0.8, stribeck: 0.1}}")
+        (body,) = read(mechanism(text))[0].bodies
+        assert body.friction == 0.5
+        (note,) = contact_notes(mechanism(text))
+        assert "0.5 N m at rest too, not 0.8" in note
+
+
 class TestForces:
     """Springs, dampers, loads: -G + Q - D qd of the scene, without friction, which is refused."""
 
@@ -319,6 +391,26 @@ class TestForces:
         self.assert_same_forces(mech, scene.q, scene.qd)
         assert_same_closures(mech, scene.q)
 
+    def test_of_laws_of_springs(self):
+        mech = mechanism(LAWS)
+        for seed in range(6):
+            q, qd = np.random.default_rng(seed).uniform(-1.5, 1.5, (2, mech.n))
+            self.assert_same_forces(mech, q, qd)
+        model, _ = read(mech)
+        powers = [stiffness for _, stiffness, _, _ in model.springs]
+        assert powers == [(100.0, 3.0, -0.5), (1.0, 1.0), (40.0,), (0.0,)]
+        assert "from 3.7 on" in mjcf(mech)
+
+    @pytest.mark.parametrize("text", ["x**4", "x + 1", "x*v", "v**2", "sin(x)", "1/x", "x**0.5"])
+    def test_other_laws_are_refused(self, text):
+        limit = r"springs\[0\]\.law = .*: MJCF has polynomials"
+        with pytest.raises(InputError, match=limit):
+            mjcf(mechanism(ARM + f'springs: [{{joint: a, law: "{text}", angle: 0}}]\n'))
+
+    def test_loads_that_vary_are_refused(self):
+        with pytest.raises(InputError, match=r"loads\[0\]\.torque = .*constant loads alone"):
+            mjcf(mechanism(ARM + 'loads: [{link: a, torque: "sin(t)"}]\n'))
+
     def test_springs_at_one_joint_act_as_one(self):
         mech = mechanism(
             "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, damping: 0.25}]\n"
@@ -340,7 +432,7 @@ class TestForces:
         )
         model, _ = read(mech)
         assert (model.bodies[0].stiffness, model.bodies[0].springref) == (0.3, 0.1)
-        assert model.springs == [(("spring2_first", "spring2_second"), 4.0, 0.3, 0.2)]
+        assert model.springs == [(("spring2_first", "spring2_second"), (4.0,), (0.3, 0.3), (0.2,))]
         assert model.sites["spring2_first"][0] == "world"
 
     def test_a_load_may_be_called_as_a_link(self):

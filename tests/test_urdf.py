@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -18,7 +20,7 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
-from robodyn.export.urdf import urdf
+from robodyn.export.urdf import urdf, urdf_notes
 
 ARMS = ("pendulum", "2r", "3r")
 examples = settings(deadline=None, max_examples=40)
@@ -206,3 +208,34 @@ def test_the_comment_tells_what_urdf_cannot():
         assert part in comment
     assert comment.count("driven") == 2
     assert "payload" not in comment
+
+
+ENDS = """
+gravity: 9.81
+links:
+  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1, limits: {min: -30deg, max: 1.2},
+     friction: {torque: 0.5, static: 0.8}}
+  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1, limits: {min: -1, stiffness: 5},
+     motor: {ratio: -50, inertia: 0, torque_max: 0.3, speed_max: 500}}
+  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1, motor: {ratio: 2, inertia: 0, torque_max: 0.5}}
+  - {name: d, joint: prismatic, axis: [1, 0], m: 1, l: 1, r: 0.5, I: 0.1,
+     limits: {max: 0.5, restitution: 0.4}, friction: {force: 0.2, static: 0.2}}
+"""
+
+
+def test_ends_of_joints_what_motors_give_and_dry_friction():
+    mech = mechanism(ENDS)
+    bodies = {
+        body.joint: body for body in assert_same_terms(mech, np.array([0.3, 1, 2, 0.4])).bodies
+    }
+    assert bodies["a"].range == (-np.pi / 6, 1.2)
+    assert bodies["b"].range == (-1.0, 1e9)
+    assert bodies["c"].range is None
+    assert bodies["d"].range == (-1e9, 0.5)
+    assert [bodies[name].friction for name in "abcd"] == [0.5, 0.0, 0.0, 0.2]
+    found = ElementTree.fromstring(urdf(mech)).findall("joint/limit")
+    most = [(float(x.get("effort")), float(x.get("velocity"))) for x in found]
+    assert most == [(1e9, 1e9), (15.0, 10.0), (1.0, 1e9), (1e9, 1e9)]
+    told = urdf_notes(mech)
+    assert [note.split(":")[0] for note in told] == ["joint a", "joint a", "joint b", "joint d"]
+    assert "at rest too, not 0.8" in told[1]

@@ -43,13 +43,14 @@ def export(
             if value is not None:
                 raise InputError(option, value=value, limit="is for mjcf, urdf has no word for it")
         from robodyn.export.model_xml import vector
-        from robodyn.export.urdf import urdf
+        from robodyn.export.urdf import urdf, urdf_notes
 
-        text = urdf(mechanism)
+        text, notes = urdf(mechanism), urdf_notes(mechanism)
         if mechanism.gamma:
             gravity = f"({', '.join(vector(mechanism.gamma).split())})"
             note(f"Note: URDF has no gravity: set {gravity} m/s^2 where it is loaded")
     else:
+        from robodyn.export.contacts import contact_notes
         from robodyn.export.mjcf import TIMESTEP, mjcf
 
         step = TIMESTEP if timestep is None else timestep
@@ -60,6 +61,8 @@ def export(
             from robodyn.cli.states import Quantity, single_state
 
             pose = single_state(mechanism, [Quantity("q", q, True)])[0].tolist()
-        text = mjcf(mechanism, step, pose)
+        text, notes = mjcf(mechanism, step, pose), contact_notes(mechanism)
+    for line in notes:
+        note(f"Note: {line}")
     with open_output(out) as stream:
         stream.write(text.encode())

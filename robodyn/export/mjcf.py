@@ -16,10 +16,11 @@ from __future__ import annotations
 
 from cmath import phase
 from collections.abc import Sequence
-from math import pi
+from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
+from robodyn.export.contacts import joint_contacts, slack_stops, stop_tendon
 from robodyn.export.model_xml import (
     INERTIA_REMARKS,
     Names,
@@ -30,18 +31,16 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
+from robodyn.export.spring_laws import LIMIT, polynomial
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, Rotor
-from robodyn.scene.scene import Closure, Coupling, Load, Moment, Point, Spring
+from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Point, Signal, Spring
 
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
-REASONS = {
-    "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
-    "limits": "MuJoCo's limits are soft constraints of a law of their own",
-}
-SAID = ("closures", "springs", "loads", "couplings", "motor")
+REASONS = {"friction": "MuJoCo has no friction by tanh(qd/speed): its own sticks"}
+SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
 ROTOR_REMARKS = (
     "A rotor on a link that turns is the armature of a tendon, which MuJoCo has from 3.3.1 on.",
@@ -55,6 +54,7 @@ ANGLE_REMARKS = (
     "An angle that a closure keeps is a sum of joint angles: it counts from turn to turn.",
 )
 SLOT_REMARKS = ("Those of a slot in a link are sites of that link.",)
+LAW_REMARKS = ("Springs of the second and third power are MuJoCo's from 3.7 on.",)
 SLIDER_REMARKS = (
     "A slider's line holds the points as far from one site of the ground as from another: two",
     "tendons of equal length.  MuJoCo leaves out the centripetal acceleration along tendons, so",
@@ -71,7 +71,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     say, and for links without mass or inertia, which MuJoCo refuses.
     """
     description = mechanism.description
-    refuse_unsaid(description, "MJCF", REASONS, SAID)
+    refuse_unsaid(description, "MJCF", REASONS, SAID, _unsaid)
     for k, link in enumerate(description.links):
         for key, value in (("m", link.m), ("I", link.I)):
             if value < MINIMUM and (key == "m" or mechanism.frames[k] is not None):
@@ -79,7 +79,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
                 limit += " or inertia (kg m^2): give it a little"
                 place = f"links[{k}] ({link.name}).{key}"
                 raise InputError(place, where=description.source, value=value, limit=limit)
-    model = _Elements(mechanism, q)
+    model = _Elements(mechanism, timestep, q)
     root = Element("mujoco", model=printable(mechanism.name))
     SubElement(root, "compiler", angle="radian")
     option = SubElement(root, "option", timestep=number(timestep), integrator="RK4")
@@ -102,6 +102,7 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         (description.loads, LOAD_REMARKS),
         (any(rotor.carrier is not None for rotor in mechanism.rotors), ROTOR_REMARKS),
         (description.closures or description.couplings, SOFT_REMARKS),
+        (any(spring.law is not None for spring in description.springs), LAW_REMARKS),
         (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
         (any(x.along and x.second.link is not None for x in description.closures), SLOT_REMARKS),
         (any(closure.aligned is not None for closure in description.closures), ANGLE_REMARKS),
@@ -110,14 +111,22 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
     return document(root, comment(mechanism, model.names, remarks))
 
 
+def _unsaid(place: str, signal: Signal) -> str:
+    """Why MJCF does not have what varies; empty where it has."""
+    if not place.startswith("springs"):
+        return "MJCF has constant loads alone"
+    return "" if polynomial(signal) is not None else LIMIT
+
+
 class _Elements:
     """The elements of a mechanism's model, made as it is created.
 
     `world` holds the bodies, `names` of the links; `order` has the links as MuJoCo orders joints.
     """
 
-    def __init__(self, mechanism: Mechanism, q: Sequence[float] | None) -> None:
+    def __init__(self, mechanism: Mechanism, timestep: float, q: Sequence[float] | None) -> None:
         self.mechanism, description = mechanism, mechanism.description
+        self.timestep = timestep
         self.tree, self.q = Tree(description.links), q or [0.0] * mechanism.n
         self.links, names = description.links, Names()
         self.names = link_names(mechanism, names)
@@ -136,6 +145,10 @@ class _Elements:
         for p, spring in enumerate(description.springs):
             if isinstance(spring, Spring):
                 self._stretch(f"spring{p + 1}", spring)
+            elif spring.law is not None:
+                self._turn(f"spring{p + 1}", spring)
+        for k, stop in slack_stops(mechanism):
+            stop_tendon(self.tendon, f"stop{k + 1}", self.names[k], stop)
         for rotor in mechanism.rotors:
             self._spin(rotor)
         for k in mechanism.actuated:
@@ -164,7 +177,7 @@ class _Elements:
                 if link.axis != 1.0:
                     body.set("xyaxes", f"{vector(link.axis)} {vector(1j * link.axis)}")
             joint = SubElement(body, "joint", name=name, type=kind, axis=axis)
-            joint.attrib |= self._turning(k)
+            joint.attrib |= self._turning(k) | joint_contacts(self.mechanism, k, self.timestep)
             # of what never turns no inertia counts, but MuJoCo wants some
             I = link.I if self.mechanism.frames[k] is not None else max(link.I, MINIMUM)
             _inertial(body, link.m, link.r, I)
@@ -185,7 +198,8 @@ class _Elements:
                 found["armature"] = number(rotor.inertia * rotor.ratio**2)
         if self.mechanism.damping[joint]:
             found["damping"] = number(self.mechanism.damping[joint])
-        springs = [spring for spring in self.mechanism.joint_springs if spring.joint == joint]
+        known = self.mechanism.joint_springs
+        springs = [spring for spring in known if spring.joint == joint and spring.law is None]
         if springs:
             stiffness = sum(spring.stiffness for spring in springs)
             angle = springs[0].angle
@@ -213,6 +227,15 @@ class _Elements:
         tendon.set("stiffness", number(spring.stiffness))
         tendon.set("springlength", number(spring.length))
         tendon.set("damping", number(spring.damping))
+        tendon.attrib |= polynomial(spring.law) or {}
+
+    def _turn(self, name: str, spring: JointSpring) -> None:
+        """A law at a joint: that of a tendon as long as the joint's coordinate."""
+        tendon = SubElement(self.tendon, "fixed", name=name)
+        free = spring.angle if spring.angle != -1.0 else nextafter(-1.0, 0.0)  # -1: of its own
+        tendon.set("springlength", number(free))
+        tendon.attrib |= polynomial(spring.law) or {}
+        SubElement(tendon, "joint", joint=self.names[spring.joint], coef="1.0")
 
     def _spatial(self, name: str, *sites: str) -> Element:
         """A tendon along these sites."""

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from xml.etree import ElementTree
 
 from robodyn import __version__
 from robodyn.errors import InputError, printable
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.scene import Description, Link, signals_of, told
+from robodyn.scene.scene import Description, DryFriction, Link, Signal, signals_of, told
 
 # what tools name themselves: MuJoCo its ground, Pinocchio its own and its root's joint
 RESERVED = frozenset({"world", "universe", "root_joint"})
@@ -98,11 +98,14 @@ def refuse_unsaid(
     format: str,
     reasons: Mapping[str, str],
     more: Collection[str] = (),
+    unsaid: Callable[[str, Signal], str] | None = None,
 ) -> None:
     """Raise InputError for what the scene names and the format is not made to say.
 
     What is said is listed, here and in `more` keys of the scene or of links; any other key is
     refused where it holds something, one that a later scene format adds too.  `reasons` tell why.
+    `unsaid` tells why of what varies at a place; nothing where it is said; None: nothing is.
+    Dry friction and ends of joints are told in notes, where they are not exact.
     """
     holders: list[tuple[str, Description | Link, frozenset[str]]] = [("", description, SCENE_SAID)]
     links = enumerate(description.links)
@@ -110,6 +113,8 @@ def refuse_unsaid(
     for place, holder, said in holders:
         for key in (name for name in holder._fields if name not in {*said, *more}):
             value = getattr(holder, key)
+            if isinstance(value, DryFriction):
+                continue
             if value and getattr(value, "torque", True):  # friction without torque is none
                 shown = value if isinstance(value, (int, float, str)) else None
                 limit = reasons.get(key, f"{format} cannot say it")
@@ -117,7 +122,9 @@ def refuse_unsaid(
                     f"{place}{key}", where=description.source, value=shown, limit=limit
                 )
     for place, signal in signals_of(description):
-        limit = f"{format} cannot say it: its springs are linear and its loads constant"
+        limit = f"{format} cannot say it" if unsaid is None else unsaid(place, signal)
+        if not limit:
+            continue
         raise InputError(place, where=description.source, value=told(signal), limit=limit)
 
 

@@ -13,6 +13,7 @@ from cmath import phase
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
+from robodyn.export.contacts import FAR
 from robodyn.export.model_xml import (
     INERTIA_REMARKS,
     Names,
@@ -24,13 +25,13 @@ from robodyn.export.model_xml import (
     vector,
 )
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import DryFriction, Link
 
 REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",
     "springs": "URDF has no springs; MJCF has",
     "loads": "URDF has no loads; MJCF has",
-    "friction": "URDF has no friction by tanh(qd/speed) or Stribeck's, only the bare torque",
-    "limits": "URDF's limits are no stops: what happens there is left to its reader",
+    "friction": "URDF has no friction by tanh(qd/speed), only the bare torque",
     "motor": "URDF has no inertia of rotors; MJCF has",
 }
 REMARKS = (
@@ -43,7 +44,7 @@ MIMIC_REMARKS = (
     "counts the angle that it follows from -pi to pi.",
 )
 SLIDE_REMARKS = ("A joint that slides must have limits, which are so wide that they are none.",)
-FAR = 1e9  # m, N, m/s: as good as no limit
+LIMIT_REMARKS = ("A joint that ends must have all limits; those of 1e9 are none.",)
 PAYLOAD_REMARKS = ("A payload is a point mass on a fixed joint.",)
 
 
@@ -51,10 +52,11 @@ def urdf(mechanism: Mechanism) -> str:
     """The mechanism as URDF text.
 
     Joint i, named after link i, has the coordinate q_i.  Raises InputError for what URDF
-    cannot say: closures, springs, loads, friction, rotors, and couplings of more than two joints.
+    cannot say: closures, springs, loads, smooth friction, rotors, and couplings of more than two
+    joints.
     """
     plain = [] if mechanism.rotors else ["motor"]  # a gear alone is no matter of dynamics
-    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings", *plain])
+    refuse_unsaid(mechanism.description, "URDF", REASONS, ["couplings", "limits", *plain])
     couplings = {coupling.joint: coupling for coupling in mechanism.description.couplings}
     for c, coupling in enumerate(mechanism.description.couplings):
         if len(coupling.terms) != 1 or coupling.terms[0][0] in couplings:
@@ -71,14 +73,18 @@ def urdf(mechanism: Mechanism) -> str:
         above = link.hangs_from.link
         parent = ground if above is None else bodies[above]
         _link(root, bodies[k], link.m, link.r, link.I)
-        kind, ends = "prismatic" if link.slides else "continuous", (parent, bodies[k])
+        turns = "revolute" if link.limits is not None else "continuous"
+        kind, ends = "prismatic" if link.slides else turns, (parent, bodies[k])
         joint = _joint(root, joints[k], kind, ends, link.hangs_from.at, link.axis or 1.0)
         SubElement(joint, "axis", xyz="1 0 0" if link.slides else "0 0 1")
-        if link.slides:
-            limits = {"lower": -FAR, "upper": FAR, "effort": FAR, "velocity": FAR}
+        if limits := _limits(link):
             SubElement(joint, "limit", {name: number(x) for name, x in limits.items()})
-        if damping := mechanism.damping[k]:
-            SubElement(joint, "dynamics", damping=number(damping), friction="0.0")
+        damping, friction = mechanism.damping[k], 0.0
+        if isinstance(link.friction, DryFriction):
+            friction = link.friction.torque
+        if damping or friction:
+            dynamics = {"damping": number(damping), "friction": number(friction)}
+            SubElement(joint, "dynamics", dynamics)
         if k in couplings:
             ((other, ratio),) = couplings[k].terms
             mimic = {"multiplier": number(ratio), "offset": number(couplings[k].angle)}
@@ -93,9 +99,39 @@ def urdf(mechanism: Mechanism) -> str:
         remarks += MIMIC_REMARKS
     if any(link.payload for link in mechanism.description.links):
         remarks += PAYLOAD_REMARKS
-    if mechanism.slides:
+    if any(link.slides and not link.limits for link in mechanism.description.links):
         remarks += SLIDE_REMARKS
+    if mechanism.limits:
+        remarks += LIMIT_REMARKS
     return document(root, comment(mechanism, joints, remarks))
+
+
+def urdf_notes(mechanism: Mechanism) -> list[str]:
+    """What is not told of ends of joints and of dry friction."""
+    found = []
+    for link in mechanism.description.links:
+        if link.limits is not None:
+            told = "URDF says where it ends; what happens there is left to who reads it"
+            found.append(f"joint {link.name}: {told}")
+        if isinstance(link.friction, DryFriction) and link.friction.static > link.friction.torque:
+            told = f"URDF's friction is {link.friction.torque:g}"
+            found.append(f"joint {link.name}: {told} at rest too, not {link.friction.static:g}")
+    return found
+
+
+def _limits(link: Link) -> dict[str, float]:
+    """What a joint has of limits: its ends, and what its motor gives it at most."""
+    motor, stop = link.motor, link.limits
+    most = motor is not None and bool(motor.torque_max or motor.speed_max)
+    if stop is None and not link.slides and not most:
+        return {}
+    low, high = (None, None) if stop is None else (stop.low, stop.high)
+    effort = speed = FAR
+    if motor is not None:
+        effort = motor.torque_max * abs(motor.ratio) if motor.torque_max else FAR
+        speed = motor.speed_max / abs(motor.ratio) if motor.speed_max else FAR
+    ends = {"lower": -FAR if low is None else low, "upper": FAR if high is None else high}
+    return (ends if link.slides or stop is not None else {}) | {"effort": effort, "velocity": speed}
 
 
 def _joint(

@@ -82,6 +82,18 @@ links:
   - {name: d, joint: prismatic, axis: [0, 1], from: [0, 0], m: 0.7, l: 0.2, r: 0.25, I: 0.02,
      motor: {ratio: 100, inertia: 2e-5}}
 """
+STOPS = """
+gravity: [1.3, -9.6]
+links:
+  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082, limits: {min: -30deg, max: 60deg, stiffness: 50}}
+  - {name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031, limits: {max: 0.4, stiffness: 30}, damping: 0.1}
+  - {name: c, joint: prismatic, axis: [1, 0], m: 0.9, l: 0.6, r: 0.25, I: 0.031,
+     limits: {min: -0.1, stiffness: 100}}
+springs:
+  - {joint: c, law: "100*x + 3*x**2 - x**3/2 + 2*v", length: 0.1}
+  - {joint: a, law: "x*(1 + x)", angle: 0.3}
+  - {between: [c, [1, 1]], law: "40*x + 0.3*v**3", length: 0.1}
+"""
 CART = """
 gravity: 9.8
 links:
@@ -115,7 +127,7 @@ def exports(engines: dict[str, ModuleType]) -> Iterator[Row]:
     mechanisms["rig"] = build(from_text(RIG, "rig"))
     mechanisms["rig with springs and loads"] = build(from_text(RIG + FORCES, "rig"))
     slides = {"slides": SLIDES, "slides with springs and loads": SLIDES + SLIDE_FORCES}
-    slides |= {"cart and pole": CART, "motors": MOTORS}
+    slides |= {"cart and pole": CART, "motors": MOTORS, "stops and laws of springs": STOPS}
     mechanisms |= {name: build(from_text(text, name)) for name, text in slides.items()}
     mechanisms |= {name: build(from_text(RIG + text, name)) for name, text in GEARS.items()}
     for scene, mechanism in mechanisms.items():

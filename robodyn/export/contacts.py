@@ -1,0 +1,130 @@
+"""Where joints end, and dry friction, as MuJoCo has them.
+
+A compliant stop without damping is a tendon that is slack between the ends, exactly.  With damping
+it is MuJoCo's limit, of the weakest impedance d that it takes: of the push f wanted it gives
+
+    f - d a/w        d = 1e-4,
+
+a the acceleration of the joint where nothing pushes, w = (M^-1)_jj where all joints are zero; and
+the limit is told k w and b w.
+
+A hard stop is a limit that lets a joint bounce in some time steps, as a spring and damper do that
+never pull.  With the damping ratio z the joint leaves at the part
+
+    e = exp(-2 z acos(z) / sqrt(1 - z^2))
+
+of the speed, so z follows from the restitution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement
+
+from robodyn.export.model_xml import number
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.scene import DryFriction, Limits
+
+WEAK = "0.0001 0.0001 0.001 0.5 2"  # the impedance: a limit's, the least that MuJoCo takes
+STIFF = "0.9999 0.9999 0.001 0.5 2"  # the most
+FAR = 1e9  # rad, m: as good as no limit
+BOUNCE = 16.0  # time steps of a bounce
+MOST_DAMPED = 2.5  # damping ratio that a bounce of so many steps allows
+
+
+def contact_notes(mechanism: Mechanism) -> list[str]:
+    """What MuJoCo does otherwise than the scene at ends of joints and with dry friction."""
+    found = []
+    for k, link in enumerate(mechanism.description.links):
+        stop, friction, joint = link.limits, link.friction, f"joint {link.name}"
+        if stop is None:
+            pass
+        elif stop.restitution is not None:
+            part = f"throws back about {restitution(damping_ratio(stop.restitution)):.2g}"
+            found.append(f"{joint}: MuJoCo's stop is soft and {part} of the speed")
+        elif stop.stiffness is None:
+            found.append(f"{joint}: MuJoCo stops it at its limits, where robodyn ends a run")
+        elif stop.damping:
+            found.append(
+                f"{joint}: MuJoCo's stop misses 1e-4 of the force that would hold the joint"
+            )
+        if isinstance(friction, DryFriction) and (friction.static or friction.torque):
+            told = f"{joint}: MuJoCo's friction is {friction.torque:g} {_unit(mechanism, k)}"
+            if friction.static > friction.torque:
+                told += f" at rest too, not {friction.static:g}"
+            found.append(f"{told}, and what sticks creeps")
+    return found
+
+
+def _unit(mechanism: Mechanism, joint: int) -> str:
+    return "N" if joint in mechanism.slides else "N m"
+
+
+def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[str, str]:
+    """The attributes of a joint that has ends other than springs, or dry friction."""
+    link, found = mechanism.description.links[joint], {}
+    if isinstance(link.friction, DryFriction) and link.friction.torque:
+        found["frictionloss"] = number(link.friction.torque)
+        found |= {"solreffriction": f"{number(2.0 * timestep)} 1", "solimpfriction": STIFF}
+    if link.limits is not None and not _slack(link.limits):
+        found |= {"limited": "true", "range": _range(link.limits)}
+        found |= _limit(mechanism, joint, link.limits, timestep)
+    return found
+
+
+def slack_stops(mechanism: Mechanism) -> Iterator[tuple[int, Limits]]:
+    """The compliant stops without damping."""
+    return ((joint, stop) for joint, stop in mechanism.limits if _slack(stop))
+
+
+def stop_tendon(parent: Element, name: str, joint: str, stop: Limits) -> None:
+    """Stops as a tendon that is as long as the joint's coordinate, and slack between its ends."""
+    tendon = SubElement(parent, "fixed", name=name, springlength=_range(stop))
+    tendon.set("stiffness", number(stop.stiffness or 0.0))
+    SubElement(tendon, "joint", joint=joint, coef="1.0")
+
+
+def _slack(stop: Limits) -> bool:
+    return stop.stiffness is not None and not stop.damping
+
+
+def _range(stop: Limits) -> str:
+    low = -FAR if stop.low is None else stop.low
+    return f"{number(low)} {number(FAR if stop.high is None else stop.high)}"
+
+
+def _limit(mechanism: Mechanism, joint: int, stop: Limits, timestep: float) -> dict[str, str]:
+    if stop.stiffness is not None:
+        import numpy as np  # only here
+
+        from robodyn.dynamics.closed_form import mass_matrix
+
+        unit = np.eye(mechanism.n)[joint]
+        w = float(np.linalg.solve(mass_matrix(mechanism, np.zeros(mechanism.n)), unit)[joint])
+        return _soft(w * stop.stiffness, w * stop.damping) | {"solimplimit": WEAK}
+    rate = math.pi / (BOUNCE * timestep)  # a bounce lasts half a period
+    ratio = 1.0 if stop.restitution is None else damping_ratio(stop.restitution)
+    return _soft(rate**2, 2.0 * ratio * rate) | {"solimplimit": STIFF}
+
+
+def _soft(stiffness: float, damping: float) -> dict[str, str]:
+    return {"solreflimit": f"{number(-stiffness)} {number(-damping)}"}
+
+
+def damping_ratio(part: float) -> float:
+    """Of a stop that throws a joint back with this part of its speed, as far as steps allow."""
+    low, high = 1e-9, MOST_DAMPED
+    while high - low > 1e-12:
+        ratio = 0.5 * (low + high)
+        low, high = (ratio, high) if restitution(ratio) > part else (low, ratio)
+    return high
+
+
+def restitution(ratio: float) -> float:
+    """The part of the speed that a stop of this damping ratio leaves."""
+    if abs(ratio - 1.0) < 1e-9:
+        return math.exp(-2.0)
+    if ratio < 1.0:
+        return math.exp(-2.0 * ratio * math.acos(ratio) / math.sqrt(1.0 - ratio**2))
+    return math.exp(-2.0 * ratio * math.acosh(ratio) / math.sqrt(ratio**2 - 1.0))
