@@ -43,8 +43,6 @@ def test_a_limit_ends_a_run_by_name(robodyn: Run, tmp_path: Path) -> None:
         (("trajectory", "--from", "0,0", "--to", "20deg,90deg", "--time", 2), 1, "q2 (fore) at t"),
         (("assemble", "--q", "0,70deg"), 1, "q2 (fore) = 1.22"),
         (("bench", "--q", "0,0", "--time", 1), 1, "the reference is of smooth motions"),
-        (("export", "--format", "urdf"), 2, "limits"),
-        (("export", "--format", "mjcf"), 2, "limits"),
     ],
 )
 def test_what_is_refused_is_named(
@@ -84,12 +82,14 @@ def test_states_tell_what_sticks_and_presses(robodyn: Run, tmp_path: Path) -> No
 
 def test_what_is_left_out_is_said(robodyn: Run, tmp_path: Path) -> None:
     path = scene(tmp_path, SOFT, STICKS)
-    assert "are left out" in robodyn("equations", path).err
+    assert "dry friction is that in motion" in robodyn("equations", path).err
     assert "are left out" in robodyn("terms", path, "--q", "0,0").err
     told = robodyn("check", path)
     assert told.code == 0
     assert '"static": 2.0' in told.out
     assert '"stiffness": 10000.0' in told.out
+    hard = scene(tmp_path, STICKS, HARD)
+    assert "hard stops and limits are left out" in robodyn("equations", hard).err
 
 
 def test_contacts_are_events(robodyn: Run, tmp_path: Path) -> None:

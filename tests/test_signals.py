@@ -308,15 +308,19 @@ class TestOthers:
 
     def test_what_cannot_be_written_is_named(self, tmp_path, robodyn: Run):
         scene = tmp_path / "arm.yaml"
-        scene.write_text(ARM + 'springs: [{joint: arm, law: "x**3", angle: 0}]\n')
-        for command in (
-            ("export", scene, "--format", "mjcf"),
-            ("equations", scene),
-            ("equations", scene, "--format", "c"),
+        (tmp_path / "rope.csv").write_text("x,F\n0,0\n1,5\n")
+        table = "springs: [{joint: arm, table: rope.csv, angle: 0}]\n"
+        law = 'springs: [{joint: arm, law: "x**4", angle: 0}]\n'
+        for spring, told, command in (
+            (law, "springs[0].law = x**4", ("export", scene, "--format", "mjcf")),
+            (table, "springs[0].table = rope.csv", ("export", scene, "--format", "mjcf")),
+            (table, "springs[0].table = rope.csv", ("equations", scene)),
+            (table, "springs[0].table = rope.csv", ("equations", scene, "--format", "c")),
         ):
+            scene.write_text(ARM + spring)
             found = robodyn(*command)
             assert found.code == 2
-            assert "springs[0].law = x**3" in found.err
+            assert told in found.err
         assert robodyn("check", scene).code == 0
         assert robodyn("draw", scene, "--q", "1", "--out", tmp_path / "arm.svg").code == 0
 

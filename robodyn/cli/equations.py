@@ -52,8 +52,10 @@ def equations(
       robodyn equations robots/3r.yaml --format c --out arm.c
     """
     mechanism = load(model)
-    if mechanism.switches:
-        note("dry friction and ends of joints are left out: the equations are those without them")
+    if mechanism.dry:
+        note("dry friction is that in motion; at rest it holds any load up to static")
+    if any(stop.stiffness is None for _, stop in mechanism.limits):
+        note("hard stops and limits are left out: the equations hold between them")
     if format in CODE:
         content = CODE[format](recorded(mechanism, numeric))
     else:

@@ -24,6 +24,7 @@ def float_source(
     symbol: Callable[[str], str] = str,
     longest: float = math.inf,
     readable: bool = False,
+    conditional: str = "{2} if {0} < {1} else {3}",
 ) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
@@ -52,8 +53,7 @@ def float_source(
         if op in INPUTS:
             return symbol(str(args[0])), 9
         if op == "choose":
-            x, y, a, b = (written(arg, 1) for arg in args)
-            return f"{a} if {x} < {y} else {b}", 0
+            return conditional.format(*(written(arg, 1) for arg in args)), 0
         if op == "keep":
             kept = args[0]
             assert isinstance(kept, Expression)

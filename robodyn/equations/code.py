@@ -46,7 +46,8 @@ def python(equations: CodeEquations) -> str:
         for x in terms
     ]
     source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
-    lines += ["", "", f"def {function}(q, qd, qdd):", f'{TAB}"""{told}."""']
+    given = ", ".join(["q", "qd", "qdd", *_time(equations)])
+    lines += ["", "", f"def {function}({given}):", f'{TAB}"""{told}."""']
     lines += [f"{TAB}return [", f"{TAB}{TAB}{products[0]}"]
     lines += [f"{TAB}{TAB}+ {product}" for product in products[1:]]
     lines += [f"{TAB}{TAB}- {block.name}_i" for block in others]
@@ -61,7 +62,7 @@ def _python_function(block: CodeBlock, n: int) -> Iterator[str]:
     yield f'{TAB}"""{meaning[0].upper()}{meaning[1:]}, {given.unit}."""'
     for name in given.inputs:
         names = [f"{name}{k + 1}" for k in range(n)]
-        if used & set(names):
+        if name != "t" and used & set(names):
             lines = _wrapped(names, f"{TAB}(", f"{',' if n == 1 else ''}) = {name}")
             yield from lines if n == 1 or len(lines) > 1 else [f"{TAB}{', '.join(names)} = {name}"]
     yield from (f"{TAB}{line}" for line in statements)
@@ -108,12 +109,14 @@ def _size(block: CodeBlock) -> str:
 
 def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
     given = block.head
-    lines, entries, used = _body(block, _symbol)
-    arguments = [f"const double {name}[{n}]" for name in given.inputs]
+    lines, entries, used = _body(block, _symbol, "{0} < {1} ? {2} : {3}")
+    arguments = [_argument(name, n) for name in given.inputs]
     yield f"/* {given.meaning}, {given.unit} */"
     yield f"void {block.name}({', '.join([*arguments, f'double out{_size(block)}'])})"
     yield "{"
     for name in given.inputs:
+        if name == "t" and name in used:
+            continue
         values = [f"{name}{k + 1} = {name}[{k}]" for k in range(n) if f"{name}{k + 1}" in used]
         yield from (
             _wrapped(values, f"{TAB}const double ", ";") if values else [f"{TAB}(void){name};"]
@@ -123,6 +126,15 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
         for j, entry in enumerate(row):
             yield f"{TAB}out[{i}]{'' if block.vector else f'[{j}]'} = {entry};"
     yield "}"
+
+
+def _time(equations: CodeEquations) -> list[str]:
+    """The time, where anything depends on it."""
+    return ["t"] if any("t" in block.head.inputs for block in equations.blocks) else []
+
+
+def _argument(name: str, n: int) -> str:
+    return "double t" if name == "t" else f"const double {name}[{n}]"
 
 
 def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[CodeBlock]]:
@@ -146,7 +158,8 @@ def _c_torques(equations: CodeEquations) -> Iterator[str]:
     blocks = [*terms, *others]
     used = {name for block in blocks for name in (block.head.rate, *block.head.inputs)}
     yield f"/* {told} */"
-    arguments = ", ".join(f"const double {name}[{n}]" for name in ("q", "qd", "qdd"))
+    given = ["q", "qd", "qdd", *_time(equations)]
+    arguments = ", ".join(_argument(name, n) for name in given)
     yield f"void {function}({arguments}, double out[{n}])"
     yield "{"
     yield from (f"{TAB}(void){name};" for name in ("q", "qd", "qdd") if name not in used)
@@ -188,7 +201,9 @@ def _meaning(parameter: Parameter) -> str:
 
 
 def _body(
-    block: CodeBlock, symbol: Callable[[str], str]
+    block: CodeBlock,
+    symbol: Callable[[str], str],
+    conditional: str = "{2} if {0} < {1} else {3}",
 ) -> tuple[list[str], list[list[str]], set[str]]:
     """The statements of a block's function, the entries made of them, and the inputs it uses.
 
@@ -204,12 +219,14 @@ def _body(
 
     def shown(name: str) -> str:
         letters, joint = _parted(name)
+        if name == "t":
+            used.add(name)
         if letters not in ("q", "qd"):
             return symbol(name)
         used.add(f"{letters}{joint}")
         return f"{letters}{joint}"
 
-    lines, texts = float_source(outputs, names, shown, STATEMENT, readable=True)
+    lines, texts = float_source(outputs, names, shown, STATEMENT, True, conditional)
     entries = [["0.0" for _ in row] for row in block.rows]
     for (places, _), text in zip(listed, texts, strict=True):
         for i, j in places:

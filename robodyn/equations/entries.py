@@ -36,7 +36,7 @@ class Entries:
     """The blocks of a mechanism, each from the rows of what makes it.
 
     `named` is the mechanism without its couplings, whose rows are `couplings`; `state` makes the
-    state at which the rows are taken, with rates qd.  `drag` (n) are weights that belong to Q.
+    state at which the rows are taken, with rates qd.  Weights and moments of `drag` belong to Q.
     """
 
     def __init__(
@@ -44,10 +44,10 @@ class Entries:
         named: Mechanism,
         couplings: Sequence[CouplingRow],
         state: Callable[[Mechanism], Recorded],
-        drag: Sequence[Value] = (),
+        drag: Mechanism | None = None,
     ) -> None:
         self.named, self.couplings, self.state = named, couplings, state
-        self.drag = tuple(drag) or (0.0,) * named.n
+        self.drag = parts.bare(named) if drag is None else drag
 
     def of(self, name: str) -> Matrix:
         """The entries of the block of this name, row by row."""
@@ -68,7 +68,8 @@ class Entries:
                 springs = parts.stored(named)
                 return self._load(replace(springs, weights=named.weights, moments=named.moments))
             case "Q":
-                load = self._load(replace(parts.spent(named), weights=self.drag))
+                weights, moments = self.drag.weights, self.drag.moments
+                load = self._load(replace(parts.spent(named), weights=weights, moments=moments))
                 return [[-x] for [x] in load]
             case "Psi":
                 series = self._series(rows=named.rows)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
+from robodyn.equations.laws import Formula
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
 from robodyn.equations.outline import Block, Equations
 from robodyn.equations.symbolic import Number, Sum
@@ -84,6 +85,8 @@ def _bracketed(text: str) -> str:
     return rf"\{{{text}\}}" if "[" in text else f"[{text}]"
 
 
+FUNCTIONS = {name: rf"\operatorname{{{name}}}" for name in ("sign", "step", "hypot")}
+FUNCTIONS |= {"asin": r"\arcsin", "acos": r"\arccos", "atan": r"\arctan", "log": r"\ln"}
 LATEX = Notation(
     number=_number,
     symbol=subscripted,
@@ -95,7 +98,8 @@ LATEX = Notation(
     rate=r"\dot{{q}}_{{{}}}",
     angle="q_{{{}}}",
     root=r"\sqrt{{{}}}".format,
-    applied=r"\{}({})".format,
+    applied=lambda name, inner: f"{FUNCTIONS.get(name, chr(92) + name)}({inner})",
+    raised="{}^{{{}}}".format,
     bracketed=_bracketed,
 )
 
@@ -128,7 +132,7 @@ def _head(equations: Equations[Sum]) -> Iterator[str]:
         yield rf"\tau &= ({driven})^{{T}}"
 
 
-def _entry(entry: Sum) -> str:
+def _entry(entry: Sum | Formula) -> str:
     """The formula; a row must not begin with a bracket that its line break would take."""
     text = LATEX.text(entry)
     return "{}" + text if text.startswith("[") else text
@@ -163,7 +167,7 @@ def _block(block: Block[Sum]) -> Iterator[str]:
         yield f"{first} &= {' = '.join([*others, '0'])}"
 
 
-def _equation(left: str, entry: Sum) -> Iterator[str]:
+def _equation(left: str, entry: Sum | Formula) -> Iterator[str]:
     first, *more = broken(_entry(entry), WIDTH - round(measure(left)) - 6, measure)
     yield f"{left} &= {first}"
     yield from (rf"&\quad {part.strip()}" for part in more)

@@ -6,9 +6,12 @@ Where a long line may be broken, before + and -, a blank stands; other blanks ar
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
+from robodyn.equations.laws import Formula
 from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum
 
 GLUE = "\u00a0"  # a blank that is not broken at
@@ -31,8 +34,12 @@ class Notation:
     applied: Callable[[str, str], str] = "{}({})".format
     bracketed: Callable[[str], str] = "({})".format
 
-    def text(self, entry: Sum) -> str:
+    raised: Callable[[str, str], str] = "{}^({})".format
+
+    def text(self, entry: Sum | Formula) -> str:
         """The entry as one line."""
+        if isinstance(entry, Formula):
+            return formula_text(self, entry)[0]
         text = ""
         for factors, number in entry.terms.items():
             if text:
@@ -59,10 +66,10 @@ class Notation:
                 return self.root(self.text(factor))
             text = self.bracketed(self.text(factor))
         else:
-            text = self._atom(factor)
+            text = self.atom(factor)
         return text if power == 1 else self.power(text, int(power))
 
-    def _atom(self, atom: Atom) -> str:
+    def atom(self, atom: Atom) -> str:
         if atom.role < Role.angle:
             return self.symbol(atom.name)
         angles = [self._signed(self.angle, k) for k in atom.place]
@@ -88,6 +95,50 @@ def added(names: Sequence[str]) -> str:
     return first + "".join(parts)
 
 
+def formula_text(notation: Notation, formula: Formula) -> tuple[str, int]:
+    """A formula as one line, and what binds it: 1 a sum, 2 a product, 3 a power, 4 nothing."""
+
+    def bound(tree: ast.expr, least: int) -> str:
+        text, binds = shown(tree)
+        return text if binds >= least else notation.bracketed(text)
+
+    def shown(tree: ast.expr) -> tuple[str, int]:
+        match tree:
+            case ast.Constant(value=float() | int() as value):
+                whole = abs(value) < WHOLE and value == int(value)
+                text = notation.number(int(value) if whole else Fraction(value))
+                return text, 4 if value >= 0.0 and "e" not in text and "cdot" not in text else 2
+            case ast.Name(id=name):
+                entry = formula.names[name]
+                one = len(entry.terms) == 1 and sum(map(len, entry.terms)) <= 1
+                return notation.text(entry), 4 if one or not entry else 1
+            case ast.UnaryOp(op=sign, operand=operand):
+                minus = "-" if isinstance(sign, ast.USub) else ""
+                return minus + bound(operand, 2), 1
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as sign, right=right):
+                middle = "+" if isinstance(sign, ast.Add) else "-"
+                other = bound(right, 1 if middle == "+" else 2)
+                other = notation.bracketed(other) if other.startswith("-") else other
+                return f"{bound(left, 1)} {middle}{GLUE}{other}", 1
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                return bound(left, 2) + notation.times + bound(right, 2), 2
+            case ast.BinOp(left=left, op=ast.Div(), right=right):
+                return f"{bound(left, 2)}/{bound(right, 3)}", 2
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                power = right.value if isinstance(right, ast.Constant) else None
+                if isinstance(power, float | int) and power in range(1, 100):
+                    return notation.power(bound(left, 4), int(power)), 3
+                return notation.raised(bound(left, 4), shown(right)[0]), 3
+            case ast.Call(func=ast.Name(id="sqrt"), args=[inner]):
+                return notation.root(shown(inner)[0]), 4
+            case ast.Call(func=ast.Name(id=name), args=args):
+                return notation.applied(name, ", ".join(shown(x)[0] for x in args)), 4
+        raise AssertionError(ast.dump(tree))
+
+    return shown(formula.tree)
+
+
+WHOLE = 1e15  # numbers below it are written as whole ones if they are
 SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -108,7 +159,7 @@ PLAIN = Notation(
     power=lambda base, power: base + str(power).translate(SUPERSCRIPTS),
     times=GLUE,
 )
-PYTHON = replace(PLAIN, number=in_full, power="{}**{}".format, times="*")
+PYTHON = replace(PLAIN, number=in_full, power="{}**{}".format, times="*", raised="{}**({})".format)
 
 
 def one_line(text: str) -> str:

@@ -12,23 +12,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, Literal, NamedTuple, TypeVar
 
+from robodyn.equations.laws import SWITCHES, Definition, Formula
 from robodyn.equations.parameters import Parameter, Parameters
-from robodyn.equations.symbolic import Sum
 from robodyn.errors import printable
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.mechanics.planar_model import Mechanism, conserves
 from robodyn.scene.scene import Point
 
 Entry = TypeVar("Entry", covariant=True)  # true unless it is zero
 Place = tuple[int, int]  # row and column
-
-
-class Definition(NamedTuple):
-    """A name that stands for a formula in the entries."""
-
-    name: str
-    value: Sum
-    unit: str
-    meaning: str
 
 
 class Variable(NamedTuple):
@@ -129,11 +120,12 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         damping = unit("N m s/rad", "N s/m")
         yield Head("left", "D", "damping matrix", damping, "diagonal", (), "qd")
     loads = mechanism.description.loads
-    turning = [force for force in mechanism.forces if force.turns]
+    springs = mechanism.description.springs
+    laws = [spring.law for spring in springs if spring.law is not None]
     acting = {
         "gravity": mechanism.gamma != 0.0,
-        "springs": any(spring.stiffness for spring in mechanism.description.springs),
-        "loads": len(loads) > len(turning),
+        "springs": any(spring.stiffness for spring in springs) or any(map(conserves, laws)),
+        "loads": len(loads) > len(mechanism.forces) + len(mechanism.varying_moments),
     }
     potentials = [name for name, present in acting.items() if present]
     if potentials:
@@ -141,9 +133,18 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
         if potentials != ["gravity"]:
             meaning = f"gradient of the potential energy ({', '.join(potentials)})"
         yield Head("left", "G", meaning, load, "vector")
-    if turning or mechanism.friction or any(spring.damping for spring in mechanism.springs):
+    acts: list[object] = [
+        *mechanism.forces,
+        *mechanism.varying_moments,
+        *mechanism.friction,
+        *mechanism.dry,
+    ]
+    acts += [stop for _, stop in mechanism.limits if stop.stiffness is not None]
+    acts += [law for law in laws if not conserves(law)]
+    if acts or any(spring.damping for spring in mechanism.springs):
         meaning = f"{unit('torques', 'forces')} of what has no potential"
-        yield Head("right", "Q", meaning, load, "vector", ("q", "qd"))
+        inputs = ("q", "qd", "t") if mechanism.timed else ("q", "qd")
+        yield Head("right", "Q", meaning, load, "vector", inputs)
     if mechanism.rows:
         yield Head("closures", "Psi", "closure Jacobian, d gap/dq", unit("m", "1"), "matrix")
         yield Head("closures", "Psidot_qd", "closure bias", "m/s²", "vector", ("q", "qd"))
@@ -260,6 +261,8 @@ class Equations(Generic[Entry]):
                 told = f"force of coupling {c + 1} on {driven.name}"
             rows.append(told)
         found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
+        if self.mechanism.timed:
+            found.append(Variable("t", "", "s", "time"))
         for definitions, _ in self.defined():
             found += [Variable(x.name[0], x.name[1:], x.unit, x.meaning) for x in definitions]
         return [x._replace(meaning=printable(x.meaning)) for x in found]
@@ -271,6 +274,8 @@ class Equations(Generic[Entry]):
     ) -> list[str]:
         """Sentences on C, and on the parameters that do not appear, named as `shown` writes."""
         first = [christoffel] if christoffel and ("C", "qd") in self.terms else []
+        named = [entry.value for block in self.blocks for entry in block.where]
+        first += [SWITCHES] if any(isinstance(x, Formula) and x.switches for x in named) else []
         for told, names in (
             ("Left out, being 0 in this scene", self.zero),
             ("Without effect on the motion", self.unused),

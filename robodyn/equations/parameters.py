@@ -29,20 +29,26 @@ from robodyn.scene.grammar import FORMS, NUMBERS
 from robodyn.scene.scene import (
     Closure,
     Coupling,
+    DryFriction,
     Friction,
     JointSpring,
+    Limits,
     Link,
     Load,
     Moment,
     Point,
     Spring,
+    Table,
     signals_of,
     told,
 )
 
+ENDS = {"min": "low", "max": "high"}
 ATTRIBUTES = {  # of a scene's entries, where the keys of the file are called otherwise
     ("slide_friction", "force"): "torque",
     ("slide_spring", "length"): "angle",
+    ("slide_dry_friction", "force"): "torque",
+    **{(form, end): way for form in ("stops", "slide_stops") for end, way in ENDS.items()},
 }
 ROLES = {  # by unit
     "kg": Role.mass,
@@ -73,16 +79,20 @@ class Parameters:
     `known` holds those that are not zero, `zero` the names of those that are, in the order of a
     legend.  `scene` is the description with symbols, a Sum or a Planar, for numbers; `couplings`
     are rows sum_k turns_k q_k + offset = 0, k joints, in symbols: offset and turns.  What the rows
-    of angles that closures keep are made of is `kept`, by closures.
+    of angles that closures keep are made of is `kept`, by closures; dry friction and compliant
+    stops are in `dry` and `stops` by joints, not in the scene.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
         description = self.description = mechanism.description
         for place, signal in signals_of(description):
-            limit = "equations have springs that are linear and loads that are constant alone"
-            raise InputError(place, where=description.source, value=told(signal), limit=limit)
+            if isinstance(signal, Table):
+                limit = "equations have expressions, no tables"
+                raise InputError(place, where=description.source, value=told(signal), limit=limit)
         self.known: dict[str, Parameter] = {}
         self.zero: dict[str, None] = {}
+        self.dry: dict[int, DryFriction] = {}
+        self.stops: dict[int, Limits] = {}
         self._points: dict[Point, Planar] = {}
         links = [self._link(k, link) for k, link in enumerate(description.links)]
         closures = [self._closure(c, closure) for c, closure in enumerate(description.closures)]
@@ -97,6 +107,14 @@ class Parameters:
                 form = "slide_friction" if link.slides else "friction"
                 numbers = self._numbers(form, k, link.friction, link.name)
                 links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
+            if isinstance(link.friction, DryFriction) and link.friction.static:
+                form = "slide_dry_friction" if link.slides else "dry_friction"
+                numbers = self._numbers(form, k, link.friction, link.name)
+                self.dry[k] = link.friction._replace(**numbers)
+            if link.limits is not None and link.limits.stiffness is not None:
+                form = "slide_stops" if link.slides else "stops"
+                numbers = self._numbers(form, k, link.limits, link.name)
+                self.stops[k] = link.limits._replace(**numbers)
             if link.motor is not None:
                 form = "slide_motor" if link.slides else "motor"
                 numbers = self._numbers(form, k, link.motor, link.name)
@@ -234,6 +252,8 @@ class Parameters:
     def _load(self, i: int, load: Load | Moment) -> Load | Moment:
         told = f"load {i + 1}"
         if isinstance(load, Moment):
+            if load.varying is not None:
+                return load
             on = f"{told} on {self.description.links[load.link].name}"
             torque: Any = self._number("torque", "torque", i, load.torque, on, load.link)
             return load._replace(torque=torque)
@@ -255,6 +275,8 @@ class Parameters:
         return {
             attribute: self._number(form, name, k, getattr(item, attribute), told)
             for attribute, name in names.items()
+            if getattr(item, attribute) is not None
+            and not (attribute == "stiffness" and getattr(item, "law", None))
         }
 
     def _number(

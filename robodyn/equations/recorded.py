@@ -16,9 +16,10 @@ from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
+from robodyn.equations.laws import contact_terms
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
-from robodyn.equations.symbolic import Planar, Sum
+from robodyn.equations.symbolic import Planar, Role, Sum
 from robodyn.mechanics.force_rows import NoDirection
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
 from robodyn.mechanics.parts import no_direction
@@ -50,6 +51,9 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
         found = []
         for head in heads(mechanism):
             written = [way.of(head.name) for way in ways]
+            if head.name == "Q":
+                for way in written:
+                    _add_contacts(way, mechanism, parameters, numbers)
             rows = min(written, key=lambda rows: expression.cost(list(chain.from_iterable(rows))))
             found.append(Block(head, tuple(map(tuple, rows))))
         entries = list(chain.from_iterable(row for block in found for row in block.rows))
@@ -65,6 +69,21 @@ def recorded(mechanism: Mechanism, numeric: bool = False) -> Equations[Value]:
         raise no_direction(mechanism, *spring.args) from None
     used = {str(node.args[0]) for node in nodes if node.op == "var"}
     return Equations(mechanism, tuple(found), parameters, used, numeric)
+
+
+def _add_contacts(
+    Q: list[list[Any]], mechanism: Mechanism, parameters: Parameters, numbers: _Numbers
+) -> None:
+    """Add dry friction and compliant stops."""
+    functions = {
+        "sign": lambda x: expression.choose(x, 0.0, -1.0, expression.choose(0.0, x, 1.0, 0.0)),
+        "step": lambda x: expression.choose(0.0, x, 1.0, 0.0),
+        "max": lambda a, b: expression.greatest(a, b),
+        "exp": partial(expression.call, "exp"),
+    }
+    for term in contact_terms(mechanism, parameters.dry, parameters.stops):
+        value, row = term.formula.value(numbers, functions), Q[term.joint]
+        row[0] = row[0] + value if term.sign > 0 else row[0] - value
 
 
 class _Numbers:
@@ -93,7 +112,10 @@ class _Numbers:
         for monomial, number in sum_.terms.items():
             term: Any = number
             for atom, power in monomial:
+                name = atom.name
+                if atom.role in (Role.angle, Role.rate):
+                    name = f"{'q' if atom.role == Role.angle else 'qd'}{atom.place[0]}"
                 for _ in range(power):
-                    term = term * self.graph.variable(atom.name)
+                    term = term * self.graph.variable(name)
             total = total + term
         return total

@@ -6,6 +6,7 @@ import json
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
+from robodyn.equations.laws import Formula
 from robodyn.equations.notation import PLAIN, PYTHON, broken, one_line
 from robodyn.equations.outline import Block, Equations
 from robodyn.equations.symbolic import Sum
@@ -87,7 +88,7 @@ def _table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
 def as_json(equations: Equations[Sum]) -> str:
     """One JSON object, a key in each line; entries in the syntax of Python and SymPy."""
 
-    def shown(entry: Sum) -> str:
+    def shown(entry: Sum | Formula) -> str:
         return one_line(PYTHON.text(entry))
 
     content: dict[str, object] = {

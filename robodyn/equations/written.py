@@ -29,7 +29,15 @@ from robodyn.equations.factoring import (
     by_role,
     written,
 )
-from robodyn.equations.outline import Block, Definition, Equations, heads
+from robodyn.equations.laws import (
+    Definition,
+    Formula,
+    Loads,
+    contact_terms,
+    formula_of,
+    spring_terms,
+)
+from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import (
     NOWHERE,
@@ -50,7 +58,8 @@ from robodyn.equations.trigonometry import simplified
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept
-from robodyn.scene.scene import Closure, Load, Point, Spring
+from robodyn.mechanics.planar_model import conserves
+from robodyn.scene.scene import Closure, Load, Moment, Point, Spring
 
 # How the terms of a block's entries are collected: by the first of these, then within by the next.
 LINE = (by_role(Role.normal), by_role(Role.rate), by_function)
@@ -79,32 +88,43 @@ def equations(
     most = sum((rows if head.side == "closures" else n) * columns[head.shape] for head in known)
     done = 0
 
-    def write(entry: Any, levels: Sequence[Key] = LINE) -> Sum:
+    def write(entry: Any, levels: Sequence[Key] = LINE) -> Any:
         nonlocal done
         done += 1
         if watch is not None:
             watch(min(1.0, done / most))
         if not numeric:
-            return written(entry, levels)
+            return entry if isinstance(entry, Formula) else written(entry, levels)
         entry = entry.substituted(parameters.values)
+        if isinstance(entry, Formula):
+            return entry
         limit = sys.float_info.max
         if any(not -limit <= number <= limit for number in entry.terms.values()):
             raise too_large(mechanism.description)
         return written(entry, levels)
 
-    springs = _Springs(parameters.scene)
+    loads = Loads(parameters.scene)
+    springs = _Springs(loads.scene, loads.drags)
+    acting = [*spring_terms(mechanism, parameters.scene)]
+    acting += contact_terms(mechanism, parameters.dry, parameters.stops)
     named = with_kept(springs.mechanism, parameters.kept)
     entries = Entries(named, parameters.couplings, _Symbolic, springs.drag)
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
+        for term in (x for x in acting if x.block == head.name):
+            sums[term.joint][0] = sums[term.joint][0] + of(term.name).times(term.sign)
         block: list[tuple[Sum, ...]] = []
         for i, row in enumerate(sums):
             mirrored = [block[j][i] for j in range(i)] if head.shape == "symmetric" else []
             more = (write(_in_order(x, head.name), levels) for x in row[len(mirrored) :])
             block.append((*mirrored, *more))
-        found.append(Block(head, tuple(block), tuple(springs.definitions(head.name, write))))
-    formulas = [entry for block in found for row in block.rows for entry in row]
+        names = [*springs.definitions(head.name, write), *loads.definitions(head.name, write)]
+        for term in (x for x in acting if x.block == head.name):
+            value = write(term.formula)
+            names.append(Definition(term.name.name, value, term.unit, term.meaning))
+        found.append(Block(head, tuple(block), tuple(names)))
+    formulas: list[Any] = [entry for block in found for row in block.rows for entry in row]
     formulas += [name.value for block in found for name in block.where]
     atoms = {atom for entry in formulas for atom in entry.atoms()}
     atoms |= {atom.speed for atom in atoms if isinstance(atom.speed, Atom)}
@@ -227,7 +247,7 @@ class _Springs:
     weights of the dampers' pulls.
     """
 
-    def __init__(self, scene: Any) -> None:
+    def __init__(self, scene: Any, loaded: Sequence[Load | Moment]) -> None:
         self.tree = Tree(scene.links)
         self.springs: dict[int, Any] = {  # but for those whose ends never move
             i: spring
@@ -235,10 +255,15 @@ class _Springs:
             if isinstance(spring, Spring)
             and self.tree.difference(spring.first, spring.second).terms
         }
-        pulls, drags = [], []
-        left = [x for x in scene.springs if not isinstance(x, Spring)]
+        pulls, drags = [], [*loaded]
+        left = [x for x in scene.springs if not isinstance(x, Spring) and x.law is None]
         for i, spring in self.springs.items():
             S = Planar(*(of(x) for x in _components(i)))
+            if spring.law is not None:
+                given = _loads(spring, S * of(_pull("K", i)))
+                pulls += given if conserves(spring.law) else []
+                drags += [] if conserves(spring.law) else given
+                continue
             if self._pulls(spring):
                 named = of(_pull("K", i)) if spring.length else spring.stiffness
                 pulls += _loads(spring, S * named)
@@ -249,7 +274,7 @@ class _Springs:
         loads = (*scene.loads, *pulls)
         self.mechanism = constants(scene._replace(springs=tuple(left), loads=loads))
         nothing = scene._replace(gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
-        self.drag = constants(nothing).weights
+        self.drag = constants(nothing)
         pins = tuple(Closure(x.first, x.second) for x in self.springs.values())
         rows = tuple(closure_rows(scene._replace(closures=pins), self.tree))
         gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
@@ -265,22 +290,38 @@ class _Springs:
     def definitions(self, block: str, write: Callable[..., Sum]) -> Iterator[Definition]:
         """The names that the block uses: S, |S|, K in G, and V, P too in Q."""
         for i, spring in self.springs.items():
-            if not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
+            law = spring.law
+            if law is not None:
+                if block != ("G" if conserves(law) else "Q"):
+                    continue
+            elif not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
                 continue
             told, S = f"spring {i + 1}", _components(i)
             size = Atom(Role.stretch, (i, ""), f"S{i + 1}")
             for x, (value, _) in zip(S, self.gaps[i], strict=True):
                 meaning = f"{told} from its second end to its first, along {x.name[-1].upper()}"
                 yield Definition(x.name, write(_in_order(value, "S")), "m", meaning)
-            if spring.length or block == "Q":
+            if spring.length or block == "Q" or law is not None:
                 root = of(total(of(x, 2) for x in S), 0.5)
                 yield Definition(size.name, root, "m", f"length of {told}")
-            if block == "Q":
+            if block == "Q" and (law is None or "v" in law.names):
                 V = [Atom(Role.stretch, (i, f"V{axis}"), f"V{i + 1}{axis}") for axis in "xy"]
                 for x, v, (_, rate) in zip(S, V, self.gaps[i], strict=True):
                     written_rate = write(_in_order(rate, "S"))
                     yield Definition(v.name, written_rate, "m/s", f"rate of {x.name}")
                 along = total(of(x) * of(v) for x, v in zip(S, V, strict=True))
+            if law is not None:
+                own = {"x": of(size) - spring.length}
+                if "v" in law.names:
+                    rate = Atom(Role.stretch, (i, "V"), f"V{i + 1}")
+                    value = write(along * of(size, -1), ())
+                    yield Definition(rate.name, value, "m/s", f"rate of {size.name}")
+                    own["v"] = of(rate)
+                pull = Atom(Role.force, (i, "H"), f"H{i + 1}")
+                yield Definition(pull.name, write(formula_of(law, own)), "N", f"pull of {told}")
+                value, name = of(pull) * of(size, -1), _pull("K", i)
+                meaning = f"pull of {told} per length"
+            elif block == "Q":
                 value, name = spring.damping * along * of(size, -2), _pull("P", i)
                 meaning = f"pull of the damper of {told} per length"
             elif spring.length:

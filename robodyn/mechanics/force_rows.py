@@ -48,7 +48,7 @@ from robodyn.mechanics.program import (
     Slot,
     Sum,
 )
-from robodyn.scene.scene import JointSpring, Signal, Table
+from robodyn.scene.scene import JointSpring, Law, Signal, Table
 
 PlanarTerm = tuple[PlanarCoefficient, Slot]
 Term = tuple[Coefficient, Slot]
@@ -171,10 +171,10 @@ class ForceRows(LinkRows):
         frame = self.mechanism.frames[load.link] if load.turns else None
         force: list[PlanarTerm] = []
         for unit, signal in zip((load.turned, 1j * load.turned), signals, strict=True):
-            if isinstance(signal, float):
-                slot = program.add(Sum(program.number(signal), ()))
-            else:
+            if isinstance(signal, (Law, Table)):
                 slot = self._signal(signal, _reach(point))
+            else:
+                slot = program.add(Sum(program.number(signal), ()))
             if frame is not None:
                 slot = program.add(Scaled(slot, self.x[frame]))
             force.append((number(unit), slot))

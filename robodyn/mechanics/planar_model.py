@@ -26,6 +26,7 @@ from robodyn.scene.scene import (
     DryFriction,
     Friction,
     JointSpring,
+    Law,
     Limits,
     Signal,
     Table,
@@ -175,7 +176,7 @@ class Mechanism:
     def signals(self) -> tuple[Signal, ...]:
         """All laws, expressions and tables of springs and loads."""
         acting = (x for force in self.forces for x in force.signals or ())
-        loads = [x for x in acting if not isinstance(x, float)]
+        loads = [x for x in acting if isinstance(x, (Law, Table))]
         return (*self.laws, *loads, *(moment.signal for moment in self.varying_moments))
 
     @property

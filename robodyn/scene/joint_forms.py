@@ -43,9 +43,25 @@ def dry_friction_form(name: str, unit: str, speed: str) -> Form:
         f"Friction that sticks: {name} + (static - {name}) exp(-(qd/stribeck)^2) against the "
         "motion; at rest it holds up to static.",
         {
-            name: Key("amount", "in motion, far above the rate stribeck", unit),
-            "static": Key("amount", f"most that it holds at rest, not below {name}", unit),
-            "stribeck": Key("positive", "rate over which it falls from static", speed, "none"),
+            name: Key(
+                "amount",
+                "in motion, far above the rate stribeck",
+                unit,
+                symbol=f"{name[0]}f: friction in motion at the joint of {{}}",
+            ),
+            "static": Key(
+                "amount",
+                f"most that it holds at rest, not below {name}",
+                unit,
+                symbol=f"{name[0]}s: friction at rest at the joint of {{}}",
+            ),
+            "stribeck": Key(
+                "positive",
+                "rate over which it falls from static",
+                speed,
+                "none",
+                symbol="ws: rate over which friction falls at the joint of {}",
+            ),
         },
     )
 
@@ -89,11 +105,34 @@ def motor_form(ratio: str, joint: str) -> Form:
 def limit_forms(kind: str, unit: str, load: str) -> dict[str, Form]:
     """Compliant stops, hard ones, and limits alone."""
     ends = {
-        "min": Key(kind, "where the joint ends below", unit, "none"),
-        "max": Key(kind, "where it ends above; one of the two may be missing", unit, "none"),
+        "min": Key(
+            kind,
+            "where the joint ends below",
+            unit,
+            "none",
+            symbol="qmin: where the joint of {} ends below",
+        ),
+        "max": Key(
+            kind,
+            "where it ends above; one of the two may be missing",
+            unit,
+            "none",
+            symbol="qmax: where the joint of {} ends above",
+        ),
     }
-    stiffness = Key("positive", "of the stop, which pushes and never pulls", f"{load}/{unit}")
-    damping = Key("amount", "of the stop, while it pushes", f"{load} s/{unit}", "0")
+    stiffness = Key(
+        "positive",
+        "of the stop, which pushes and never pulls",
+        f"{load}/{unit}",
+        symbol="ke: stiffness of the stops of {}",
+    )
+    damping = Key(
+        "amount",
+        "of the stop, while it pushes",
+        f"{load} s/{unit}",
+        "0",
+        symbol="de: damping of the stops of {}",
+    )
     restitution = Key("part", "speed after an impact over that before, from 0 to 1")
     prefix = "slide_" if kind == "number" else ""
     return {
