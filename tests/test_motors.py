@@ -518,6 +518,25 @@ def test_control_is_cut_off(most: float | None, limit: float, rate: float | None
     assert np.abs(motion.tau).max() == pytest.approx(limit, abs=1e-12)
 
 
+@pytest.mark.parametrize("ratio", [4.0, -4.0])
+def test_a_motor_speeds_up_no_further_than_it_can(ratio: float) -> None:
+    """The torque fades over the last 5 % of the speed, as an exponential approach shows."""
+    wheel = f"motor: {{ratio: {ratio}, inertia: 1e-3, torque_max: 0.3, speed_max: 20}}"
+    mech = mechanism(f"links: [{{name: wheel, m: 0, l: 1, r: 0, I: 0.1, {wheel}}}]\n")
+    times = np.linspace(0.0, 2.0, 21)
+    far = robodyn.ReferenceTable([0.0, 2.0], [[1e3], [1e3]])
+    law = robodyn.controller(mech, far, "pd", kp=1e3, kd=0.0)
+    found = robodyn.simulate(mech, [0.0], [0.0], 2.0, law, t_eval=times)
+    w, growth = 5.0, 1.2 / (0.1 + 1e-3 * 16)
+    begin = 0.95 * w / growth
+    late = w - 0.05 * w * np.exp(-growth * (times - begin) / (0.05 * w))
+    assert found.qd[:, 0] == pytest.approx(np.where(times < begin, growth * times, late), abs=1e-6)
+    # what slows down is not cut off, however fast the rotor is
+    law = robodyn.controller(mech, far, "pd", kp=0.0, kd=1e3)
+    slowed = robodyn.simulate(mech, [0.0], [8.0], 0.1, law)
+    assert slowed.qd[-1, 0] == pytest.approx(8.0 - growth * 0.1, abs=1e-6)
+
+
 def test_sweeps_vary_motors(robodyn: Run, arm: Path) -> None:
     """In lanes of every engine as one by one."""
     named = ("links.upper.motor.ratio=20,50,1", "links.fore.motor.inertia=0,1e-4")

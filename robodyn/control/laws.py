@@ -11,7 +11,11 @@ Kd diagonal:
 G (the torques that hold a mechanism at rest) and the inverse dynamics are those of the model that
 the controller believes; it is asked at the angles and rates that the mechanism has.  If they are
 the mechanism's own, computed torque leaves edd + Kd ed + Kp e = 0 for each joint.  Torques beyond
-tau_max are cut off.  pd+g may have Ki z as well.  The integral z is 0 at the start, and
+tau_max are cut off; what speeds a motor up falls to nothing over the last part of its speed_max,
+
+    tau (rate_max - |qd|)/(FADE rate_max),     between 0 and tau, where tau qd > 0.
+
+pd+g may have Ki z as well.  The integral z is 0 at the start, and
 
     zd = e + (tau - tau') / Kp,     tau' the torque of the law before it is cut off:
 
@@ -37,7 +41,7 @@ from robodyn.engines.straightline import define
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.motors import torque_limits
+from robodyn.mechanics.motors import rate_limits, torque_limits
 from robodyn.mechanics.per_joint import for_each_actuated
 
 LAWS = {  # what each needs, and what it takes besides
@@ -47,6 +51,7 @@ LAWS = {  # what each needs, and what it takes besides
     "pid": (("kp", "kd", "ki"), ("control_model",)),
     "state-feedback": (("gain",), ()),
 }
+FADE = 0.05  # part of its greatest speed over which a motor's torque falls to nothing
 MOST_SAMPLES = 1_000_000  # of a run: their times and torques are kept
 
 
@@ -231,12 +236,17 @@ def _compile_law(
     where the integral may have to go back.
     """
     n, code, rates = mechanism.n, [*lines], []
-    for j, most in enumerate(limits):
-        grows, cut = f"e{j}", most < math.inf
+    fastest = rate_limits(mechanism)
+    for j, (k, most) in enumerate(zip(mechanism.actuated, limits, strict=True)):
+        grows, cut = f"e{j}", min(most, fastest[j]) < math.inf
         if cut:
             code.append(f"w{j} = u{j}")
+        if most < math.inf:
             low, high = (f"{x!r} if w{j} {sign} {x!r}" for x, sign in ((-most, "<"), (most, ">")))
             code.append(f"u{j} = {high} else {low} else w{j}")
+        if fastest[j] < math.inf:
+            left = f"({fastest[j]!r} - abs(qd{k}))/{FADE * fastest[j]!r}"
+            code.append(f"if u{j}*qd{k} > 0.0: u{j} *= max(0.0, min(1.0, {left}))")
         if "ki" not in gains:
             continue
         if not gains["ki"][j]:

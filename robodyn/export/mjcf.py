@@ -39,7 +39,9 @@ from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Po
 TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
-REASONS = {"friction": "MuJoCo has no friction by tanh(qd/speed): its own sticks"}
+REASONS = {
+    "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
+}
 SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
 PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
 ROTOR_REMARKS = (

@@ -31,7 +31,7 @@ REASONS = {
     "closures": "URDF describes trees, it has no closed loops; MJCF has",
     "springs": "URDF has no springs; MJCF has",
     "loads": "URDF has no loads; MJCF has",
-    "friction": "URDF has no friction by tanh(qd/speed), only the bare torque",
+    "friction": "URDF has no friction by tanh(qd/speed) or Stribeck's, only the bare torque",
     "motor": "URDF has no inertia of rotors; MJCF has",
 }
 REMARKS = (
