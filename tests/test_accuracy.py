@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from random_mechanisms import LOOPS, seeded, seeded_scene, seeded_tree
-from robodyn import load
+from random_mechanisms import LOOPS, mechanism, seeded, seeded_scene, seeded_tree
+from robodyn import load, simulate
 from robodyn.engines import formulas
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
@@ -276,3 +276,66 @@ def test_a_chaotic_motion_ends_with_a_message(robodyn):
     given = robodyn("simulate", "robots/2r.yaml", "--q", "1,1", "--time", 60, "--accuracy", "1e-9")
     given.fails(1, "robots/2r.yaml: --accuracy = 1e-09: is not kept", "forgets its start")
     assert given.out == ""
+
+
+# Hard stops, at which rates jump
+
+BALL = """
+gravity: 9.81
+links:
+  - {name: ball, joint: prismatic, axis: [0, 1], m: 1, l: 0, r: 0, I: 0,
+     limits: {min: 0, restitution: 0.8}}
+"""
+BUMPED = """
+gravity: 9.81
+links:
+  - {name: a, m: 1.5, l: 0.8, r: 0.36, I: 0.082,
+     limits: {min: -150deg, max: -30deg, restitution: 0.6}}
+  - {name: b, m: 0.9, l: 0.6, r: 0.25, I: 0.031,
+     limits: {min: -60deg, max: 60deg, restitution: 0.8}, friction: {torque: 0.2, static: 0.3}}
+"""
+
+
+def ball_at(t, height=1.0, e=0.8, g=9.81):
+    """Height and rate of a ball that falls from rest."""
+    fall = math.sqrt(2.0 * height / g)
+    begin, v = -fall, math.sqrt(2.0 * g * height)
+    while t >= begin + 2.0 * v / g and v > 1e-9:
+        begin, v = begin + 2.0 * v / g, v * e
+    return (
+        (v * (t - begin) - 0.5 * g * (t - begin) ** 2, v - g * (t - begin)) if v > 1e-9 else (0, 0)
+    )
+
+
+@pytest.mark.parametrize("T", [2.0, 6.0])
+def test_a_bouncing_ball_is_as_near_as_is_told(T):
+    mech = mechanism(BALL)
+    settings = Settings(method="RK45", rtol=1e-7, atol=1e-7)
+    given = mech, np.array([1.0, 0.0]), T, at_rest(1)
+    estimate = error_estimate(*given, settings)
+    times = np.linspace(0.0, T, 501)
+    motion = simulate(mech, [1.0], [0.0], T, method="RK45", rtol=1e-7, atol=1e-7, t_eval=times)
+    exact = np.array([ball_at(t) for t in times])
+    hits = np.array([event.t for event in motion.events])
+    apart = np.abs(times[:, None] - hits).min(axis=1)
+    far = apart > max(estimate, 1e-9)
+    assert np.abs(motion.q[:, 0] - exact[:, 0]).max() <= 1.5 * estimate + 1e-9
+    assert np.abs(motion.qd[far, 0] - exact[far, 1]).max() <= 1.5 * estimate + 1e-9
+    assert estimate < 1e-5
+
+
+@pytest.mark.parametrize("asked", ASKED)
+def test_an_accuracy_is_kept_past_hard_stops(asked):
+    mech, y, T = mechanism(BUMPED), np.array([-0.6, 0.0, -6.0, 3.0]), 2.0
+    settings, estimate = settings_for(mech, y, T, at_rest(2), Settings(method=AUTO), asked)
+    assert estimate <= asked
+    times = np.linspace(0.0, T, 301)
+    tight = {"method": "taylor", "rtol": 1e-13, "atol": 1e-13, "t_eval": times}
+    exact = simulate(mech, y[:2], y[2:], T, **tight)
+    how = {"method": settings.method, "rtol": settings.rtol, "atol": settings.atol}
+    found = simulate(mech, y[:2], y[2:], T, t_eval=times, **how)
+    hits = [event.t for event in exact.events if " hits its " in event.name]
+    assert len(hits) > 3
+    far = np.abs(times[:, None] - np.array(hits)).min(axis=1) > asked
+    assert np.abs(found.q - exact.q).max() <= asked
+    assert np.abs((found.qd - exact.qd)[far]).max() <= asked

@@ -39,7 +39,6 @@ def test_a_limit_ends_a_run_by_name(robodyn: Run, tmp_path: Path) -> None:
     [
         (("simulate", "--q", "40deg,0"), 2, "q1 (arm) = 0.698"),
         (("simulate", "--q", "0,0", "--time", "-1"), 2, "must not be negative"),
-        (("simulate", "--q", "0,0", "--accuracy", "1e-6"), 2, "has a hard stop"),
         (("trajectory", "--from", "0,0", "--to", "20deg,90deg", "--time", 2), 1, "q2 (fore) at t"),
         (("assemble", "--q", "0,70deg"), 1, "q2 (fore) = 1.22"),
         (("bench", "--q", "0,0", "--time", 1), 1, "the reference is of smooth motions"),

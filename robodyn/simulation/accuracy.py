@@ -5,6 +5,11 @@ A tolerance bounds what one step may miss; how that grows over a run is the moti
 by the error of the looser one.  For an accuracy A the tolerance starts at A/100 and is divided by
 100 until two runs in a row differ by A at most; the last of them is taken, whose own error is
 smaller still.
+
+At a hard stop rates jump, and two runs have the jump at times that differ a little.  There they
+differ by A at most where their rates do so at all times that are more than A (s) from an impact of
+either; their angles do so at all times.  (As motions with jumps are compared: Goebel, Sanfelice,
+Teel, "Hybrid Dynamical Systems", 2012, 4.4.)
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_run
+from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
@@ -47,7 +53,6 @@ def error_estimate(
     well: by a percent of that, with Radau, the worst, by a quarter.  So a third is added.
     nan where there is no tighter run, or one of the two does not finish.
     """
-    _refuse_jumps(mechanism)
     if tighter(settings) is None:
         return np.nan
     motion = _Motion(mechanism, state, t_end, actuation, settings)
@@ -70,7 +75,6 @@ def settings_for(
     """
     if not (0.0 < accuracy < 1.0):
         raise InputError("accuracy", value=accuracy, limit="must be in (0, 1)")
-    _refuse_jumps(mechanism)
     chooses = settings.method == AUTO
     if chooses:
         over = over_a_run(actuation, state.tolist(), float(t_end))
@@ -105,14 +109,6 @@ def settings_for(
     raise AccuracyError("accuracy", where=mechanism.source, value=f"{accuracy:g}", limit=limit)
 
 
-def _refuse_jumps(mechanism: Mechanism) -> None:
-    """Rates that jump differ by the jump, however little later one of two runs has it."""
-    for joint, stop in mechanism.limits:
-        if stop.restitution is not None:
-            limit = "has a hard stop, at which rates jump: no error of theirs is told"
-            raise InputError(f"joint {mechanism.link_names[joint]}", limit=limit)
-
-
 def best_method(mechanism: Mechanism, actuation: Actuation) -> str:
     """The Taylor series, the cheapest at every accuracy; DOP853 where torques have none."""
     try:
@@ -132,10 +128,14 @@ def tighter(settings: Settings) -> Settings | None:
 
 
 class Sampled(NamedTuple):
-    """The states (T, 2n) of a run, and what work its steps missed, of the energy in motion."""
+    """The states (T, 2n) of a run, and what work its steps missed, of the energy in motion.
+
+    `apart` (T,) is how far in time each is from an impact, s.
+    """
 
     y: Array
     missed: float
+    apart: Array
 
 
 class _Motion:
@@ -182,11 +182,25 @@ class _Motion:
         outcome, recorder = run(*self._of, settings, lambda t, y, _: rows.append(y), self.times)
         if outcome is not Outcome.FINISHED:
             return None
-        return Sampled(np.concatenate(rows)[:, : len(self._of[1])], recorder.settle().work_missed)
+        y = np.concatenate(rows)[:, : len(self._of[1])]
+        return Sampled(y, recorder.settle().work_missed, self._apart(recorder))
+
+    def _apart(self, recorder: Recorder) -> Array:
+        """How far the times are from the contacts of a run, where its rates may jump."""
+        jumps = any(stop.restitution is not None for _, stop in self._of[0].limits)
+        hits = np.array([event.t for event in recorder.contacts if jumps])
+        if not len(hits):
+            return np.full(len(self.times), np.inf)
+        after = np.searchsorted(hits, self.times)
+        near = hits[np.clip([after - 1, after], 0, len(hits) - 1)]
+        return np.asarray(np.abs(near - self.times).min(axis=0))
 
 
 def difference(first: Sampled | None, second: Sampled | None) -> float:
     """About the error of the first run; both err by what work both have missed."""
     if first is None or second is None:
         return np.nan
-    return max(float(np.abs(first.y - second.y).max()), second.missed)
+    n = first.y.shape[1] // 2
+    off = np.abs(first.y - second.y)
+    rates = np.minimum(off[:, n:].max(axis=1), np.minimum(first.apart, second.apart))
+    return max(float(off[:, :n].max()), float(rates.max()), second.missed)
