@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
-from robodyn.equations.laws import Formula
+from robodyn.equations.named_laws import Formula
 from robodyn.equations.notation import GLUE, Notation, added, broken, six_digits
 from robodyn.equations.outline import Block, Equations
 from robodyn.equations.symbolic import Number, Sum

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from robodyn.equations.laws import Formula
+from robodyn.equations.named_laws import Formula
 from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum
 
 GLUE = "\u00a0"  # a blank that is not broken at

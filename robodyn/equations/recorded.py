@@ -16,7 +16,7 @@ from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
-from robodyn.equations.laws import contact_terms
+from robodyn.equations.named_laws import contact_terms
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Role, Sum

@@ -6,7 +6,7 @@ import json
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from robodyn.equations.laws import Formula
+from robodyn.equations.named_laws import Formula
 from robodyn.equations.notation import PLAIN, PYTHON, broken, one_line
 from robodyn.equations.outline import Block, Equations
 from robodyn.equations.symbolic import Sum

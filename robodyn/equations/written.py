@@ -29,7 +29,7 @@ from robodyn.equations.factoring import (
     by_role,
     written,
 )
-from robodyn.equations.laws import (
+from robodyn.equations.named_laws import (
     Definition,
     Formula,
     Loads,
