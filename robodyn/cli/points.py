@@ -25,7 +25,7 @@ from robodyn.kinematics.transmission import (
     transmission_angles,
     transmission_loops,
 )
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
@@ -66,7 +66,7 @@ def points(
       robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
       robodyn points robots/2r.yaml states.csv --of tip2 --extremes
     """
-    mechanism = load(model)
+    mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
     places = [point.point for point in named]
     columns = [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]

@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from typer import Option
 
 from robodyn.cli.event_options import EVENT, named_events
-from robodyn.cli.options import Text, named_options, vector
+from robodyn.cli.options import Model, Text, named_options, vector
 from robodyn.cli.states import check_displacements
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
-from robodyn.scene.scene_values import SceneValues, is_angle, numbers_of
-from robodyn.scene.yaml_tree import read_text
+from robodyn.scene.scene_values import SceneValues, is_angle
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
 from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
@@ -69,10 +67,9 @@ class SweepOptions:
     engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
 
 
-def plan_of(model: str, given: SweepOptions) -> Plan:
+def plan_of(model: Model, given: SweepOptions) -> Plan:
     """What the options say; InputError naming the option that is wrong."""
-    text = read_text(Path(model))
-    scene = numbers_of(text, model)
+    scene = model.values()
     axes = _axes(scene, given)
     if given.seed < 0:
         raise InputError("--seed", value=given.seed, limit="must be >= 0")
@@ -104,8 +101,9 @@ def plan_of(model: str, given: SweepOptions) -> Plan:
         with named_options(("engine",)):
             engine = best_engine(given.engine, variation.size, mechanism)
     return Plan(
-        scene=text,
-        source=model,
+        scene=model.text(),
+        source=model.model,
+        numbers=model.given,
         variation=variation,
         **vectors,
         kind=given.kind,

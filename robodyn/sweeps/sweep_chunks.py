@@ -24,11 +24,11 @@ from robodyn.loops.change_points import suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.motors import motor_values
-from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.scene_values import read_numbers
 from robodyn.simulation.report import Outcome
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
-from robodyn.sweeps.sweep_plan import Plan, base_mechanism
+from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Axis
 from robodyn.taylor import Status
 
@@ -89,12 +89,12 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = SceneValues(plan.scene, plan.source)
+    scene = read_numbers(plan.scene, plan.source, plan.numbers)
     members: dict[tuple[float, ...], list[int]] = {}
     for k, key in enumerate(map(tuple, points[:, changed].tolist())):
         members.setdefault(key, []).append(k)
     for key, indices in members.items():
-        mechanism = base_mechanism(plan.scene, plan.source)
+        mechanism = plan.mechanism
         if changed:
             names = [axes[k].name for k in changed]
             try:
@@ -180,7 +180,7 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
 
 def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> None:
     """The motions of all groups: together where lanes serve them, one by one elsewhere."""
-    base = base_mechanism(plan.scene, plan.source)
+    base = plan.mechanism
     n, P = base.n, len(outcomes)
     # the plan alone decides what is computed, so that digits do not depend on the chunk
     named = {axis.name for axis in plan.variation.axes}

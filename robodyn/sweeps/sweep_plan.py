@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Any
 
 from robodyn import __version__
 from robodyn.engines import machine
@@ -15,7 +16,7 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.mechanics.motors import motor_columns
-from robodyn.scene.scene_values import numbers_of
+from robodyn.scene.scene_values import SceneValues, numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
 
@@ -54,20 +55,31 @@ class Plan:
     version: str = __version__
     chunk: int = CHUNKS["python"]
     events: tuple[tuple[str, str], ...] = ()  # names and expressions
+    numbers: tuple[tuple[str, str], ...] = ()  # of the scene, in place of its own
 
     @property
     def chunks(self) -> int:
         return -(-self.variation.size // self.chunk)
 
     @property
+    def values(self) -> SceneValues:
+        """The numbers of the scene, read once."""
+        return numbers_of(self.scene, self.source, self.numbers)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """That of the scene as it is."""
+        return _mechanism(self.scene, self.source, self.numbers)
+
+    @property
     def scene_axes(self) -> tuple[int, ...]:
         """Which axes change the scene."""
-        values = numbers_of(self.scene, self.source)
+        values = self.values
         return tuple(k for k, axis in enumerate(self.variation.axes) if axis.name in values)
 
     def columns(self) -> list[str]:
         """The names of the columns; the last, `outcome`, is text."""
-        mechanism = base_mechanism(self.scene, self.source)
+        mechanism = self.mechanism
         joints = range(1, mechanism.n + 1)
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
@@ -86,17 +98,17 @@ class Plan:
         """Everything that the rows depend on, as JSON has it."""
         facts = asdict(self)
         del facts["source"]  # which may be named from elsewhere
-        if not self.events:
-            del facts["events"]
+        for name in ("events", "numbers"):
+            if not facts[name]:
+                del facts[name]
         facts["variation"] = [asdict(axis) for axis in self.variation.axes]
         facts |= {"sample": self.variation.sample, "seed": self.variation.seed}
         return facts
 
 
 @lru_cache(maxsize=8)
-def base_mechanism(scene: str, source: str) -> Mechanism:
-    """The mechanism of the scene as it is."""
-    return build(numbers_of(scene, source).base)
+def _mechanism(*scene: Any) -> Mechanism:
+    return build(numbers_of(*scene).base)
 
 
 def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
@@ -120,10 +132,10 @@ def check(plan: Plan) -> Mechanism:
 
     Each axis is tried at both of its ends, the others at the scene's own values.
     """
-    mechanism = base_mechanism(plan.scene, plan.source)
+    mechanism = plan.mechanism
     for k in plan.scene_axes:
         axis = plan.variation.axes[k]
         for value in axis.ends:
-            build(numbers_of(plan.scene, plan.source).replaced({axis.name: value}))
+            build(plan.values.replaced({axis.name: value}))
     assembly.assembly_plan(mechanism)
     return mechanism
