@@ -10,7 +10,7 @@ from typer import Option
 from robodyn.cli.options import Model, Q, Qd, Qdd, States
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
-from robodyn.dynamics.closed_form import point_motion
+from robodyn.dynamics.state_columns import point_columns, point_values
 from robodyn.errors import InputError
 from robodyn.kinematics.point_motion import (
     NamedPoint,
@@ -69,7 +69,7 @@ def points(
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
     places = [point.point for point in named]
-    columns = [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
+    columns = point_columns(named)
     if jacobian:
         driven = [k + 1 for k in mechanism.actuated]
         columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
@@ -84,8 +84,7 @@ def points(
     columns += [each.name for each in ratios]
 
     def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
-        x, v, a = point_motion(mechanism, places, q, qd, qdd)
-        parts = [np.concatenate([x, v, a], axis=-1).reshape(len(q), -1)]
+        parts = [point_values(mechanism, named, q, qd, qdd)]
         if jacobian:
             moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
             parts.append(moved.reshape(len(q), -1))

@@ -10,8 +10,9 @@ import numpy as np
 from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
 from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
+from robodyn.cli.states import Quantity, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
+from robodyn.dynamics.state_columns import reaction_columns, reaction_values
 from robodyn.errors import InputError
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
@@ -58,9 +59,7 @@ def reactions(
         limit = "give one of them: the accelerations cause the torques, or the torques those"
         raise InputError("--qdd and --tau are both given", limit=limit)
     mechanism = load_with(model, force)
-    columns = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
-    columns += [f"rm{k + 1}" for k in mechanism.slides]
-    columns += [*loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
+    columns = reaction_columns(mechanism)
     named = False  # whether it was told which forces are not unique
 
     def compute(q: np.ndarray, qd: np.ndarray, **given: np.ndarray) -> np.ndarray:
@@ -86,11 +85,7 @@ def reactions(
                 _name(mechanism, q[np.argmax(dependent > 0)])
         if len(given) == 2:
             _check_agreement(qd, given["qdd"], qdd)
-        joints = reaction_forces.reactions(mechanism, q, qd, qdd, multipliers, t)
-        held = reaction_forces.slide_moments(mechanism, q, qd, qdd, multipliers, t)
-        loops = dynamics.loop_forces(mechanism, multipliers, q)
-        shake = reaction_forces.shaking_force(mechanism, q, qd, qdd, t)
-        return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
+        return reaction_values(mechanism, q, qd, qdd, multipliers, t)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
