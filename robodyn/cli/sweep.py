@@ -15,6 +15,7 @@ from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
+from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import SweepOptions, plan_of
 from robodyn.errors import InputError
 from robodyn.sweeps.resumable_file import ResumableFile
@@ -32,6 +33,7 @@ _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 def sweep(
     model: Model,
     given: SweepOptions,
+    control: ControlOptions = ControlOptions(),
     workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None,
     scheduler: Annotated[
         Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
@@ -56,7 +58,7 @@ def sweep(
       robodyn sweep robots/four-bar.yaml --vary q1=0:350deg:36 --kind torque --qd 5
       robodyn sweep robots/2r.yaml --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
     """
-    plan = plan_of(model, given)
+    plan = plan_of(model, given, control)
     if workers is not None and workers < 1:
         raise InputError("--workers", value=workers, limit="must be >= 1")
     if workers is not None and scheduler is not None:

@@ -216,8 +216,8 @@ class Written:
     It is no part of what a scene says: all are equal.  `SceneValues` reads it.
     """
 
-    tree: Any = field(default=None, compare=False)  # a node of `yaml_tree.py`
-    put: tuple[Mapping[str, Any], ...] = field(default=(), compare=False)  # one after another
+    tree: Any = field(default=None, compare=False, repr=False)  # a node of `yaml_tree.py`
+    put: tuple[Mapping[str, Any], ...] = field(default=(), compare=False, repr=False)  # in turn
 
 
 class Description(NamedTuple):

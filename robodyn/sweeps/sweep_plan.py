@@ -5,17 +5,18 @@ Plain values, which go to other processes and machines, and which tell one sweep
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import hashlib
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from typing import Any
 
 from robodyn import __version__
+from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
-from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.mechanics.motors import motor_columns
 from robodyn.scene.scene_values import SceneValues, numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
@@ -56,6 +57,11 @@ class Plan:
     chunk: int = CHUNKS["python"]
     events: tuple[tuple[str, str], ...] = ()  # names and expressions
     numbers: tuple[tuple[str, str], ...] = ()  # of the scene, in place of its own
+    told: tuple[str, ...] = ()  # results of columns, see `row_results.py`
+    of: tuple[str, ...] = ()  # the points of these columns
+    rows: int = 0  # of a motion whose columns are told
+    track: ReferenceTable | None = None  # the rows of torques, in place of one state
+    control: tuple[tuple[str, Any], ...] = ()  # arguments of `controller`, by name
 
     @property
     def chunks(self) -> int:
@@ -83,8 +89,7 @@ class Plan:
         joints = range(1, mechanism.n + 1)
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
-            names += [f"tau{k + 1}" for k in mechanism.actuated]
-            return [*names, *loop_columns(mechanism), *motor_columns(mechanism), "outcome"]
+            return [*names, *(self.told or torque_columns(mechanism)), "outcome"]
         if "final" in self.results:
             names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
         if "extremes" in self.results:
@@ -92,15 +97,23 @@ class Plan:
             names += [f"energy_{end}" for end in _ENDS]
         names += [name for name in ("drift", "flip") if name in self.results]
         names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
-        return [*names, "outcome"]
+        return [*names, *self.told, "outcome"]
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether its motions are simulated so, and not many together in lanes."""
+        return bool(self.events or self.told or self.control)
 
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
-        facts = asdict(self)
+        facts = {field.name: getattr(self, field.name) for field in fields(self)}
         del facts["source"]  # which may be named from elsewhere
-        for name in ("events", "numbers"):
+        for name in ("events", "numbers", "told", "of", "rows", "track", "control"):
             if not facts[name]:
                 del facts[name]
+            elif name in ("track", "control"):
+                text = repr(_plain(facts[name]))
+                facts[name] = hashlib.sha256(text.encode()).hexdigest()
         facts["variation"] = [asdict(axis) for axis in self.variation.axes]
         facts |= {"sample": self.variation.sample, "seed": self.variation.seed}
         return facts
@@ -109,6 +122,17 @@ class Plan:
 @lru_cache(maxsize=8)
 def _mechanism(*scene: Any) -> Mechanism:
     return build(numbers_of(*scene).base)
+
+
+def _plain(value: Any) -> object:
+    """A reference, or arguments of a controller, as something whose text tells them apart."""
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    if isinstance(value, Mechanism):
+        return value.description
+    if isinstance(value, ReferenceTable):
+        return value.times, value.coefficients.tolist()
+    return value
 
 
 def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
