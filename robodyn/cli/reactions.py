@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from typing import Annotated
 
 import numpy as np
+from typer import Option
 
 from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
@@ -19,6 +21,7 @@ from robodyn.mechanics.mechanism import Mechanism
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
 Tau = Annotated[Text, vector("--tau", _TAU)]
+_HARMONICS = "In place of the rows, a turn: orders 0 to N of the shaking force and moment."
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
 
@@ -30,6 +33,7 @@ def reactions(
     qdd: Qdd = None,
     tau: Tau = None,
     force: Force = None,
+    harmonics: Annotated[int | None, Option("--harmonics", metavar="N", help=_HARMONICS)] = None,
     rows: StateOptions = StateOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
@@ -45,6 +49,10 @@ def reactions(
     columns tau1..) the accelerations follow, as in `accel`.  A table may hold both, as `simulate`
     writes them, if they belong together.  Rows of STATES pass through with the columns added.
 
+    --harmonics N takes one turn of the one actuated joint, rows at equal steps of its angle theta,
+    the last a step before the first or as it, and tells for each order k amplitude and phase (rad):
+    shake_fx is the sum of shake_fx_amp cos(k theta + shake_fx_phase) over all orders.
+
     Where closures depend on one another, or at a change point, a note names the forces that are
     not unique.  shake_* always are.
 
@@ -54,6 +62,8 @@ def reactions(
       robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
       robodyn reactions robots/2r.yaml states.csv --format json
       robodyn reactions robots/2r.yaml states.csv --extremes
+      robodyn trajectory robots/slider-crank.yaml --speed 300rpm --turns 1 --points 361 | \\
+        robodyn reactions robots/slider-crank.yaml - --harmonics 6
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
@@ -89,7 +99,24 @@ def reactions(
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, rows, either)
+    if harmonics is None:
+        evaluate(mechanism, states, quantities, columns, compute, rows, either)
+        return
+    from robodyn.cli.fluctuation import driven_joint
+    from robodyn.cli.harmonics import FLAG, SHAKE, HarmonicsWriter, check
+
+    check(harmonics)
+    if rows.extremes:
+        raise InputError(f"--extremes and {FLAG}", limit="exclude each other")
+    if states is None:
+        raise InputError(FLAG, limit="needs STATES: rows over a turn")
+    k = driven_joint(mechanism, FLAG)
+
+    def shaken(q: np.ndarray, **motion: np.ndarray) -> np.ndarray:
+        return np.column_stack([q[:, k], compute(q, **motion)[:, -len(SHAKE) :]])
+
+    summary, told = partial(HarmonicsWriter, most=harmonics), [f"q{k + 1}", *SHAKE]
+    evaluate(mechanism, states, quantities, told, shaken, rows, either, summary=summary)
 
 
 def _name(mechanism: Mechanism, q: np.ndarray) -> None:
