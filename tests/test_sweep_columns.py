@@ -26,7 +26,7 @@ NORMAL = ("--vary", "links.forearm.m=normal(0.9,0.05)")
 PD = ("--control", "pd", "--kp", "200,100", "--kd", "30,10")
 TAKEN = {
     "min": np.min, "max": np.max, "mean": np.mean, "rms": lambda x: np.sqrt(np.mean(x**2)),
-    "first": lambda x: x[0], "last": lambda x: x[-1],
+    "range": np.ptp, "first": lambda x: x[0], "last": lambda x: x[-1],
 }  # fmt: skip
 
 

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 TAKEN: dict[str, Callable[[Array], float]] = {  # of the rows of a column
     "min": np.min,
     "max": np.max,
+    "range": np.ptp,
     "mean": np.mean,
     "rms": lambda x: np.sqrt(np.mean(np.square(x))),
     "first": lambda x: x[0],
