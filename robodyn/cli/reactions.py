@@ -103,7 +103,7 @@ def reactions(
         evaluate(mechanism, states, quantities, columns, compute, rows, either)
         return
     from robodyn.cli.fluctuation import driven_joint
-    from robodyn.cli.harmonics import FLAG, SHAKE, HarmonicsWriter, check
+    from robodyn.cli.shaking_orders import FLAG, SHAKE, HarmonicsWriter, check
 
     check(harmonics)
     if rows.extremes:
