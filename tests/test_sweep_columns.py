@@ -15,6 +15,7 @@ from conftest import TWO_LINK, Outcome
 from scipy import stats
 
 import oracles
+from robodyn import load, simulate
 from robodyn.sweeps.sweep_chunks import run_chunk
 from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.sweep_workers import results
@@ -348,3 +349,14 @@ def test_what_is_wrong_is_told(
     given = [str(reference) if word == "REF" else word for word in options]
     sampled = [] if "--sample" in options else ["--vary", "links.forearm.m=0.9,1"]
     robodyn("sweep", ARM, *sampled, *given).fails(2, *parts)
+
+
+def test_what_does_not_finish_has_its_end_and_no_columns(robodyn: Run) -> None:
+    line = ("sweep", ARM, "--vary", "qd1=3", "--max-steps", 20, "--time", 10, "--quiet")
+    (row,) = robodyn(*line, "--result", "final,max(q1)", "--points", 4).succeeds().rows
+    assert row["outcome"] == "too many evaluations"
+    assert row["max(q1)"] == ""
+    end = float(row["t_end"])
+    assert 0.1 < end < 10.0 / 3.0
+    motion = simulate(load(ARM), [0, 0], [3, 0], end, rtol=1e-11, atol=1e-11)
+    assert float(row["q1_end"]) == pytest.approx(motion.q[-1, 0], abs=1e-7)

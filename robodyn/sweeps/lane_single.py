@@ -69,6 +69,8 @@ def single(
     inner = aims.extremes or aims.link >= 0
     try:
         motion = run(None if inner else even, events)
+        if even is not None and motion.outcome is not Outcome.FINISHED:
+            motion = run(None, events)  # which tells where it ended
         report, t = motion.report, motion.t
         counts, times = (told[i : 2 * len(events) : 2] for i in (0, 1))
         counts[:] = [report.events.get(name, 0) for name in events]
