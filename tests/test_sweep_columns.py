@@ -95,6 +95,7 @@ def test_a_reference_without_rates_is_a_spline(robodyn: Run, tmp_path: Path) -> 
 
 def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) -> None:
     names = ["rms(shake_fx)", "max(rx2)", "min(fy1)", "mean(P_vx)", "last(tip2_y)", "max(energy)"]
+    names += ["max(transmission1)", "min(w3)", "rms(power1)"]
     given = robodyn(
         "sweep", BAR, "--kind", "torque", "--track", turn, "--vary", "links.coupler.m=1.2,1.4",
         "--vary", "links.rocker.l=0.79,0.81", "--of", "P=coupler@0.5,0.2", "--of", "tip2",
@@ -109,7 +110,8 @@ def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) ->
         numbers = [("--set", f"{x}={row[x]}") for x in ("links.coupler.m", "links.rocker.l")]
         found = {}
         for line in (
-            ("reactions",), ("points", "--of", "P=coupler@0.5,0.2", "--of", "tip2"), ("energy",)
+            ("reactions",), ("energy",), ("torque", "--power"),
+            ("points", "--of", "P=coupler@0.5,0.2", "--of", "tip2", "--links", "--transmission"),
         ):  # fmt: skip
             out = robodyn(line[0], BAR, path, *line[1:], *sum(numbers, ())).succeeds().out
             found |= columns(out)

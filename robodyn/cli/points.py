@@ -10,11 +10,17 @@ from typer import Option
 from robodyn.cli.options import Model, Q, Qd, Qdd, States
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
-from robodyn.dynamics.state_columns import point_columns, point_values
+from robodyn.dynamics.state_columns import (
+    link_columns,
+    link_values,
+    point_columns,
+    point_values,
+    transmission_columns,
+    transmission_values,
+)
 from robodyn.errors import InputError
 from robodyn.kinematics.point_motion import (
     NamedPoint,
-    link_turns,
     named_points,
     point_jacobian,
     unit_rates,
@@ -22,8 +28,6 @@ from robodyn.kinematics.point_motion import (
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
-    transmission_angles,
-    transmission_loops,
 )
 from robodyn.mechanics.mechanism import Mechanism
 
@@ -74,12 +78,12 @@ def points(
         driven = [k + 1 for k in mechanism.actuated]
         columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
     if links:
-        columns += [f"{x}{k + 1}" for k in range(mechanism.n) for x in ("angle", "w", "wd")]
-    loops = transmission_loops(mechanism) if transmission else {}
+        columns += link_columns(mechanism)
+    loops = transmission_columns(mechanism) if transmission else []
     if transmission and not loops:
         limit = "no loop of this scene is closed by three pairs in a row"
         raise InputError("--transmission", where=mechanism.source, limit=limit)
-    columns += [f"transmission{c + 1}" for c in loops]
+    columns += loops
     ratios = [ratio_named(mechanism, text) for text in ratio or ()]
     columns += [each.name for each in ratios]
 
@@ -89,10 +93,9 @@ def points(
             moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
             parts.append(moved.reshape(len(q), -1))
         if links:
-            turns = np.stack(link_turns(mechanism, q, qd, qdd), axis=-1)
-            parts.append(turns.reshape(len(q), -1))
+            parts.append(link_values(mechanism, q, qd, qdd))
         if loops:
-            parts.append(transmission_angles(mechanism, list(loops.values()), q))
+            parts.append(transmission_values(mechanism, q))
         if ratios:
             parts.append(rate_ratios(mechanism, ratios, q, qd))
         return np.concatenate(parts, axis=-1)

@@ -101,7 +101,7 @@ def torque(
     import numpy as np
 
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
-    from robodyn.dynamics.state_columns import torque_columns, torque_values
+    from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
 
     def compute(**motion: np.ndarray) -> np.ndarray:
         tau, multipliers, _ = inverse_dynamics_and_forces(mechanism, **motion)
@@ -109,8 +109,7 @@ def torque(
         found = torque_values(mechanism, q, qd, tau, multipliers)
         if not power:
             return found
-        driven = list(mechanism.actuated)
-        return np.concatenate([found, tau[:, driven] * qd[:, driven]], axis=-1)
+        return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
     evaluate(mechanism, states, quantities, torque_columns(mechanism) + powers, compute, rows)
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
-from robodyn.kinematics.point_motion import NamedPoint
+from robodyn.kinematics.point_motion import NamedPoint, link_turns
+from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
@@ -77,10 +78,42 @@ def point_values(
     return np.concatenate(motion, axis=-1).reshape(len(q), -1)
 
 
+def power_columns(mechanism: Mechanism) -> list[str]:
+    """The powers of the actuated joints' torques."""
+    return [f"power{k + 1}" for k in mechanism.actuated]
+
+
+def power_values(mechanism: Mechanism, qd: Array, tau: Array) -> Array:
+    """The values of `power_columns`."""
+    driven = list(mechanism.actuated)
+    return np.asarray(tau[:, driven] * qd[:, driven])
+
+
+def link_columns(mechanism: Mechanism) -> list[str]:
+    """The angle of each link, its rate and its acceleration."""
+    return [f"{x}{k + 1}" for k in range(mechanism.n) for x in ("angle", "w", "wd")]
+
+
+def link_values(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
+    """The values of `link_columns`."""
+    return np.stack(link_turns(mechanism, q, qd, qdd), axis=-1).reshape(len(q), -1)
+
+
+def transmission_columns(mechanism: Mechanism) -> list[str]:
+    """The transmission angle of each loop that has one."""
+    return [f"transmission{c + 1}" for c in transmission_loops(mechanism)]
+
+
+def transmission_values(mechanism: Mechanism, q: Array) -> Array:
+    """The values of `transmission_columns`."""
+    return transmission_angles(mechanism, list(transmission_loops(mechanism).values()), q)
+
+
 def column_names(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
     """All of them, those of the state before."""
     state = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
-    names = ["t", *state, "energy", *torque_columns(mechanism), *reaction_columns(mechanism)]
+    kinds = (torque_columns, power_columns, reaction_columns, link_columns, transmission_columns)
+    names = ["t", *state, "energy", *(name for kind in kinds for name in kind(mechanism))]
     return list(dict.fromkeys([*names, *point_columns(named)]))
 
 
@@ -99,6 +132,9 @@ def columns_of(
             reaction_columns(mechanism),
             lambda: reaction_values(mechanism, q, qd, qdd, forces, t),
         ),
+        (power_columns(mechanism), lambda: power_values(mechanism, qd, tau)),
+        (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
+        (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),
         (point_columns(named), lambda: point_values(mechanism, named, q, qd, qdd)),
     )
     for names, compute in groups:
