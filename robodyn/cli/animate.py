@@ -24,7 +24,7 @@ from robodyn.cli.states import (
 )
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.rails import at
@@ -85,7 +85,7 @@ def animate(
     if (states is None) == (mode is None):
         limit = "give rows, or --mode K and --q" + (", not both" if states else "")
         raise InputError("CSV", value=states, limit=limit)
-    mechanism = load(model)
+    mechanism = model.load()
     traced = points_given(mechanism, of, trace)
     check_directory(out)
     if suffix != ".html":

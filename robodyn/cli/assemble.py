@@ -15,7 +15,7 @@ from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
 from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
@@ -53,7 +53,7 @@ def assemble(
       robodyn assemble robots/slider-crank.yaml --q 50deg --qd 10 --format json
       robodyn assemble robots/five-bar.yaml --q 120deg,60deg --range
     """
-    mechanism = load(model)
+    mechanism = model.load()
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
     found = []

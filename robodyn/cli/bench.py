@@ -17,7 +17,6 @@ from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.mechanism import load
 from robodyn.simulation.benchmark import benchmark
 
 MOST_REPEATS = 10_000
@@ -54,7 +53,7 @@ def bench(
       robodyn bench robots/four-bar.yaml --q 60deg --qd 5 --time 5 --plot four-bar.png > bench.csv
       robodyn bench robots/2r.yaml --evaluators
     """
-    mechanism = load(model)
+    mechanism = model.load()
     if not 1 <= repeats <= MOST_REPEATS:
         raise InputError("--repeats", value=repeats, limit=f"must be >= 1 and <= {MOST_REPEATS}")
     if evaluators and plot is not None:

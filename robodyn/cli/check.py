@@ -15,7 +15,7 @@ from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sam
 from robodyn.errors import InputError
 from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.scene import (
@@ -57,7 +57,7 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
       robodyn check robots/four-bar.yaml
       robodyn check robots/2r.yaml --format json
     """
-    mechanism = load(model)
+    mechanism = model.load()
     free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism
     unknown = False
     try:

@@ -23,7 +23,7 @@ from robodyn.cli.states import (
     table_source,
 )
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.drawing import (
     Drawing,
     Trace,
@@ -81,7 +81,7 @@ def draw(
       robodyn draw robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
       robodyn draw robots/five-bar.yaml --q 120deg,60deg --format text
     """
-    mechanism = load(model)
+    mechanism = model.load()
     extent = parse_size(size)
     if qdd is not None and tau is not None:
         raise InputError("--qdd and --tau", limit="exclude each other")

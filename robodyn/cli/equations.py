@@ -16,7 +16,6 @@ from robodyn.equations.code import c99, python
 from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import WIDTH, as_json, text
-from robodyn.mechanics.mechanism import load
 from robodyn.tables.output_file import open_output
 
 EquationFormat = Literal["text", "latex", "python", "c", "json"]  # how equations are written
@@ -51,7 +50,7 @@ def equations(
       robodyn equations robots/four-bar.yaml --format latex > four-bar.tex
       robodyn equations robots/3r.yaml --format c --out arm.c
     """
-    mechanism = load(model)
+    mechanism = model.load()
     if mechanism.dry:
         note("dry friction is that in motion; at rest it holds any load up to static")
     if any(stop.stiffness is None for _, stop in mechanism.limits):

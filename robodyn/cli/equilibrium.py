@@ -10,7 +10,7 @@ from typer import Option
 from robodyn.cli.options import Model, Out, OutputFormat, Q, Tau, named_options
 from robodyn.cli.output import note, row_writer
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.rest.poses_at_rest import equilibria
 from robodyn.rest.poses_at_rest import equilibrium as pose_at_rest
@@ -45,7 +45,7 @@ def equilibrium(
       robodyn equilibrium robots/spring-slider-crank.yaml --q -2
       robodyn equilibrium robots/cart-pole.yaml --q 0.2,80deg --hold cart
     """
-    mechanism = load(model)
+    mechanism = model.load()
     near = None if q is None else single_state(mechanism, [Quantity("q", q)])[0]
     torques = joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)

@@ -9,7 +9,6 @@ from typer import Option
 from robodyn.cli.options import Model, Number, Out, Q
 from robodyn.cli.output import note
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import load
 from robodyn.tables.output_file import open_output
 
 ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
@@ -37,7 +36,7 @@ def export(
       robodyn export robots/2r.yaml --format urdf --out 2r.urdf
       robodyn export robots/four-bar.yaml --format mjcf --q 60deg > four-bar.xml
     """
-    mechanism = load(model)
+    mechanism = model.load()
     if format == "urdf":
         for option, value in (("--q", q), ("--timestep", timestep)):
             if value is not None:

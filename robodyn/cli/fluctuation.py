@@ -31,7 +31,10 @@ def tell_flywheel(
         raise InputError("--extremes and --fluctuation", limit="exclude each other")
     if states is None:
         raise InputError(FLAG, limit="needs STATES: rows over a turn")
-    k = _driven_joint(mechanism, delta)
+    if not 0.0 < delta < 2.0:
+        limit = "must be > 0 and < 2: greatest less least speed, by their mean"
+        raise InputError(FLAG, value=f"{delta:g}", limit=limit)
+    k = driven_joint(mechanism, FLAG)
 
     def compute(q: np.ndarray, qd: np.ndarray, **motion: np.ndarray) -> np.ndarray:
         tau = inverse_dynamics(mechanism, q, qd, **motion)
@@ -42,18 +45,15 @@ def tell_flywheel(
     evaluate(mechanism, states, quantities, columns, compute, rows, summary=summary)
 
 
-def _driven_joint(mechanism: Mechanism, delta: float) -> int:
-    """The one joint that is actuated; InputError where there is no such, or it slides."""
-    if not 0.0 < delta < 2.0:
-        limit = "must be > 0 and < 2: greatest less least speed, by their mean"
-        raise InputError(FLAG, value=f"{delta:g}", limit=limit)
+def driven_joint(mechanism: Mechanism, flag: str) -> int:
+    """The one joint that is actuated; InputError, naming `flag`, for none, and one that slides."""
     names = [mechanism.link_names[k] for k in mechanism.actuated]
     if len(names) != 1:
         limit = f"one actuated joint must drive the machine; here {', '.join(names) or 'none'}"
-        raise InputError(FLAG, where=mechanism.source, limit=limit)
+        raise InputError(flag, where=mechanism.source, limit=limit)
     if mechanism.actuated[0] in mechanism.slides:
-        limit = f"the joint {names[0]} slides: no flywheel turns with it"
-        raise InputError(FLAG, where=mechanism.source, limit=limit)
+        limit = f"the joint {names[0]} slides: it has no turns"
+        raise InputError(flag, where=mechanism.source, limit=limit)
     return mechanism.actuated[0]
 
 

@@ -25,7 +25,7 @@ from robodyn.cli.options import (
 from robodyn.cli.output import Grid, note, write_structure
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.linear_model import LinearModel
 from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.scene.quantities import parse_vector
@@ -69,7 +69,7 @@ def linearize(
       robodyn linearize robots/2r.yaml --q -90deg,0 --format table
       robodyn linearize robots/cart-pole.yaml --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
     """
-    mechanism = load(model)
+    mechanism = model.load()
     given = [Quantity("q", q, True), Quantity("qd", qd)]
     weigh = {"--weights-x": weights_x, "--weights-u": weights_u}
     for flag, value in (weigh | {"--gain-out": gain_out}).items():

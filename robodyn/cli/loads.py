@@ -7,8 +7,9 @@ from typing import Annotated
 
 from typer import Option
 
+from robodyn.cli.options import Model
 from robodyn.errors import InputError
-from robodyn.mechanics.mechanism import Mechanism, build, load
+from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_vector
 from robodyn.scene.scene import Load
 from robodyn.tables.csv_fields import shown
@@ -19,9 +20,9 @@ Force = Annotated[
 ]
 
 
-def load_with(model: str, forces: Sequence[str] | None) -> Mechanism:
+def load_with(model: Model, forces: Sequence[str] | None) -> Mechanism:
     """The mechanism of a scene file as if its `loads` ended with these forces, POINT=FX,FY."""
-    mechanism = load(model)
+    mechanism = model.load()
     if not forces:
         return mechanism
     from robodyn.kinematics.point_motion import named_point

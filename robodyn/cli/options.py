@@ -4,19 +4,81 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
 from robodyn.cli.files import input_argument, output_file
-from robodyn.errors import RobodynError
+from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.tables.csv_fields import shown
+
+if TYPE_CHECKING:
+    from robodyn.mechanics.mechanism import Mechanism
+    from robodyn.scene.scene_values import SceneValues
 
 Text = str | None  # of an option that may be left out
 Number = float | None
 Format = Literal["table", "csv", "json"]  # how a result is written
 StructuredFormat = Literal["table", "json"]  # how a result with matrices or parts is written
 PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
-Model = Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
+_SET = "A number of the scene in place of its own: links.forearm.m=1.1; repeatable."
+
+
+@dataclass(frozen=True)
+class Model:
+    """The scene that a command is about."""
+
+    model: Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
+    numbers: Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help=_SET)] = None
+
+    def load(self) -> Mechanism:
+        """The mechanism; InputError for a faulty scene, naming --set where that made it so."""
+        from robodyn.mechanics.mechanism import build, load
+
+        return build(self.values().base) if self.numbers else load(self.model)
+
+    def values(self) -> SceneValues:
+        """The numbers of the scene, those of --set in place of its own."""
+        from robodyn.scene.scene_values import numbers_of
+
+        values = numbers_of(self.text(), self.model)
+        if not (names := [name for name, _ in self.given]):
+            return values
+        try:
+            values.check(names)
+        except InputError as error:
+            error.what = f"--set {error.what}"
+            raise
+        if clash := values.clash(names):
+            raise InputError("--set", value=" and ".join(clash), limit="are one number")
+        try:
+            return numbers_of(self.text(), self.model, self.given)
+        except DescriptionError as error:
+            given = " ".join(f"--set {text}" for text in self.numbers or ())
+            faults = [replace(fault, line=None) for fault in error.faults]
+            raise DescriptionError(f"{self.model} with {given}", faults) from None
+
+    def text(self) -> str:
+        """The scene file as it is."""
+        from robodyn.scene.yaml_tree import read_text
+
+        return read_text(Path(self.model))
+
+    @property
+    def given(self) -> tuple[tuple[str, str], ...]:
+        """The names and values of --set."""
+        pairs = []
+        for text in self.numbers or ():
+            name, _, value = (part.strip() for part in text.partition("="))
+            if not name or not value:
+                limit = "write NAME=VALUE, such as links.forearm.m=1.1"
+                raise InputError("--set", value=shown(text), limit=limit)
+            pairs.append((name, value))
+        return tuple(pairs)
+
+
 _ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
 States = Annotated[Text, input_argument("[STATES]", _ROWS)]
 

@@ -10,11 +10,17 @@ from typer import Option
 from robodyn.cli.options import Model, Q, Qd, Qdd, States
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate
-from robodyn.dynamics.closed_form import point_motion
+from robodyn.dynamics.state_columns import (
+    link_columns,
+    link_values,
+    point_columns,
+    point_values,
+    transmission_columns,
+    transmission_values,
+)
 from robodyn.errors import InputError
 from robodyn.kinematics.point_motion import (
     NamedPoint,
-    link_turns,
     named_points,
     point_jacobian,
     unit_rates,
@@ -22,10 +28,8 @@ from robodyn.kinematics.point_motion import (
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
-    transmission_angles,
-    transmission_loops,
 )
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
@@ -66,34 +70,32 @@ def points(
       robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
       robodyn points robots/2r.yaml states.csv --of tip2 --extremes
     """
-    mechanism = load(model)
+    mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
     places = [point.point for point in named]
-    columns = [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
+    columns = point_columns(named)
     if jacobian:
         driven = [k + 1 for k in mechanism.actuated]
         columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
     if links:
-        columns += [f"{x}{k + 1}" for k in range(mechanism.n) for x in ("angle", "w", "wd")]
-    loops = transmission_loops(mechanism) if transmission else {}
+        columns += link_columns(mechanism)
+    loops = transmission_columns(mechanism) if transmission else []
     if transmission and not loops:
         limit = "no loop of this scene is closed by three pairs in a row"
         raise InputError("--transmission", where=mechanism.source, limit=limit)
-    columns += [f"transmission{c + 1}" for c in loops]
+    columns += loops
     ratios = [ratio_named(mechanism, text) for text in ratio or ()]
     columns += [each.name for each in ratios]
 
     def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
-        x, v, a = point_motion(mechanism, places, q, qd, qdd)
-        parts = [np.concatenate([x, v, a], axis=-1).reshape(len(q), -1)]
+        parts = [point_values(mechanism, named, q, qd, qdd)]
         if jacobian:
             moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
             parts.append(moved.reshape(len(q), -1))
         if links:
-            turns = np.stack(link_turns(mechanism, q, qd, qdd), axis=-1)
-            parts.append(turns.reshape(len(q), -1))
+            parts.append(link_values(mechanism, q, qd, qdd))
         if loops:
-            parts.append(transmission_angles(mechanism, list(loops.values()), q))
+            parts.append(transmission_values(mechanism, q))
         if ratios:
             parts.append(rate_ratios(mechanism, ratios, q, qd))
         return np.concatenate(parts, axis=-1)

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from typing import Annotated
 
 import numpy as np
+from typer import Option
 
 from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
 from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, loop_columns, overflow
+from robodyn.cli.states import Quantity, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
+from robodyn.dynamics.state_columns import reaction_columns, reaction_values
 from robodyn.errors import InputError
 from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
 Tau = Annotated[Text, vector("--tau", _TAU)]
+_HARMONICS = "In place of the rows, a turn: orders 0 to N of the shaking force and moment."
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
 
@@ -29,6 +33,7 @@ def reactions(
     qdd: Qdd = None,
     tau: Tau = None,
     force: Force = None,
+    harmonics: Annotated[int | None, Option("--harmonics", metavar="N", help=_HARMONICS)] = None,
     rows: StateOptions = StateOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
@@ -44,6 +49,10 @@ def reactions(
     columns tau1..) the accelerations follow, as in `accel`.  A table may hold both, as `simulate`
     writes them, if they belong together.  Rows of STATES pass through with the columns added.
 
+    --harmonics N takes one turn of the one actuated joint, rows at equal steps of its angle theta,
+    the last a step before the first or as it, and tells for each order k amplitude and phase (rad):
+    shake_fx is the sum of shake_fx_amp cos(k theta + shake_fx_phase) over all orders.
+
     Where closures depend on one another, or at a change point, a note names the forces that are
     not unique.  shake_* always are.
 
@@ -53,14 +62,14 @@ def reactions(
       robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
       robodyn reactions robots/2r.yaml states.csv --format json
       robodyn reactions robots/2r.yaml states.csv --extremes
+      robodyn trajectory robots/slider-crank.yaml --speed 300rpm --turns 1 --points 361 | \\
+        robodyn reactions robots/slider-crank.yaml - --harmonics 6
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
         raise InputError("--qdd and --tau are both given", limit=limit)
     mechanism = load_with(model, force)
-    columns = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
-    columns += [f"rm{k + 1}" for k in mechanism.slides]
-    columns += [*loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
+    columns = reaction_columns(mechanism)
     named = False  # whether it was told which forces are not unique
 
     def compute(q: np.ndarray, qd: np.ndarray, **given: np.ndarray) -> np.ndarray:
@@ -86,15 +95,28 @@ def reactions(
                 _name(mechanism, q[np.argmax(dependent > 0)])
         if len(given) == 2:
             _check_agreement(qd, given["qdd"], qdd)
-        joints = reaction_forces.reactions(mechanism, q, qd, qdd, multipliers, t)
-        held = reaction_forces.slide_moments(mechanism, q, qd, qdd, multipliers, t)
-        loops = dynamics.loop_forces(mechanism, multipliers, q)
-        shake = reaction_forces.shaking_force(mechanism, q, qd, qdd, t)
-        return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
+        return reaction_values(mechanism, q, qd, qdd, multipliers, t)
 
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, rows, either)
+    if harmonics is None:
+        evaluate(mechanism, states, quantities, columns, compute, rows, either)
+        return
+    from robodyn.cli.fluctuation import driven_joint
+    from robodyn.cli.shaking_orders import FLAG, SHAKE, HarmonicsWriter, check
+
+    check(harmonics)
+    if rows.extremes:
+        raise InputError(f"--extremes and {FLAG}", limit="exclude each other")
+    if states is None:
+        raise InputError(FLAG, limit="needs STATES: rows over a turn")
+    k = driven_joint(mechanism, FLAG)
+
+    def shaken(q: np.ndarray, **motion: np.ndarray) -> np.ndarray:
+        return np.column_stack([q[:, k], compute(q, **motion)[:, -len(SHAKE) :]])
+
+    summary, told = partial(HarmonicsWriter, most=harmonics), [f"q{k + 1}", *SHAKE]
+    evaluate(mechanism, states, quantities, told, shaken, rows, either, summary=summary)
 
 
 def _name(mechanism: Mechanism, q: np.ndarray) -> None:

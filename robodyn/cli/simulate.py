@@ -19,7 +19,13 @@ from robodyn.cli.loads import Force, load_with
 from robodyn.cli.options import Extremes, Model, Number, Q, Qd, Quiet, Text
 from robodyn.cli.output import default_format, extremes_writer, maker, note
 from robodyn.cli.signals import watching
-from robodyn.cli.simulate_options import RunOptions, TorqueOptions, named, torque_source
+from robodyn.cli.simulate_options import (
+    ControlOptions,
+    RunOptions,
+    TorqueOptions,
+    named,
+    torque_source,
+)
 from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.dynamics import closed_form
@@ -53,6 +59,7 @@ def simulate(
     points: Points = None,
     force: Force = None,
     sources: TorqueOptions = TorqueOptions(),
+    control: ControlOptions = ControlOptions(),
     events: EventOptions = EventOptions(),
     how: RunOptions = RunOptions(),
     quiet: Quiet = False,
@@ -97,7 +104,7 @@ def simulate(
     """
     mechanism = load_with(model, force)
     settings = how.settings()
-    torques, duration = torque_source(mechanism, sources, duration)
+    torques, duration = torque_source(mechanism, sources, control, duration)
     watched = events.watch(mechanism, duration)
     times = output_times(duration, every, points)
     start = [Quantity("q", q, True), Quantity("qd", qd)]

@@ -53,6 +53,12 @@ class TorqueOptions:
     tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
     tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
     volt: Annotated[Text, Option("--volt", metavar="VOLTS", help=_VOLT)] = None
+
+
+@dataclass(frozen=True)
+class ControlOptions:
+    """What makes the torques track a reference."""
+
     control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
     track: Annotated[Text, input_file("--track", _TRACK)] = None
     hold: Annotated[Text, vector("--hold", _HOLD)] = None
@@ -65,10 +71,18 @@ class TorqueOptions:
     control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_SAMPLES)] = None
     control_model: Annotated[Text, input_file("--control-model", _MODEL)] = None
 
-    def given(self, *names: str) -> list[str]:
-        """The options among these that are given."""
-        found = [name for name in names if getattr(self, name) is not None]
-        return ["--" + name.replace("_", "-") for name in found]
+
+def given_of(options: object, *names: str) -> list[str]:
+    """The options among these that are given."""
+    found = [name for name in names if getattr(options, name) is not None]
+    return ["--" + name.replace("_", "-") for name in found]
+
+
+def check_no_control(options: ControlOptions, *but: str) -> None:
+    """Raise InputError for an option of a controller where there is none."""
+    names = [field.name for field in fields(options) if field.name not in but]
+    for option in given_of(options, *names):
+        raise InputError(option, limit=f"needs --control: one of {', '.join(get_args(Law))}")
 
 
 _METHOD = "Integrator. Default: DOP853; with --accuracy the best."
@@ -126,23 +140,28 @@ class RunOptions:
         return settings
 
 
+_GROUPS = (TorqueOptions, ControlOptions, RunOptions)
+
+
 def named() -> AbstractContextManager[None]:
     """An argument of the numerics that is refused is named as its option."""
-    return named_options([field.name for x in (TorqueOptions, RunOptions) for field in fields(x)])
+    return named_options([field.name for x in _GROUPS for field in fields(x)])
 
 
 def torque_source(
-    mechanism: Mechanism, options: TorqueOptions, duration: float | None
+    mechanism: Mechanism, options: TorqueOptions, control: ControlOptions, duration: float | None
 ) -> tuple[Actuation, float]:
     """The torques, and the end time: that of the reference where none is given."""
-    sources = options.given("tau", "tau_from", "volt", "control")
+    sources = [*given_of(options, "tau", "tau_from", "volt"), *given_of(control, "control")]
     if len(sources) > 1:
         raise InputError(" and ".join(sources), limit="exclude each other")
-    if options.control is not None:
-        return _controlled(mechanism, options, duration)
-    control = ("track", "hold", "kp", "kd", "ki", "gain", "at", "tau_max")
-    for option in options.given(*control, "control_model", "control_rate"):
-        raise InputError(option, limit=f"needs --control: one of {', '.join(get_args(Law))}")
+    if control.control is not None:
+        from robodyn.control.laws import controller
+
+        arguments, end = controlled(mechanism, control, duration)
+        with named():
+            return controller(mechanism, **arguments), end
+    check_no_control(control)
     end = DEFAULT_DURATION if duration is None else duration
     if options.tau is not None:
         return actuation.expressions(mechanism, options.tau, "--tau"), end
@@ -156,19 +175,19 @@ def torque_source(
     return actuation.table(mechanism, times, torques, where=name, until=end), end
 
 
-def _controlled(
-    mechanism: Mechanism, options: TorqueOptions, duration: float | None
-) -> tuple[Actuation, float]:
-    from robodyn.control.laws import controller
+def controlled(
+    mechanism: Mechanism, options: ControlOptions, duration: float | None
+) -> tuple[dict[str, Any], float]:
+    """The arguments of `controller` by name, and the end time."""
     from robodyn.control.tracking import ReferenceTable
 
     law, rate = options.control, None
     assert law is not None
     tracks, feeds = ["track", "hold"], ["gain", "at"]
     aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
-    for option in options.given(*others):
+    for option in given_of(options, *others):
         raise InputError(option, limit=f"is not for --control {law}")
-    given = options.given(*aims)
+    given = given_of(options, *aims)
     if len(given) > 1:
         raise InputError(" and ".join(given), limit="exclude each other")
     if not given:
@@ -186,7 +205,7 @@ def _controlled(
         rate = value_from(options.control_rate, frequency_from, "--control-rate", "100 or 100Hz")
     end = DEFAULT_DURATION if duration is None else duration
     if options.track is not None:
-        reference = _reference(mechanism, options.track)
+        reference = reference_from(mechanism, options.track)
         end = reference.times[-1] if duration is None else duration
         reference = reference.until(end)
     else:
@@ -197,11 +216,8 @@ def _controlled(
             source = option_source(mechanism, Quantity("hold", options.hold))
         point = [source.values[k] for k in mechanism.actuated] if source.whole else source.values
         reference = ReferenceTable.set_point(point, end)
-    with named():
-        torques = controller(
-            mechanism, reference, law, control_rate=rate, control_model=believed, **gains
-        )
-    return torques, end
+    how = {"control_rate": rate, "control_model": believed}
+    return {"reference": reference, "control": law, **how, **gains}, end
 
 
 def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
@@ -222,7 +238,8 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     return replace(found, q=pose.tolist())
 
 
-def _reference(mechanism: Mechanism, file: str) -> ReferenceTable:
+def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:
+    """The reference of the actuated joints in a file."""
     from robodyn.control.tracking import ReferenceTable
 
     joints = len(mechanism.actuated)

@@ -6,8 +6,9 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from typer import Option
 
@@ -15,6 +16,7 @@ from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
+from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import SweepOptions, plan_of
 from robodyn.errors import InputError
 from robodyn.sweeps.resumable_file import ResumableFile
@@ -22,22 +24,26 @@ from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.tables.csv_fields import quoted
+from robodyn.tables.table_writer import Writer
 
 _WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
+_CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
 def sweep(
     model: Model,
     given: SweepOptions,
+    control: ControlOptions = ControlOptions(),
     workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None,
     scheduler: Annotated[
         Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
     ] = None,
     patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None,
     extremes: Extremes = False,
+    correlations: Annotated[bool, Option("--correlations", help=_CORRELATIONS)] = False,
     quiet: Quiet = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
@@ -47,16 +53,23 @@ def sweep(
     or a number of the scene: links.forearm.m, gravity, springs[0].stiffness, ... (an unknown name
     lists them).  The last --vary of a grid changes fastest.  A row has what varies, the results,
     and the outcome; a point without a result has empty fields.  With --out the same command goes
-    on with a sweep that was cut off; with --extremes, which keeps no rows, it begins anew.
+    on with a sweep that was cut off; with --extremes and --correlations, which keep no rows, it
+    begins anew.
+
+    --kind torque --track FILE computes torques along a reference, --control makes motions track
+    one, as in `simulate` (its model is MODEL, whatever varies); results are then taken of columns
+    of torque, reactions and points, and of the errors e1..: max(tau1), rms(e1).
 
     \b
     Examples:
       robodyn sweep robots/2r.yaml --vary q1=0:360deg:10deg --vary q2=0:360deg:10deg -o flips.csv
       robodyn sweep robots/2r.yaml --vary links.forearm.m=0.5:1.5 --sample 10000 --seed 1 --time 5
       robodyn sweep robots/four-bar.yaml --vary q1=0:350deg:36 --kind torque --qd 5
+      robodyn sweep robots/four-bar.yaml --kind torque --track turn.csv --sample 1000 \\
+        --vary "links.coupler.m=normal(1.3,0.02)" --result "max(tau1),rms(shake_fx)" --correlations
       robodyn sweep robots/2r.yaml --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
     """
-    plan = plan_of(model, given)
+    plan = plan_of(model, given, control)
     if workers is not None and workers < 1:
         raise InputError("--workers", value=workers, limit="must be >= 1")
     if workers is not None and scheduler is not None:
@@ -65,6 +78,8 @@ def sweep(
         raise InputError("--patience", value=patience, limit="is for --scheduler")
     if patience is not None and not patience >= 0.0:
         raise InputError("--patience", value=patience, limit="must be >= 0, s")
+    if extremes and correlations:
+        raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
     header = (",".join(map(quoted, plan.columns())) + "\n").encode()
     outcomes: Counter[str] = Counter()
@@ -84,8 +99,10 @@ def sweep(
                 outcomes.update(rows.outcomes)
                 show((first + outcomes.total()) / size)
 
-    if extremes:
-        with RowOptions(extremes, out=out).writer(plan.columns()[:-1]) as writer:
+    if extremes or correlations:
+        summary = partial(_correlations, varied=len(plan.variation.axes))
+        kept = RowOptions(extremes, out=out).writer(plan.columns()[:-1], summary=summary)
+        with kept as writer:
             compute(0, lambda rows: writer.write_columns(rows.values))
     # devices and pipes are written as they come
     elif out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
@@ -112,6 +129,12 @@ def sweep(
             file.finish()
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
+
+
+def _correlations(*given: Any, varied: int) -> Writer:
+    from robodyn.tables.rank_correlations import RankCorrelations
+
+    return RankCorrelations(*given, varied=varied)
 
 
 def _lines(rows: Rows) -> bytes:

@@ -5,22 +5,32 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from typer import Option
 
 from robodyn.cli.event_options import EVENT, named_events
-from robodyn.cli.options import Text, named_options, vector
+from robodyn.cli.options import Model, Number, Text, named_options, vector
+from robodyn.cli.simulate_options import (
+    DEFAULT_DURATION,
+    ControlOptions,
+    check_no_control,
+    controlled,
+    given_of,
+    named,
+    reference_from,
+)
 from robodyn.cli.states import check_displacements
-from robodyn.cli.times import value_from
+from robodyn.cli.times import DEFAULT_POINTS, value_from
+from robodyn.control.laws import controller
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
-from robodyn.scene.scene_values import SceneValues, is_angle, numbers_of
-from robodyn.scene.yaml_tree import read_text
+from robodyn.scene.scene_values import SceneValues, is_angle
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
+from robodyn.simulation.simulation import check_span
+from robodyn.sweeps.row_results import TAKEN, check_results
 from robodyn.sweeps.sweep_plan import CHUNKS, EVENTS, ONE_BY_ONE, RESULTS, Plan, best_engine
 from robodyn.sweeps.variation import Axis, Variation, spaced, stepped
 from robodyn.tables.csv_fields import shown
@@ -32,14 +42,19 @@ MOST_NAMED = 60  # names that a message lists
 Kind = Literal["motion", "torque"]  # what is computed at each point
 _VARY = (
     "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), a,b,c, "
-    "or with --sample low:high. Once for each NAME."
+    "or with --sample low:high, uniform(low,high), normal(mean,deviation). Once for each NAME."
 )
 _Q = "Angles of the actuated joints, rad, or 30deg (the rest is assembled). Default: zero."
 _QD = "Rates of the actuated joints, rad/s or 30deg. Default: zero."
 _QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
 _TAU = "Constant torques of the actuated joints, N m. Default: zero."
-_TIME = "End time, s; negative runs backwards."
-_RESULT = f"Columns of a motion: {', '.join(RESULTS)}, and {EVENTS} with --event."
+_TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
+_RESULT = (
+    f"Of motions {', '.join(RESULTS)}, and {EVENTS} with --event. Of torques at a state columns of "
+    f"torque, reactions, points; of many rows what is taken of one: {', '.join(TAKEN)}, max(tau1)."
+)
+_OF = "The points of such columns, as `points` has them; repeatable."
+_ROWS = f"Even rows of a motion that columns are taken of. Default: {DEFAULT_POINTS}."
 _FLIP = "The link whose flip is told. Default: the last."
 _STEPS = "A motion gives up after so many."
 _ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
@@ -59,8 +74,10 @@ class SweepOptions:
     qd: Annotated[Text, vector("--qd", _QD)] = None
     qdd: Annotated[Text, vector("--qdd", _QDD)] = None
     tau: Annotated[Text, vector("--tau", _TAU)] = None
-    time: Annotated[float, Option("--time", metavar="S", help=_TIME)] = 10.0
-    result: Annotated[str, Option("--result", metavar="NAMES", help=_RESULT)] = ",".join(RESULTS)
+    time: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None
+    result: Annotated[Text, Option("--result", metavar="NAMES", help=_RESULT)] = None
+    of: Annotated[list[str] | None, Option("--of", metavar="[NAME=]POINT", help=_OF)] = None
+    points: Annotated[int | None, Option("--points", metavar="N", help=_ROWS)] = None
     event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=EVENT)] = None
     flip: Annotated[Text, Option("--flip", metavar="LINK", help=_FLIP)] = None
     rtol: Annotated[float, Option("--rtol", help="Relative tolerance of a step.")] = 1e-9
@@ -69,29 +86,18 @@ class SweepOptions:
     engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
 
 
-def plan_of(model: str, given: SweepOptions) -> Plan:
+def plan_of(model: Model, given: SweepOptions, control: ControlOptions) -> Plan:
     """What the options say; InputError naming the option that is wrong."""
-    text = read_text(Path(model))
-    scene = numbers_of(text, model)
+    scene = model.values()
+    mechanism = build(scene.base)
     axes = _axes(scene, given)
     if given.seed < 0:
         raise InputError("--seed", value=given.seed, limit="must be >= 0")
     variation = Variation(axes, given.sample, given.seed if given.sample is not None else 0)
-    mechanism = build(scene.base)
-    if not (math.isfinite(given.time) and given.time != 0.0):
+    if given.time is not None and not (math.isfinite(given.time) and given.time != 0.0):
         raise InputError("--time", value=given.time, limit="must be finite and not zero")
     with named_options(("rtol", "atol"), max_evals="max_steps"):
         Settings("taylor", given.rtol, given.atol, max_evaluations=given.max_steps).check()
-    chosen = tuple(word.strip() for word in given.result.split(","))
-    for word in chosen:
-        if word not in (*RESULTS, EVENTS):
-            limit = f"knows {', '.join((*RESULTS, EVENTS))}"
-            raise InputError("--result", value=shown(word), limit=limit)
-    events = _events(mechanism, given, EVENTS in chosen)
-    names = list(mechanism.link_names)
-    if given.flip is not None and given.flip not in names:
-        limit = f"names no link{nearest(given.flip, names)}"
-        raise InputError("--flip", value=shown(given.flip), limit=limit)
     if given.kind == "torque" and given.tau is not None:
         raise InputError("--tau", limit="is what --kind torque computes")
     if given.kind == "motion" and given.qdd is not None:
@@ -99,40 +105,116 @@ def plan_of(model: str, given: SweepOptions) -> Plan:
     vectors: dict[str, Any] = {
         name: _values(mechanism, name, getattr(given, name)) for name in ("q", "qd", "qdd", "tau")
     }
-    engine: str = "python"
-    if given.kind == "motion" and not events:
+    acting, end = _acting(mechanism, given, control, axes)
+    reference = acting["track"] or dict(acting["control"]).get("reference")
+    if reference is not None:
+        begin = reference.at(0.0 if acting["control"] else reference.times[0])
+        for name, values in zip(("q", "qd"), begin, strict=True):
+            if getattr(given, name) is None:
+                vectors[name] = tuple(values.tolist())
+    chosen, told = _results(mechanism, given, acting)
+    events = _events(mechanism, given, EVENTS in chosen)
+    alone, engine = given.kind == "motion" and bool(events or told or acting["control"]), "python"
+    if alone and given.engine == "compiled":
+        limit = "events, columns and controllers take one motion at a time, in Python"
+        raise InputError("--engine", value=given.engine, limit=f"{limit}: take auto or python")
+    if given.kind == "motion" and not alone:
         with named_options(("engine",)):
             engine = best_engine(given.engine, variation.size, mechanism)
+    names = list(mechanism.link_names)
+    if given.flip is not None and given.flip not in names:
+        limit = f"names no link{nearest(given.flip, names)}"
+        raise InputError("--flip", value=shown(given.flip), limit=limit)
     return Plan(
-        scene=text,
-        source=model,
+        scene=model.text(),
+        source=model.model,
+        numbers=model.given,
         variation=variation,
         **vectors,
+        **acting,
         kind=given.kind,
-        t_end=given.time,
+        t_end=end,
         results=tuple(name for name in RESULTS if name in chosen),
+        told=told,
+        of=tuple(given.of or ()),
+        rows=(given.points or DEFAULT_POINTS) if told and given.kind == "motion" else 0,
         link=-1 if given.flip is None else names.index(given.flip),
         rtol=given.rtol,
         atol=given.atol,
         most=given.max_steps,
         engine=engine,
-        chunk=ONE_BY_ONE if events else CHUNKS[engine],
+        chunk=ONE_BY_ONE if alone or acting["track"] else CHUNKS[engine],
         events=events,
     )
+
+
+def _acting(
+    mechanism: Mechanism, given: SweepOptions, options: ControlOptions, axes: tuple[Axis, ...]
+) -> tuple[dict[str, Any], float]:
+    """The reference of torques, or the controller of motions, and the end time."""
+    if options.control is None:
+        check_no_control(options, "track")
+        end = DEFAULT_DURATION if given.time is None else given.time
+        if options.track is None:
+            return {"track": None, "control": ()}, end
+        if given.kind == "motion":
+            raise InputError("--track", limit="needs --control, or --kind torque")
+        for option in given_of(given, "time", "q", "qd", "qdd"):
+            raise InputError(f"{option} and --track", limit="exclude each other")
+        joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
+        for axis in (axis for axis in axes if axis.name in joints):
+            raise InputError("--vary", value=axis.name, limit="is told by --track")
+        return {"track": reference_from(mechanism, options.track), "control": ()}, end
+    if given.kind == "torque":
+        raise InputError("--control", limit="is for --kind motion")
+    if given.tau is not None:
+        raise InputError("--tau and --control", limit="exclude each other")
+    for axis in (axis for axis in axes if re.fullmatch("tau[0-9]+", axis.name)):
+        raise InputError("--vary", value=axis.name, limit="is what --control gives")
+    arguments, end = controlled(mechanism, options, given.time)
+    if options.control != "state-feedback" and arguments["control_model"] is None:
+        arguments["control_model"] = mechanism  # which does not vary
+    with named():
+        check_span(controller(mechanism, **arguments), end)
+    return {"track": None, "control": tuple(arguments.items())}, end
+
+
+def _results(
+    mechanism: Mechanism, given: SweepOptions, acting: dict[str, Any]
+) -> tuple[list[str], tuple[str, ...]]:
+    """The words of --result that are results of motions, and the columns."""
+    known = (*RESULTS, EVENTS)
+    words = [] if given.result is None else [word.strip() for word in given.result.split(",")]
+    chosen = [word for word in words if word in known]
+    told = tuple(word for word in words if word not in known)
+    rows = given.kind == "motion" or acting["track"] is not None
+    if given.points is not None and not (told and given.kind == "motion"):
+        limit = "is for motions with --result of columns, such as max(tau1)"
+        raise InputError("--points", value=given.points, limit=limit)
+    if given.points is not None and not 2 <= given.points <= MOST_VALUES:
+        raise InputError("--points", value=given.points, limit=f"must be in [2, {MOST_VALUES}]")
+    if given.of and not told:
+        raise InputError("--of", limit="is for --result with columns of points")
+    if given.kind == "torque" and chosen:
+        raise InputError("--result", value=chosen[0], limit="is for --kind motion")
+    if acting["track"] is not None and not told:
+        raise InputError("--result", limit="missing: --track needs it, such as max(tau1)")
+    for word in (word for k, word in enumerate(words) if word in words[:k]):
+        raise InputError("--result", value=shown(word), limit="is given twice")
+    with named_options(("result", "of")):
+        check_results(mechanism, told, given.of or (), bool(acting["control"]), rows, known)
+    if given.result is None and given.kind == "motion":
+        chosen = list(RESULTS)
+    return chosen, told
 
 
 def _events(mechanism: Mechanism, given: SweepOptions, wanted: bool) -> tuple[tuple[str, str], ...]:
     """The events of each motion, which go with --result events alone."""
     events = tuple(named_events(mechanism, given.event or []).items())
-    if wanted and given.kind == "torque":
-        raise InputError("--result", value=EVENTS, limit="is for --kind motion")
     if wanted != bool(events):
         missing = "--event NAME=EXPR" if wanted else f"--result {EVENTS}"
         option = "--result" if wanted else "--event"
         raise InputError(option, value=EVENTS if wanted else None, limit=f"needs {missing}")
-    if events and given.engine == "compiled":
-        limit = "events are looked for by one motion at a time, in Python: take auto or python"
-        raise InputError("--engine", value=given.engine, limit=limit)
     return events
 
 
@@ -206,6 +288,17 @@ def _axis(name: str, text: str, drawn: bool, angle: bool) -> Axis:
     def wrong(limit: str) -> InputError:
         return InputError(where, value=shown(text), limit=limit)
 
+    drawing = re.fullmatch(r"(normal|uniform)\(([^,()]*),([^,()]*)\)", text)
+    if drawing:
+        if not drawn:
+            raise wrong(f"{drawing[1]} is for --sample")
+        if drawing[1] == "uniform":
+            text = f"{drawing[2]}:{drawing[3]}"
+        else:
+            mean, deviation = number(drawing[2]), number(drawing[3])
+            if not deviation > 0.0:
+                raise wrong("the deviation must be > 0")
+            return Axis(name, low=mean, deviation=deviation)
     parts = text.split(":")
     if len(parts) == 1:
         return Axis(name, tuple(number(part) for part in text.split(",")))

@@ -13,7 +13,7 @@ from robodyn.cli.states import Quantity, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import SLIDING
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
@@ -52,7 +52,7 @@ def terms(
       robodyn terms robots/four-bar.yaml --q 60deg --qd 5 --format json | python -m json.tool
       robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
-    mechanism = load(model)
+    mechanism = model.load()
     for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):
         if given is not None and not derivatives:
             value = given if isinstance(given, str) else ", ".join(given)

@@ -15,7 +15,6 @@ from robodyn.cli.output import StateOptions
 from robodyn.cli.states import (
     Quantity,
     evaluate,
-    loop_columns,
     option_source,
     overflow,
 )
@@ -101,23 +100,18 @@ def torque(
 
     import numpy as np
 
-    from robodyn.dynamics.dynamics import inverse_dynamics_and_forces, loop_forces
-
-    columns += loop_columns(mechanism) + motors + powers
+    from robodyn.dynamics.dynamics import inverse_dynamics_and_forces
+    from robodyn.dynamics.state_columns import power_values, torque_columns, torque_values
 
     def compute(**motion: np.ndarray) -> np.ndarray:
-        solution = inverse_dynamics_and_forces(mechanism, **motion)
-        forces = loop_forces(mechanism, solution.multipliers, motion["q"])
-        torques = solution.tau[..., list(mechanism.actuated)]
-        parts = [torques, forces]
-        if motors:
-            joints = (np.moveaxis(x, -1, 0) for x in (solution.tau, motion["qd"]))
-            parts.append(np.stack(motor_values(mechanism, *map(list, joints)), axis=-1))
-        if power:
-            parts.append(torques * motion["qd"][..., list(mechanism.actuated)])
-        return np.concatenate(parts, axis=-1)
+        tau, multipliers, _ = inverse_dynamics_and_forces(mechanism, **motion)
+        q, qd = motion["q"], motion["qd"]
+        found = torque_values(mechanism, q, qd, tau, multipliers)
+        if not power:
+            return found
+        return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
-    evaluate(mechanism, states, quantities, columns, compute, rows)
+    evaluate(mechanism, states, quantities, torque_columns(mechanism) + powers, compute, rows)
 
 
 def _single_state(

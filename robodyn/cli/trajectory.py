@@ -19,7 +19,7 @@ from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
 from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.mechanism import Mechanism, load
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_time
 from robodyn.simulation.even_times import EvenTimes
@@ -74,7 +74,7 @@ def trajectory(
       robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
         --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
     """
-    mechanism = load(model)
+    mechanism = model.load()
     duration = given.duration()
     with ways.named(given):
         limits = given.limits(mechanism)

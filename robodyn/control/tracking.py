@@ -85,16 +85,27 @@ class ReferenceTable:
 
     def at(self, t: ArrayLike, side: Literal["left", "right"] = "right") -> tuple[Array, Array]:
         """q_ref and qd_ref (..., m) at times t (...); at a row those on this side of it."""
-        t = np.asarray(t, float)
-        k = np.searchsorted(self.times, t, side=side) - 1
-        k = np.clip(k, 0, len(self.times) - 2)
-        x = (t - np.asarray(self.times)[k])[..., None]
-        c = self.coefficients[k]
+        c, x = self._piece(t, side)
         q, qd = np.zeros(c.shape[:-1]), np.zeros(c.shape[:-1])
         for d in reversed(range(c.shape[-1])):
             qd = qd * x + q
             q = q * x + c[..., d]
         return q, qd
+
+    def accelerations(self, t: ArrayLike) -> Array:
+        """qdd_ref (..., m) at times t (...); at a row that after it."""
+        c, x = self._piece(t, "right")
+        qdd = np.zeros(c.shape[:-1])
+        for d in reversed(range(2, c.shape[-1])):
+            qdd = qdd * x + d * (d - 1) * c[..., d]
+        return qdd
+
+    def _piece(self, t: ArrayLike, side: Literal["left", "right"]) -> tuple[Array, Array]:
+        """The coefficients at times t (...), and the time (..., 1) since their piece began."""
+        t = np.asarray(t, float)
+        k = np.searchsorted(self.times, t, side=side) - 1
+        k = np.clip(k, 0, len(self.times) - 2)
+        return self.coefficients[k], (t - np.asarray(self.times)[k])[..., None]
 
 
 def _check(times: Array, given: list[Array], where: str) -> None:

@@ -1,15 +1,15 @@
 """A mechanism as a function of one number of its scene: what derivatives by numbers start from.
 
-The scene is read again with another value in that place.  What changes with it, by copies, sums or
-opposites, gets a variable of a graph; so what hangs from a tip moves with the length, as in the
-file.  `mechanism.constants` then makes formulas of it, and no difference is left.
+What the mechanism was made from is read again with another value in that place.  What changes with
+it, by copies, sums or opposites, gets a variable of a graph; so what hangs from a tip moves with
+the length, as in the scene.  `mechanism.constants` then makes formulas of it, and no difference is
+left.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from robodyn.engines.derivative_formulas import KINDS, residuals
@@ -19,10 +19,8 @@ from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import substituted, tangents
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism, constants, with_kept
-from robodyn.scene import yaml_tree
 from robodyn.scene.scene import Description
-from robodyn.scene.scene_values import SceneValues, numbers_of
-from robodyn.scene.yaml_values import nearest
+from robodyn.scene.scene_values import SceneValues
 
 CHANGE = 0.25  # of a number, or of 1 where it is zero
 SAME = 1e-9  # relative, by which what is no multiple of a change is told
@@ -48,7 +46,7 @@ def number_formula(mechanism: Mechanism, name: str) -> Formula:
 
 def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
     """The mechanism whose number is what it is plus x."""
-    values = _values(mechanism, name)
+    values = named_values(mechanism, name)
     base = values.base
     size, (whole, half) = _changed(values, name)
     plain = base._replace(closures=tuple(c._replace(aligned=None) for c in base.closures))
@@ -66,24 +64,27 @@ def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
 
 
 def size_of(mechanism: Mechanism, name: str) -> float:
-    """The size of the number called `name`, or 1 where it is zero.
+    """The size of the number called `name`, or 1 where it is zero."""
+    return abs(named_values(mechanism, name).number(name)) or 1.0
 
-    Raises InputError for none, and where the mechanism is no longer that of its file.
+
+def named_values(mechanism: Mechanism, *names: str) -> SceneValues:
+    """The numbers of the scene that the mechanism was made from, of which the `names` are some.
+
+    Raises InputError for a name that is none, and where the mechanism is no longer that of its
+    scene.
     """
-    values = _values(mechanism, name)
+    values = _values(mechanism)
+    values.check(names)
     if values.base != mechanism.description:
         limit = "no derivative is known by it: the mechanism has more than its file (--force)"
-        raise InputError(name, where=mechanism.source, limit=limit)
-    return abs(values.number(name)) or 1.0
-
-
-def _values(mechanism: Mechanism, name: str) -> SceneValues:
-    """The numbers of the mechanism's file, of which `name` is one."""
-    values = numbers_of(yaml_tree.read_text(Path(mechanism.source)), mechanism.source)
-    if name not in values:
-        limit = f"is no number of the scene{nearest(name, values.names)}"
-        raise InputError(name, where=mechanism.source, limit=limit)
+        raise InputError(", ".join(names), where=mechanism.source, limit=limit)
     return values
+
+
+@lru_cache(maxsize=8)
+def _values(mechanism: Mechanism) -> SceneValues:
+    return SceneValues(mechanism.description.written, mechanism.source)
 
 
 class _NoMultipleError(Exception):

@@ -19,7 +19,9 @@ from robodyn.scene.scene import Description, DryFriction, Link, Signal, signals_
 RESERVED = frozenset({"world", "universe", "root_joint"})
 SAFE, UNSAFE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*"), re.compile(r"[^A-Za-z0-9_]+")
 # these say how a scene is named and assembled, or are said in the comment
-SCENE_SAID = frozenset({"source", "name", "gravity", "links", "branches", "actuated", "start"})
+SCENE_SAID = frozenset(
+    {"source", "name", "gravity", "links", "branches", "actuated", "start", "written"}
+)
 LINK_SAID = frozenset({"name", "m", "l", "r", "I", "hangs_from", "payload", "damping", "axis"})
 
 

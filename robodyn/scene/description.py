@@ -31,6 +31,7 @@ from robodyn.scene.scene import (
     Motor,
     Point,
     Spring,
+    Written,
 )
 from robodyn.scene.varying import SignalReader
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
@@ -106,6 +107,7 @@ class _Reader(PointReader, SignalReader, ContactReader):
             loads=values["loads"] or (),
             couplings=values["couplings"] or (),
             points=tuple(self.places.points.items()),
+            written=Written(root),
         )
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:

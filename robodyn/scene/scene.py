@@ -6,8 +6,9 @@ Names are resolved to indices, points of the plane are complex numbers; SI units
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 BRANCHES = ("open", "crossed")
 FRAMES = ("ground", "link")  # in which a load's force stays
@@ -208,6 +209,17 @@ class Coupling(NamedTuple):
     angle: float
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """The tree that a description was read from, and what was put in place of its numbers since.
+
+    It is no part of what a scene says: all are equal.  `SceneValues` reads it.
+    """
+
+    tree: Any = field(default=None, compare=False, repr=False)  # a node of `yaml_tree.py`
+    put: tuple[Mapping[str, Any], ...] = field(default=(), compare=False, repr=False)  # in turn
+
+
 class Description(NamedTuple):
     """What a scene file says; `source` is the file's name for messages.
 
@@ -226,6 +238,7 @@ class Description(NamedTuple):
     loads: tuple[Load | Moment, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     points: tuple[tuple[str, Point], ...] = ()  # by their names
+    written: Written = Written()
 
 
 def signals_of(description: Description) -> Iterator[tuple[str, Signal]]:

@@ -19,8 +19,9 @@ from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
 from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR, Key, form_of
 from robodyn.scene.quantities import parse_angle, parse_number
-from robodyn.scene.scene import Description
+from robodyn.scene.scene import Description, Written
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
+from robodyn.scene.yaml_values import nearest
 
 _ANGLES = {
     name for form in FORMS.values() for name, key in form.keys.items() if key.kind == "angle"
@@ -57,8 +58,9 @@ class _Place:
             return found
         return next((node for key, node in self.around.pairs if key.text == self.at), None)
 
-    def put(self, value: float) -> None:
-        scalar = Scalar(repr(float(value)), False, self.around.line)
+    def put(self, value: float | Node) -> None:
+        line = self.around.line
+        scalar = value if isinstance(value, Node) else Scalar(repr(float(value)), False, line)
         if isinstance(self.around, Sequence):
             assert isinstance(self.at, int)
             self.around.items[self.at] = scalar
@@ -72,23 +74,33 @@ class _Place:
 
 
 class SceneValues:
-    """A scene's text, and its numbers by name.
+    """The numbers of a scene by name, of its text or of what it was read from.
 
-    Raises DescriptionError for a faulty scene.
+    Raises DescriptionError for a faulty scene, InputError for an unknown name of what was put.
     """
 
-    def __init__(self, text: str, source: str) -> None:
+    def __init__(self, scene: str | Written, source: str) -> None:
         self.source = source
-        root = yaml_tree.parse(text, source)
+        root = yaml_tree.parse(scene, source) if isinstance(scene, str) else scene.tree
         self.base = description.from_tree(root, source)
         assert root is not None
         self._root = _unshared(root)
+        self._places = self._found()
+        if isinstance(scene, Written) and scene.put:
+            for values in scene.put:
+                self._put(values)
+                self._places = self._found()
+            self.base = description.from_tree(self._root, source)._replace(written=scene)
+
+    def _found(self) -> dict[str, _Place]:
+        """Where the numbers stand, by all of their names."""
         assert isinstance(self._root, yaml_tree.Mapping)
-        self._places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
-        for name, place in list(self._places.items()):
+        places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
+        for name, place in list(places.items()):
             if match := _OF_LINK.match(name):
                 named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
-                self._places.setdefault(named, place)
+                places.setdefault(named, place)
+        return places
 
     @property
     def names(self) -> list[str]:
@@ -120,28 +132,50 @@ class SceneValues:
         """The identity of the collection at a place, where there is one."""
         return None if place.node is None else id(place.node)
 
-    def replaced(self, values: Mapping[str, float]) -> Description:
+    def check(self, names: Iterable[str]) -> None:
+        """Raise InputError for a name that is none."""
+        for name in names:
+            if name not in self._places:
+                limit = f"is no number of the scene{nearest(name, self.names)}"
+                raise InputError(name, where=self.source, limit=limit)
+
+    def replaced(self, values: Mapping[str, float | Node]) -> Description:
         """The scene with these numbers in place of its own; not for two threads at once.
 
-        Raises InputError for an unknown name, DescriptionError for values that no scene may have.
+        A node is read as if the file had it there.  Raises InputError for an unknown name,
+        DescriptionError for values that no scene may have.
         """
-        for name in values:
-            if name not in self._places:
-                raise InputError(name, where=self.source, limit="is no number of the scene")
+        self.check(values)
         undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
         try:
-            for name, value in values.items():
-                self._places[name].put(value)
-            return description.from_tree(self._root, self.source)
+            self._put(values)
+            found = description.from_tree(self._root, self.source)
         finally:
             for held, own in undo:
                 held[:] = own
+        tree, before = self.base.written.tree, self.base.written.put
+        return found._replace(written=Written(tree, (*before, dict(values))))
+
+    def _put(self, values: Mapping[str, float | Node]) -> None:
+        self.check(values)
+        for name, value in values.items():
+            self._places[name].put(_unshared(value) if isinstance(value, Node) else value)
 
 
-@lru_cache(maxsize=8)
-def numbers_of(text: str, source: str) -> SceneValues:
-    """The numbers of a scene's text, read once for all who ask."""
-    return SceneValues(text, source)
+def read_numbers(text: str, source: str, given: tuple[tuple[str, str], ...] = ()) -> SceneValues:
+    """The numbers of a scene's text, with those `given`, NAME and VALUE as a scene has it.
+
+    Raises InputError for names that are none, and DescriptionError for what no scene may have.
+    """
+    values = SceneValues(text, source)
+    if not given:
+        return values
+    nothing = Scalar("", False, 1)
+    put = {name: yaml_tree.parse(value, source) or nothing for name, value in given}
+    return SceneValues(values.replaced(put).written, source)
+
+
+numbers_of = lru_cache(maxsize=8)(read_numbers)  # read once for all who ask
 
 
 def is_angle(name: str) -> bool:

@@ -53,7 +53,7 @@ class Motion:
     outcome: Outcome
     mechanism: Mechanism
     events: list[Event]
-    _phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)
+    phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)  # rows, and what moves
     _settle: Callable[[], Report] = field(repr=False, compare=False)
     sensitivity: Array | None = None
 
@@ -70,9 +70,9 @@ class Motion:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
         if not self.mechanism.switches:
             return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau, self.t)
-        ends = np.cumsum([count for count, _ in self._phases])[:-1]
+        ends = np.cumsum([count for count, _ in self.phases])[:-1]
         parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau, self.t))
-        each = zip(self._phases, *parts, strict=True)
+        each = zip(self.phases, *parts, strict=True)
         return np.concatenate([dynamics.forward_dynamics(moving, *x) for (_, moving), *x in each])
 
 
@@ -193,11 +193,7 @@ def run(
         raise InputError("max_step", value=settings.max_step, limit=limit)
     if isinstance(times, np.ndarray):
         _check_times(times, t_end)
-    if actuation.span is not None:
-        what, first, last = actuation.span
-        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
-            span = f"{first:g} to {last:g} s"
-            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
+    check_span(actuation, t_end)
     actuation = over_run(mechanism, actuation, state, t_end, settings.atol)
     report = Report(method=settings.method, rtol=settings.rtol, atol=settings.atol, t_end=t_end)
     report.hint = "" if actuation.told_by_leaves else TOO_FAST
@@ -250,6 +246,15 @@ def run(
         t, y = recorder.last
         report.advice = near_table_end(mechanism, y[:n], y[n : 2 * n], t) or report.advice
     return outcome, recorder
+
+
+def check_span(actuation: Actuation, t_end: float) -> None:
+    """Raise InputError where the torques do not reach over a run to t_end."""
+    if actuation.span is not None:
+        what, first, last = actuation.span
+        if not (first <= min(0.0, t_end) and last >= max(0.0, t_end)):
+            span = f"{first:g} to {last:g} s"
+            raise InputError(what, value=span, limit=f"must cover 0 to {t_end:g} s")
 
 
 def _check_times(times: Array, t_end: float) -> None:

@@ -1,9 +1,9 @@
 """One motion of a sweep by a single simulation, for what lanes do not serve.
 
-Motions that pass change points, closures that depend on one another, and forces whose series end on
-the way go so: by DOP853 where the scene has forces of its own, else by the Taylor series.  Between
-the quarter points of its steps q is the polynomial of degree 5 that has q, qd and qdd of both:
-extremes and crossings are those of these polynomials.
+Motions that pass change points, closures that depend on one another, forces whose series end on the
+way, and controllers go so: by DOP853 where the scene has forces of its own or a controller (what is
+stiff by Radau there), else by the Taylor series.  Between the quarter points of its steps q is the
+polynomial of degree 5 that has q, qd and qdd of both: extremes and crossings are those of these.
 """
 
 from __future__ import annotations
@@ -14,13 +14,17 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.control.laws import controller
 from robodyn.dynamics import closed_form
 from robodyn.errors import RobodynError, SingularError
+from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import SCIPY_RTOL
 from robodyn.simulation.simulation import Motion, simulate
 from robodyn.sweeps.lanes import Aims, Ends, Motions
+from robodyn.sweeps.row_results import of_motion
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, derivative, extremes
+from robodyn.sweeps.sweep_plan import Plan
 from robodyn.trajectories.splines import hermite
 
 Array = NDArray[np.float64]
@@ -29,44 +33,52 @@ CANNOT_START = "cannot start"
 
 
 def single(
-    given: Motions,
-    k: int,
-    t_end: float,
-    aims: Aims,
-    ends: Ends,
-    lane: int,
-    events: dict[str, str],
-    told: Array,
+    plan: Plan, given: Motions, k: int, aims: Aims, ends: Ends, lane: int, told: Array
 ) -> str:
     """Motion k of those given, into lane `lane` of `ends`; its outcome.
 
-    `told` has, for each of the `events`, how often it happened, and when first.
+    `told` has, for each event of the plan, how often it happened, and when first; then the results
+    of columns.
     """
     mechanism, y, n = given.mechanism, given.y[k], given.mechanism.n
+    plain = not (mechanism.has_state_forces or plan.control)
+    methods = ["taylor"] if plain else ["DOP853", *(["Radau"] if plan.control else [])]
+    events, reference = dict(plan.events), dict(plan.control).get("reference")
+    even = np.linspace(0.0, plan.t_end, plan.rows) if plan.told else None
 
     def run(times: Array | None, events: dict[str, str] | None = None) -> Motion:
-        return simulate(
-            mechanism,
-            y[:n],
-            y[n:],
-            t_end,
-            tau=given.tau[k].tolist(),
-            method="DOP853" if mechanism.has_state_forces else "taylor",
-            engine="auto" if mechanism.has_state_forces else "python",
-            rtol=max(aims.rtol, SCIPY_RTOL),
-            atol=aims.atol,
-            max_evals=aims.most,
-            t_eval=times,
-            events=events,
-        )
+        for method in methods:
+            motion = simulate(
+                mechanism,
+                y[:n],
+                y[n:],
+                plan.t_end,
+                tau=_torques(plan, given, k),
+                method=method,
+                engine="python" if plain else "auto",
+                rtol=max(aims.rtol, SCIPY_RTOL),
+                atol=aims.atol,
+                max_evals=aims.most,
+                t_eval=times,
+                events=events,
+            )
+            if motion.outcome is not Outcome.STIFF:
+                break
+        return motion
 
     inner = aims.extremes or aims.link >= 0
     try:
-        motion = run(None, events)
+        motion = run(None if inner else even, events)
+        if even is not None and motion.outcome is not Outcome.FINISHED:
+            motion = run(None, events)  # which tells where it ended
         report, t = motion.report, motion.t
-        told[::2] = [report.events.get(name, 0) for name in events]
+        counts, times = (told[i : 2 * len(events) : 2] for i in (0, 1))
+        counts[:] = [report.events.get(name, 0) for name in events]
         first = {event.name: event.t for event in reversed(motion.events)}  # contacts among them
-        told[1::2] = [first.get(name, math.nan) for name in events]
+        times[:] = [first.get(name, math.nan) for name in events]
+        if even is not None and motion.outcome is Outcome.FINISHED:
+            rows = run(even) if inner else motion
+            told[2 * len(events) :] = of_motion(rows, plan.told, plan.of, reference)
         inner &= len(t) > 1
         if inner:
             parts = np.arange(QUARTERS) / QUARTERS
@@ -79,6 +91,8 @@ def single(
     except RobodynError:
         return CANNOT_START
     states = np.concatenate([motion.q, motion.qd], axis=1)
+    if not len(states):
+        return motion.outcome.label
     energy = np.sum(closed_form.energies(mechanism, motion.q, motion.qd), axis=0)
     energy -= mechanism.energy_offset
     ends.t[lane], ends.y[lane], ends.steps[lane] = t[-1], states[-1], report.steps
@@ -101,3 +115,11 @@ def single(
         flips = motion.t[:-1] + x
         ends.flip[lane] = min(flips[~np.isnan(x)], key=abs, default=math.nan)
     return motion.outcome.label
+
+
+def _torques(plan: Plan, given: Motions, k: int) -> Actuation | list[float]:
+    """What drives motion k: constant torques, or a controller of its own."""
+    if not plan.control:
+        constants: list[float] = given.tau[k].tolist()
+        return constants
+    return controller(given.mechanism, **dict(plan.control))

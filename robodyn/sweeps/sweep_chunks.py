@@ -17,18 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn import __version__
-from robodyn.dynamics.dynamics import RobodynWarning, inverse_dynamics_and_forces, loop_forces
+from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.dynamics import RobodynWarning
+from robodyn.dynamics.state_columns import torque_columns
 from robodyn.errors import DescriptionError, InputError, RobodynError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.change_points import suspect_quality
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.mechanics.motors import motor_values
-from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.scene_values import read_numbers
 from robodyn.simulation.report import Outcome
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
-from robodyn.sweeps.sweep_plan import Plan, base_mechanism
+from robodyn.sweeps.row_results import at_states, of_rows, of_states
+from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Axis
 from robodyn.taylor import Status
 
@@ -36,6 +38,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 CANNOT_ASSEMBLE = "cannot assemble"
+NO_SCENE = "not a scene"  # with what was drawn
 FINISHED = Outcome.FINISHED.label
 
 
@@ -89,17 +92,21 @@ def _groups(plan: Plan, points: Array, outcomes: list[str]) -> Iterator[Group]:
     """The points, a group for each mechanism, less those that cannot be assembled."""
     axes = plan.variation.axes
     changed = list(plan.scene_axes)
-    scene = SceneValues(plan.scene, plan.source)
+    scene = read_numbers(plan.scene, plan.source, plan.numbers)
     members: dict[tuple[float, ...], list[int]] = {}
     for k, key in enumerate(map(tuple, points[:, changed].tolist())):
         members.setdefault(key, []).append(k)
     for key, indices in members.items():
-        mechanism = base_mechanism(plan.scene, plan.source)
+        mechanism = plan.mechanism
         if changed:
             names = [axes[k].name for k in changed]
             try:
                 mechanism = build(scene.replaced(dict(zip(names, key, strict=True))))
             except DescriptionError as error:  # which no process can hand to another
+                if any(axis.deviation for axis in axes):  # one may be drawn that is out of limits
+                    for k in indices:
+                        outcomes[k] = NO_SCENE
+                    continue
                 raise InputError("the scene with these values", limit=str(error)) from None
         chosen = np.array(indices)
         q, qd, tau = (
@@ -148,20 +155,22 @@ def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, NDArr
 
 
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> None:
-    """The torques and loop forces of a group, or of each of its points where one has none."""
-    mechanism = group.mechanism
+    """The columns of a group, or of each of its points where one has none."""
+    mechanism, first = group.mechanism, points.shape[1]
+    texts = plan.told or torque_columns(mechanism)
     given = _given(mechanism, "qdd", plan.qdd, plan.variation.axes, points[group.points])
 
     def compute(chosen: slice) -> Array:
         q, qd = group.q[chosen], group.qd[chosen]
-        qdd = loop_rates.loop_accelerations(mechanism, q, qd, given[chosen])
-        found = inverse_dynamics_and_forces(mechanism, q, qd, qdd)
-        forces = loop_forces(mechanism, found.multipliers, q)
-        motors = motor_values(mechanism, list(found.tau.T), list(qd.T))
-        torques = [found.tau[:, list(mechanism.actuated)], forces]
-        return np.concatenate([*torques, *(x[:, None] for x in motors)], axis=1)
+        solved = at_states(mechanism, np.zeros(len(q)), q, qd, given[chosen])
+        return of_states(mechanism, texts, plan.of, solved)
 
-    first = points.shape[1]
+    if plan.track is not None:  # which all points of a mechanism share
+        found, outcome = _along(plan, mechanism, plan.track)
+        values[group.points, first:] = found
+        for k in group.points:
+            outcomes[k] = outcome
+        return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RobodynWarning)
         try:
@@ -178,9 +187,29 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
                     pass
 
 
+def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Array, str]:
+    """The results of torques along a reference, nan where there are none, and the outcome."""
+    nothing, t = np.full(len(plan.told), math.nan), np.array(track.times)
+    driven, rates = track.at(t)
+    q, missing = assembly.attempt(mechanism, driven)
+    if not np.isfinite(q).all() or (missing > 0.0).any():
+        return nothing, CANNOT_ASSEMBLE
+    qd, kept = _velocities(mechanism, q, rates)
+    if not kept.all():
+        return nothing, Outcome.SINGULAR.label
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RobodynWarning)
+        try:
+            solved = at_states(mechanism, t, q, qd, track.accelerations(t))
+            columns = of_states(mechanism, plan.told, plan.of, solved)
+        except SingularError:
+            return nothing, Outcome.SINGULAR.label
+    return of_rows(plan.told, columns), FINISHED
+
+
 def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]) -> None:
     """The motions of all groups: together where lanes serve them, one by one elsewhere."""
-    base = base_mechanism(plan.scene, plan.source)
+    base = plan.mechanism
     n, P = base.n, len(outcomes)
     # the plan alone decides what is computed, so that digits do not depend on the chunk
     named = {axis.name for axis in plan.variation.axes}
@@ -203,9 +232,9 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
         y = np.hstack([group.q, group.qd])
         members.append(Motions(group.mechanism, y, group.tau, angle))
     compiled = plan.engine == "compiled"
-    events, told = dict(plan.events), np.full((P, 2 * len(plan.events)), math.nan)
+    told = np.full((P, 2 * len(plan.events) + len(plan.told)), math.nan)
     together: list[Ends | None] = [None] * len(members)
-    if not plan.events:  # these are looked for in one motion at a time
+    if not plan.one_by_one:
         together = integrate(members, plan.t_end, aims, driven, compiled)
     if compiled and None in together:  # no code could be made
         again = integrate(members, plan.t_end, aims, driven, compiled=False)
@@ -223,7 +252,7 @@ def _motions(plan: Plan, groups: list[Group], values: Array, outcomes: list[str]
                 getattr(ends, name)[group.points] = getattr(found, name)
         for i, (k, status) in enumerate(zip(group.points.tolist(), statuses, strict=True)):
             if status is None or status in alone:
-                outcomes[k] = single(member, i, plan.t_end, aims, ends, k, events, told[k])
+                outcomes[k] = single(plan, member, i, aims, ends, k, told[k])
             else:
                 outcomes[k] = _OUTCOMES[status].label
     _fill(plan, ends, offset, told, values)
@@ -241,10 +270,8 @@ def _fill(plan: Plan, ends: Ends, offset: Array, told: Array, values: Array) -> 
         parts.append(ends.drift[:, None])
     if "flip" in plan.results:
         parts.append(ends.flip[:, None])
-    if plan.events:
-        parts.append(told)
-    if parts:
-        values[:, len(plan.variation.axes) :] = np.concatenate(parts, axis=1)
+    parts.append(told)
+    values[:, len(plan.variation.axes) :] = np.concatenate(parts, axis=1)
 
 
 def _turning(mechanism: Mechanism, link: int) -> int:

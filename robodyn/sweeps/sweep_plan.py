@@ -5,17 +5,19 @@ Plain values, which go to other processes and machines, and which tell one sweep
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import hashlib
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 from robodyn import __version__
+from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.state_columns import torque_columns
 from robodyn.engines import machine
 from robodyn.errors import InputError
 from robodyn.loops import assembly
-from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.mechanics.motors import motor_columns
-from robodyn.scene.scene_values import numbers_of
+from robodyn.scene.scene_values import SceneValues, numbers_of
 from robodyn.sweeps.variation import Variation
 from robodyn.taylor.compiled import serves
 
@@ -54,25 +56,40 @@ class Plan:
     version: str = __version__
     chunk: int = CHUNKS["python"]
     events: tuple[tuple[str, str], ...] = ()  # names and expressions
+    numbers: tuple[tuple[str, str], ...] = ()  # of the scene, in place of its own
+    told: tuple[str, ...] = ()  # results of columns, see `row_results.py`
+    of: tuple[str, ...] = ()  # the points of these columns
+    rows: int = 0  # of a motion whose columns are told
+    track: ReferenceTable | None = None  # the rows of torques, in place of one state
+    control: tuple[tuple[str, Any], ...] = ()  # arguments of `controller`, by name
 
     @property
     def chunks(self) -> int:
         return -(-self.variation.size // self.chunk)
 
     @property
+    def values(self) -> SceneValues:
+        """The numbers of the scene, read once."""
+        return numbers_of(self.scene, self.source, self.numbers)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """That of the scene as it is."""
+        return _mechanism(self.scene, self.source, self.numbers)
+
+    @property
     def scene_axes(self) -> tuple[int, ...]:
         """Which axes change the scene."""
-        values = numbers_of(self.scene, self.source)
+        values = self.values
         return tuple(k for k, axis in enumerate(self.variation.axes) if axis.name in values)
 
     def columns(self) -> list[str]:
         """The names of the columns; the last, `outcome`, is text."""
-        mechanism = base_mechanism(self.scene, self.source)
+        mechanism = self.mechanism
         joints = range(1, mechanism.n + 1)
         names = [axis.name for axis in self.variation.axes]
         if self.kind == "torque":
-            names += [f"tau{k + 1}" for k in mechanism.actuated]
-            return [*names, *loop_columns(mechanism), *motor_columns(mechanism), "outcome"]
+            return [*names, *(self.told or torque_columns(mechanism)), "outcome"]
         if "final" in self.results:
             names += ["t_end", *(f"{x}{k}_end" for x in ("q", "qd") for k in joints)]
         if "extremes" in self.results:
@@ -80,23 +97,42 @@ class Plan:
             names += [f"energy_{end}" for end in _ENDS]
         names += [name for name in ("drift", "flip") if name in self.results]
         names += [f"{name}_{what}" for name, _ in self.events for what in ("count", "first")]
-        return [*names, "outcome"]
+        return [*names, *self.told, "outcome"]
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether its motions are simulated so, and not many together in lanes."""
+        return bool(self.events or self.told or self.control)
 
     def facts(self) -> dict[str, object]:
         """Everything that the rows depend on, as JSON has it."""
-        facts = asdict(self)
+        facts = {field.name: getattr(self, field.name) for field in fields(self)}
         del facts["source"]  # which may be named from elsewhere
-        if not self.events:
-            del facts["events"]
+        for name in ("events", "numbers", "told", "of", "rows", "track", "control"):
+            if not facts[name]:
+                del facts[name]
+            elif name in ("track", "control"):
+                text = repr(_plain(facts[name]))
+                facts[name] = hashlib.sha256(text.encode()).hexdigest()
         facts["variation"] = [asdict(axis) for axis in self.variation.axes]
         facts |= {"sample": self.variation.sample, "seed": self.variation.seed}
         return facts
 
 
 @lru_cache(maxsize=8)
-def base_mechanism(scene: str, source: str) -> Mechanism:
-    """The mechanism of the scene as it is."""
-    return build(numbers_of(scene, source).base)
+def _mechanism(*scene: Any) -> Mechanism:
+    return build(numbers_of(*scene).base)
+
+
+def _plain(value: Any) -> object:
+    """A reference, or arguments of a controller, as something whose text tells them apart."""
+    if isinstance(value, tuple):
+        return [_plain(x) for x in value]
+    if isinstance(value, Mechanism):
+        return value.description
+    if isinstance(value, ReferenceTable):
+        return value.times, value.coefficients.tolist()
+    return value
 
 
 def best_engine(wanted: str, points: int, mechanism: Mechanism) -> str:
@@ -120,10 +156,10 @@ def check(plan: Plan) -> Mechanism:
 
     Each axis is tried at both of its ends, the others at the scene's own values.
     """
-    mechanism = base_mechanism(plan.scene, plan.source)
+    mechanism = plan.mechanism
     for k in plan.scene_axes:
         axis = plan.variation.axes[k]
         for value in axis.ends:
-            build(numbers_of(plan.scene, plan.source).replaced({axis.name: value}))
+            build(plan.values.replaced({axis.name: value}))
     assembly.assembly_plan(mechanism)
     return mechanism

@@ -1,10 +1,10 @@
 """The points of a sweep: a grid, or a random sample, of several quantities.
 
-A grid is the product of its axes' values, the last axis varying fastest.  A sample draws every
-axis uniformly: an interval [low, high) by low + u (high - low), a list of values by its entry
-floor(u count), with u from numpy's Generator(PCG64(seed)).random, one u an axis and point, point
-by point.  The generator is set forward to where a block of points begins, so that a block depends
-on nothing but its place.
+A grid is the product of its axes' values, the last axis varying fastest.  A sample draws an
+interval [low, high) by low + u (high - low), a list of values by its entry floor(u count), and a
+normal distribution by its quantile at u, with u from numpy's Generator(PCG64(seed)).random, one u
+an axis and point, point by point.  The generator is set forward to where a block of points begins,
+so that a block depends on nothing but its place.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LEAST = 2.0**-54  # in place of a draw of 0, whose quantile is infinite
+
 
 @dataclass(frozen=True, slots=True)
 class Axis:
@@ -27,14 +29,22 @@ class Axis:
     values: tuple[float, ...] = ()
     low: float = 0.0
     high: float = 0.0
+    deviation: float = 0.0  # of a normal distribution about `low`
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The least and the largest value."""
+        """The least and the largest value; of a normal distribution, which has none, its mean."""
+        if self.deviation:
+            return self.low, self.low
         return (min(self.values), max(self.values)) if self.values else (self.low, self.high)
 
     def drawn(self, u: Array) -> Array:
         """The values for u in [0, 1)."""
+        if self.deviation:
+            from statistics import NormalDist  # which takes longer than all that a grid needs
+
+            quantile = NormalDist(self.low, self.deviation).inv_cdf
+            return np.array([quantile(x) for x in np.maximum(u, LEAST).tolist()])
         if not self.values:
             return self.low + u * (self.high - self.low)
         place = np.minimum((u * len(self.values)).astype(int), len(self.values) - 1)

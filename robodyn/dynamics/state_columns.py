@@ -1,0 +1,143 @@
+"""The columns that commands compute of states: those of `torque`, `reactions` and `points`.
+
+Each has its names, and a function of the states (T, n) that gives the values (T, columns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics import dynamics, reaction_forces
+from robodyn.dynamics.closed_form import energies, point_motion
+from robodyn.kinematics.point_motion import NamedPoint, link_turns
+from robodyn.kinematics.transmission import transmission_angles, transmission_loops
+from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.motors import motor_columns, motor_values
+
+Array = NDArray[np.float64]
+
+
+class Solved(NamedTuple):
+    """States of a motion with what acts in them: t (T,), the multipliers (T, r), others (T, n)."""
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    multipliers: Array
+
+
+def torque_columns(mechanism: Mechanism) -> list[str]:
+    """tau1.., of closures forces and moments, of couplings and of motors."""
+    driven = [f"tau{k + 1}" for k in mechanism.actuated]
+    return [*driven, *loop_columns(mechanism), *motor_columns(mechanism)]
+
+
+def torque_values(mechanism: Mechanism, q: Array, qd: Array, tau: Array, forces: Array) -> Array:
+    """The values of `torque_columns`; the multipliers are `forces`."""
+    loops = dynamics.loop_forces(mechanism, forces, q)
+    motors = motor_values(mechanism, list(tau.T), list(qd.T))
+    parts = [tau[:, list(mechanism.actuated)], loops, *(x[:, None] for x in motors)]
+    return np.concatenate(parts, axis=1)
+
+
+def reaction_columns(mechanism: Mechanism) -> list[str]:
+    """The forces on links, moments on those that slide, of closures, and on the ground."""
+    names = [f"r{axis}{k + 1}" for k in range(mechanism.n) for axis in "xy"]
+    names += [f"rm{k + 1}" for k in mechanism.slides]
+    return [*names, *loop_columns(mechanism), "shake_fx", "shake_fy", "shake_m"]
+
+
+def reaction_values(
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, forces: Array, t: Array | float = 0.0
+) -> Array:
+    """The values of `reaction_columns`; the multipliers are `forces`."""
+    joints = reaction_forces.reactions(mechanism, q, qd, qdd, forces, t)
+    held = reaction_forces.slide_moments(mechanism, q, qd, qdd, forces, t)
+    loops = dynamics.loop_forces(mechanism, forces, q)
+    shake = reaction_forces.shaking_force(mechanism, q, qd, qdd, t)
+    return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
+
+
+def point_columns(named: Sequence[NamedPoint]) -> list[str]:
+    """Where each point is, its velocity and its acceleration."""
+    return [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
+
+
+def point_values(
+    mechanism: Mechanism, named: Sequence[NamedPoint], q: Array, qd: Array, qdd: Array
+) -> Array:
+    """The values of `point_columns`."""
+    motion = point_motion(mechanism, [point.point for point in named], q, qd, qdd)
+    return np.concatenate(motion, axis=-1).reshape(len(q), -1)
+
+
+def power_columns(mechanism: Mechanism) -> list[str]:
+    """The powers of the actuated joints' torques."""
+    return [f"power{k + 1}" for k in mechanism.actuated]
+
+
+def power_values(mechanism: Mechanism, qd: Array, tau: Array) -> Array:
+    """The values of `power_columns`."""
+    driven = list(mechanism.actuated)
+    return np.asarray(tau[:, driven] * qd[:, driven])
+
+
+def link_columns(mechanism: Mechanism) -> list[str]:
+    """The angle of each link, its rate and its acceleration."""
+    return [f"{x}{k + 1}" for k in range(mechanism.n) for x in ("angle", "w", "wd")]
+
+
+def link_values(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
+    """The values of `link_columns`."""
+    return np.stack(link_turns(mechanism, q, qd, qdd), axis=-1).reshape(len(q), -1)
+
+
+def transmission_columns(mechanism: Mechanism) -> list[str]:
+    """The transmission angle of each loop that has one."""
+    return [f"transmission{c + 1}" for c in transmission_loops(mechanism)]
+
+
+def transmission_values(mechanism: Mechanism, q: Array) -> Array:
+    """The values of `transmission_columns`."""
+    return transmission_angles(mechanism, list(transmission_loops(mechanism).values()), q)
+
+
+def column_names(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
+    """All of them, those of the state before."""
+    state = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
+    kinds = (torque_columns, power_columns, reaction_columns, link_columns, transmission_columns)
+    names = ["t", *state, "energy", *(name for kind in kinds for name in kind(mechanism))]
+    return list(dict.fromkeys([*names, *point_columns(named)]))
+
+
+def columns_of(
+    mechanism: Mechanism, named: Sequence[NamedPoint], solved: Solved, wanted: Sequence[str]
+) -> dict[str, Array]:
+    """The columns (T,) of these names; none is computed that belongs to no command of theirs."""
+    t, q, qd, qdd, tau, forces = solved
+    found = {"t": t}
+    for name, values in zip(("q", "qd", "qdd"), (q, qd, qdd), strict=True):
+        found |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+    groups = (
+        (["energy"], lambda: np.sum(energies(mechanism, q, qd), axis=0)[:, None]),
+        (torque_columns(mechanism), lambda: torque_values(mechanism, q, qd, tau, forces)),
+        (
+            reaction_columns(mechanism),
+            lambda: reaction_values(mechanism, q, qd, qdd, forces, t),
+        ),
+        (power_columns(mechanism), lambda: power_values(mechanism, qd, tau)),
+        (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
+        (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),
+        (point_columns(named), lambda: point_values(mechanism, named, q, qd, qdd)),
+    )
+    for names, compute in groups:
+        if not found.keys() >= set(names) & set(wanted):
+            found |= dict(zip(names, compute().T, strict=True))
+    return {name: found[name] for name in wanted}

@@ -1,0 +1,129 @@
+"""Results of a point of a sweep from its rows: columns of commands, and their extremes and means.
+
+A result is written as the column's name, tau1, where the point has one row, and with what is taken
+of its rows, max(tau1), where it has many.  Rows count equally.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.control.tracking import ReferenceTable
+from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
+from robodyn.dynamics.state_columns import Solved, column_names, columns_of
+from robodyn.errors import InputError
+from robodyn.kinematics.point_motion import named_points
+from robodyn.loops import loop_rates
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.yaml_values import nearest
+from robodyn.simulation.simulation import Motion
+
+Array = NDArray[np.float64]
+
+TAKEN: dict[str, Callable[[Array], float]] = {  # of the rows of a column
+    "min": np.min,
+    "max": np.max,
+    "range": np.ptp,
+    "mean": np.mean,
+    "rms": lambda x: np.sqrt(np.mean(np.square(x))),
+    "first": lambda x: x[0],
+    "last": lambda x: x[-1],
+}
+_TEXT = re.compile(rf"(?:({'|'.join(TAKEN)})\()?(.*?)(?(1)\))")
+
+
+class RowResult(NamedTuple):
+    """What is taken of a column; nothing where there is one row."""
+
+    taken: str
+    column: str
+
+
+def parsed(text: str) -> RowResult:
+    """The result that `text` writes; as a column of that name where it is none."""
+    match = _TEXT.fullmatch(text)
+    return RowResult("", text) if match is None else RowResult(match[1] or "", match[2].strip())
+
+
+def errors(mechanism: Mechanism) -> list[str]:
+    """The columns of a controller's errors."""
+    return [f"e{k + 1}" for k in mechanism.actuated]
+
+
+def check_results(
+    mechanism: Mechanism,
+    texts: Sequence[str],
+    of: Sequence[str],
+    tracks: bool,
+    rows: bool,
+    others: Sequence[str] = (),
+) -> None:
+    """Raise InputError, naming `result`, for what is no result of this mechanism.
+
+    `of` are the points; `tracks` tells whether a controller's errors are there, `rows` whether a
+    point has many; `others` are results besides, which a message names.
+    """
+    known = column_names(mechanism, named_points(mechanism, of))
+    known += errors(mechanism) if tracks else []
+    for text in texts:
+        taken, column = parsed(text)
+        if column not in known:
+            limit = f"is no result{nearest(column, [*others, *known])}"
+            raise InputError("result", value=text, limit=limit)
+        if rows and not taken:
+            ways = ", ".join(f"{name}({column})" for name in TAKEN)
+            raise InputError("result", value=text, limit=f"is a column of many rows: take {ways}")
+        if taken and not rows:
+            limit = f"there is one row: write {column}, or give --track"
+            raise InputError("result", value=text, limit=limit)
+
+
+def at_states(mechanism: Mechanism, t: Array, q: Array, qd: Array, qdd_driven: Array) -> Solved:
+    """What acts where the actuated joints are to accelerate so, at closed states (T, n)."""
+    qdd = loop_rates.loop_accelerations(mechanism, q, qd, qdd_driven)
+    found = inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
+    return Solved(t, q, qd, qdd, found.tau, found.multipliers)
+
+
+def of_states(
+    mechanism: Mechanism, texts: Sequence[str], of: Sequence[str], solved: Solved
+) -> Array:
+    """The columns that the texts name, (T, results)."""
+    wanted = [parsed(text).column for text in texts]
+    found = columns_of(mechanism, named_points(mechanism, of), solved, wanted)
+    return np.stack([found[name] for name in wanted], axis=-1)
+
+
+def of_rows(texts: Sequence[str], columns: Array) -> Array:
+    """What the texts take of their columns (T, results)."""
+    return np.array(
+        [TAKEN[parsed(text).taken](x) for text, x in zip(texts, columns.T, strict=True)]
+    )
+
+
+def of_motion(
+    motion: Motion, texts: Sequence[str], of: Sequence[str], reference: ReferenceTable | None
+) -> Array:
+    """What the texts take of a motion's rows, (results,)."""
+    mechanism, whole = motion.mechanism, (motion.t, motion.q, motion.qd, motion.tau)
+    wanted = [parsed(text).column for text in texts]
+    named, found, begin = named_points(mechanism, of), [], 0
+    for count, moving in motion.phases:
+        t, q, qd, tau = (x[begin : begin + count] for x in whole)
+        solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
+        forces = solution.multipliers[..., : len(mechanism.rows)]
+        solved = Solved(t, q, qd, solution.qdd, tau, forces)
+        given = {}
+        if reference is not None:
+            away = reference.at(t)[0] - q[:, list(mechanism.actuated)]
+            given = dict(zip(errors(mechanism), away.T, strict=True))
+        others = [name for name in wanted if name not in given]
+        given |= columns_of(mechanism, named, solved, others)
+        found.append(np.stack([given[name] for name in wanted], axis=-1))
+        begin += count
+    return of_rows(texts, np.concatenate(found))

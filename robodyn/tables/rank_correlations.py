@@ -1,0 +1,48 @@
+"""What matters most among quantities that vary: Spearman's rank correlations, in place of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robodyn.tables.summaries import SummaryWriter
+
+if TYPE_CHECKING:
+    from robodyn.tables.table import Array
+
+
+class RankCorrelations(SummaryWriter):
+    """Of each column after the first `varied` ones its rank correlation with each of these.
+
+    It is 1 where the one never falls as the other grows, -1 where it never grows, and empty where
+    one of them is constant.  Rows in which the column has no value do not count; all rows are kept.
+    """
+
+    def __init__(self, *given: Any, varied: int) -> None:
+        super().__init__(*given)
+        self._varied, self._rows = varied, list[np.ndarray]()
+
+    def write_columns(self, values: Array) -> None:
+        self._rows.append(values)
+
+    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
+        columns = np.concatenate([np.zeros((0, len(self._header))), *self._rows]).T
+        varied, results = columns[: self._varied], columns[self._varied :]
+        rows: list[list[float | str | None]] = []
+        for name, y in zip(self._header[self._varied :], results, strict=True):
+            there = ~np.isnan(y)
+            rows.append([name, *(_spearman(x[there], y[there]) for x in varied)])
+        return ["column", *self._header[: self._varied]], rows
+
+
+def _spearman(x: Array, y: Array) -> float | None:
+    """The correlation of the ranks of two columns, equal values sharing theirs."""
+    from scipy.stats import rankdata
+
+    if not len(x):
+        return None
+    a, b = (ranks - ranks.mean() for ranks in (rankdata(x), rankdata(y)))
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size else None

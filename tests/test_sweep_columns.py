@@ -1,0 +1,364 @@
+"""Sweeps of columns along references and under control, and what varies normally.
+
+The oracles: the textbook's torques of the 2R, the commands themselves, scipy's distributions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import TWO_LINK, Outcome
+from scipy import stats
+
+import oracles
+from robodyn import load, simulate
+from robodyn.sweeps.sweep_chunks import run_chunk
+from robodyn.sweeps.sweep_plan import Plan
+from robodyn.sweeps.sweep_workers import results
+from robodyn.sweeps.variation import Axis, Variation
+
+Run = Callable[..., Outcome]
+ARM, BAR = "robots/2r.yaml", "robots/four-bar.yaml"
+NORMAL = ("--vary", "links.forearm.m=normal(0.9,0.05)")
+PD = ("--control", "pd", "--kp", "200,100", "--kd", "30,10")
+TAKEN = {
+    "min": np.min, "max": np.max, "mean": np.mean, "rms": lambda x: np.sqrt(np.mean(x**2)),
+    "range": np.ptp, "first": lambda x: x[0], "last": lambda x: x[-1],
+}  # fmt: skip
+
+
+@pytest.fixture
+def reference(robodyn: Run, tmp_path: Path) -> Path:
+    """A motion of the 2R."""
+    path = tmp_path / "ref.csv"
+    line = ("trajectory", ARM, "--from", "0,0", "--to", "90deg,45deg", "--time", 1, "--points", 41)
+    robodyn(*line, "-o", path).succeeds()
+    return path
+
+
+@pytest.fixture
+def turn(robodyn: Run, tmp_path: Path) -> Path:
+    """A turn of the four-bar's crank."""
+    path = tmp_path / "turn.csv"
+    line = ("trajectory", BAR, "--speed", "60rpm", "--turns", 1, "--points", 25)
+    robodyn(*line, "-o", path).succeeds()
+    return path
+
+
+def columns(text: str) -> dict[str, np.ndarray]:
+    """The columns of a CSV of numbers."""
+    header, *lines = text.splitlines()
+    values = np.array([[float(x) for x in line.split(",")] for line in lines])
+    return dict(zip(header.split(","), values.T, strict=True))
+
+
+def test_torques_along_a_reference_are_the_textbooks(robodyn: Run, reference: Path) -> None:
+    names = [f"{how}(tau{k})" for how in TAKEN for k in (1, 2)]
+    given = robodyn(
+        "sweep", ARM, "--kind", "torque", "--track", reference, *NORMAL, "--vary",
+        "links.upper arm.l=0.7:0.9", "--sample", 5, "--result", ",".join(names), "--quiet",
+    ).succeeds()  # fmt: skip
+    t = columns(reference.read_text())
+    for row in given.rows:
+        arm = TWO_LINK._replace(
+            m2=float(row["links.forearm.m"]), l1=float(row["links.upper arm.l"])
+        )
+        rows = zip(*(t[f"{x}{k}"] for x in ("q", "qd", "qdd") for k in (1, 2)), strict=True)
+        tau = np.array([oracles.two_link_torque(arm, x[:2], x[2:4], x[4:]) for x in rows])
+        for name in names:
+            how, k = name.rstrip(")").split("(tau")
+            assert float(row[name]) == pytest.approx(TAKEN[how](tau[:, int(k) - 1]), rel=1e-11)
+
+
+def test_a_reference_without_rates_is_a_spline(robodyn: Run, tmp_path: Path) -> None:
+    """Cubic in time: a spline of the angles alone is exact."""
+    path, t = tmp_path / "ref.csv", np.linspace(0.0, 1.0, 11)
+    q, qd, qdd = t**3 - t, 3 * t**2 - 1, 6 * t
+    path.write_text(
+        "t,q1,q2\n" + "".join(f"{a:.17g},{b:.17g},{-b:.17g}\n" for a, b in zip(t, q, strict=True))
+    )
+    given = robodyn(
+        "sweep", ARM, "--kind", "torque", "--track", path, "--vary", "gravity=9.81", "--quiet",
+        "--result", "max(tau1),last(qdd2)",
+    ).succeeds()  # fmt: skip
+    tau = [
+        oracles.two_link_torque(TWO_LINK, (a, -a), (b, -b), (c, -c))[0]
+        for a, b, c in zip(q, qd, qdd, strict=True)
+    ]
+    assert given.column("max(tau1)") == pytest.approx([max(tau)], rel=1e-9)
+    assert given.column("last(qdd2)") == pytest.approx([-6.0], rel=1e-9)
+
+
+def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) -> None:
+    names = ["rms(shake_fx)", "max(rx2)", "min(fy1)", "mean(P_vx)", "last(tip2_y)", "max(energy)"]
+    names += ["max(transmission1)", "min(w3)", "rms(power1)"]
+    given = robodyn(
+        "sweep", BAR, "--kind", "torque", "--track", turn, "--vary", "links.coupler.m=1.2,1.4",
+        "--vary", "links.rocker.l=0.79,0.81", "--of", "P=coupler@0.5,0.2", "--of", "tip2",
+        "--result", ",".join(names), "--quiet",
+    ).succeeds()  # fmt: skip
+    driven = columns(turn.read_text())
+    rows = np.stack([driven[x] for x in ("q1", "qd1", "qdd1")], axis=-1).tolist()
+    states = "q1,qd1,qdd1\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
+    path = turn.with_name("states.csv")
+    path.write_text(states)
+    for row in given.rows:
+        numbers = [("--set", f"{x}={row[x]}") for x in ("links.coupler.m", "links.rocker.l")]
+        found = {}
+        for line in (
+            ("reactions",), ("energy",), ("torque", "--power"),
+            ("points", "--of", "P=coupler@0.5,0.2", "--of", "tip2", "--links", "--transmission"),
+        ):  # fmt: skip
+            out = robodyn(line[0], BAR, path, *line[1:], *sum(numbers, ())).succeeds().out
+            found |= columns(out)
+        for name in names:
+            how, column = name.rstrip(")").split("(")
+            assert float(row[name]) == pytest.approx(TAKEN[how](found[column]), rel=1e-9)
+
+
+def test_under_control_rows_are_those_of_simulate(robodyn: Run, reference: Path) -> None:
+    """The controller believes the scene as it is, while the arm varies."""
+    law = ("--control", "computed-torque", "--kp", "50", "--kd", "12", "--track", reference)
+    names = ["max(tau1)", "rms(e1)", "last(e2)", "mean(energy)", "min(qdd2)", "final"]
+    given = robodyn(
+        "sweep", ARM, "--set", "links.upper arm.m=1.4", *law, "--vary", "links.forearm.m=0.9,1.3",
+        "--result", ",".join(names), "--points", 33, "--time", 1.5, "--quiet",
+    ).succeeds()  # fmt: skip
+    for row in given.rows:
+        believed = reference.with_name("believed.yaml")
+        text = Path(ARM).read_text()
+        assert "m: 1.5" in text
+        believed.write_text(text.replace("m: 1.5", "m: 1.4"))
+        out = robodyn(
+            "simulate", believed, "--set", f"links.forearm.m={row['links.forearm.m']}", *law,
+            "--q", "0,0", "--control-model", believed, "--points", 33, "--time", 1.5, "--quiet",
+        ).succeeds().out  # fmt: skip
+        found = columns(out)
+        for name in names[:-1]:
+            how, column = name.rstrip(")").split("(")
+            assert float(row[name]) == pytest.approx(TAKEN[how](found[column]), rel=1e-9)
+        assert float(row["q1_end"]) == pytest.approx(found["q1"][-1], rel=1e-9)
+    errors = given.column("rms(e1)")
+    assert errors[1] > 10 * errors[0]
+
+
+@pytest.mark.parametrize("law", [("--control", "pid", "--ki", "30"), ("--control", "pd+g")])
+def test_controllers_hold_a_set_point(robodyn: Run, law: tuple[str, ...]) -> None:
+    """What pd+g holds wrongly, by what it does not know of the arm, a pid takes away in time."""
+    given = robodyn(
+        "sweep", ARM, *law, "--kp", "80", "--kd", "16", "--hold", "0.5,0.3", "--q", "0.5,0.3",
+        "--vary", "links.forearm.m=1.2", "--time", 40, "--quiet",
+        "--result", "last(e1),last(e2),last(qd1)",
+    ).succeeds()  # fmt: skip
+    (error,) = given.column("last(e1)")
+    # 0.3 kg more than is known, at rest where the arm then is: kp e holds their weight
+    x = 0.8 * np.cos(0.5 - error) + 0.25 * np.cos(0.8 - error - given.column("last(e2)")[0])
+    load = 0.3 * 9.81 * x / 80
+    assert error == pytest.approx(0.0 if "pid" in law else load, abs=1e-7)
+    assert abs(given.column("last(qd1)")[0]) < 1e-4
+
+
+def test_one_state_has_columns_themselves(robodyn: Run) -> None:
+    given = robodyn(
+        "sweep", ARM, "--kind", "torque", "--vary", "q1=0,1", "--q", "0,0.5", "--qd", "1,2",
+        "--result", "tau2,shake_m,tip2_vx", "--quiet",
+    ).succeeds()  # fmt: skip
+    assert given.out.splitlines()[0] == "q1,tau2,shake_m,tip2_vx,outcome"
+    for row in given.rows:
+        q = (float(row["q1"]), 0.5)
+        tau = oracles.two_link_torque(TWO_LINK, q, (1, 2), (0, 0))
+        assert float(row["tau2"]) == pytest.approx(tau[1], rel=1e-12)
+        assert float(row["shake_m"]) == pytest.approx(-tau[0], rel=1e-12)  # the ground joint's
+        assert float(row["tip2_vx"]) == pytest.approx(
+            -0.8 * np.sin(q[0]) - 3 * 0.6 * np.sin(sum(q)), rel=1e-12
+        )
+
+
+def test_rows_of_free_motions(robodyn: Run) -> None:
+    line = ("sweep", "robots/pendulum.yaml", "--vary", "q1=-1.2,-2", "--time", 2, "--quiet")
+    given = robodyn(*line, "--result", "max(q1),min(q1),final,extremes", "--points", 2001)
+    rows = given.succeeds().rows
+    for row in rows:
+        assert float(row["max(q1)"]) == pytest.approx(float(row["q1_max"]), abs=1e-5)
+        assert float(row["min(q1)"]) == pytest.approx(float(row["q1_min"]), abs=1e-5)
+
+
+# What varies normally
+
+
+def test_a_normal_sample_is_scipys_quantile() -> None:
+    axes = (Axis("m", low=0.9, deviation=0.01), Axis("l", low=1.0, high=2.0))
+    points = Variation(axes, 4000, 5).points(0, 4000)
+    u = np.random.Generator(np.random.PCG64(5)).random((4000, 2))
+    assert points[:, 0] == pytest.approx(stats.norm.ppf(u[:, 0], 0.9, 0.01), rel=1e-14)
+    assert stats.kstest(points[:, 0], stats.norm(0.9, 0.01).cdf).pvalue > 0.01
+    assert np.array_equal(Variation(axes, 4000, 5).points(700, 711), points[700:711])
+    assert axes[0].drawn(np.array([0.0]))[0] == pytest.approx(0.9 - 0.01 * 8.2, abs=0.001)
+
+
+def test_what_is_drawn_out_of_limits_is_a_row(robodyn: Run) -> None:
+    line = ("sweep", ARM, "--kind", "torque", "--vary", "links.forearm.m=normal(0.1,0.1)")
+    given = robodyn(*line, "--sample", 100, "--result", "tau2", "--quiet").succeeds()
+    for row in given.rows:
+        refused = float(row["links.forearm.m"]) < 0
+        assert row["outcome"] == ("not a scene" if refused else "finished")
+        assert (row["tau2"] == "") == refused
+    assert {row["outcome"] for row in given.rows} == {"not a scene", "finished"}
+
+
+# No digit depends on how it is computed
+
+
+def _whole(plan: Plan, workers: int) -> tuple[np.ndarray, list[str]]:
+    parts = list(results(plan, workers=workers))
+    return np.concatenate([x.values for x in parts]), [y for x in parts for y in x.outcomes]
+
+
+@pytest.mark.parametrize("kind", ["torque", "motion"])
+def test_digits_depend_on_no_worker_and_no_chunk(
+    robodyn: Run, reference: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[Plan] = []
+
+    def keep(plan: Plan, *_: object) -> object:
+        plans.append(plan)
+        return iter([])
+
+    acts = () if kind == "torque" else (*PD, "--points", 9)
+    with monkeypatch.context() as patch:
+        patch.setattr("robodyn.cli.sweep.results", lambda *args: _empty(keep, *args))
+        robodyn(
+            "sweep", ARM, "--kind", kind, *acts, "--track", reference, *NORMAL, "--sample", 7,
+            "--seed", 3, "--result", "max(tau1),rms(shake_fy)", "--quiet",
+        ).succeeds()  # fmt: skip
+    (plan,) = plans
+    known, outcomes = _whole(plan, 1)
+    assert outcomes == ["finished"] * 7
+    assert len({*known[:, 1].tolist()}) == 7
+    small = dataclasses.replace(plan, chunk=2)
+    for found, _ in (_whole(small, 1), _whole(small, 2)):
+        assert np.array_equal(found, known)
+    assert np.array_equal(run_chunk(small, 2).values, known[4:6])
+
+
+def _empty(keep: Callable[..., object], *args: object):
+    keep(*args)
+    yield from ()
+
+
+def test_a_sweep_that_was_cut_off_goes_on(robodyn: Run, reference: Path) -> None:
+    out = reference.with_name("rows.csv")
+    line = ("sweep", ARM, *PD, "--track", reference, *NORMAL, "--sample", 130, "--points", 3)
+    line += ("--result", "max(tau1)", "--rtol", 1e-3, "--atol", 1e-3, "--workers", 1, "--quiet")
+    whole = robodyn(*line).succeeds().out
+    calls = []
+
+    def limited(plan: Plan, number: int) -> object:
+        if number == 1 and not calls:
+            calls.append(number)
+            raise KeyboardInterrupt
+        return run_chunk(plan, number)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("robodyn.sweeps.sweep_workers.run_chunk", limited)
+        assert robodyn(*line, "-o", out).code == 130
+    other = tuple("201,100" if x == "200,100" else x for x in line)
+    robodyn(*other, "-o", out).fails(2, "rows.csv.partial", "control")
+    robodyn(*line, "-o", out).succeeds()
+    assert out.read_text() == whole
+
+
+# What matters most
+
+
+def test_correlations_are_scipys(robodyn: Run, turn: Path) -> None:
+    line = (
+        "sweep", BAR, "--kind", "torque", "--track", turn, "--vary",
+        "links.coupler.m=normal(1.3,0.02)", "--vary", "links.rocker.l=uniform(0.79,0.81)",
+        "--vary", "links.crank.m=0.5,0.6", "--sample", 40, "--quiet",
+        "--result", "max(tau1),rms(shake_fx),last(tip2_y)",
+    )  # fmt: skip
+    rows = robodyn(*line).succeeds()
+    told = robodyn(*line, "--correlations").succeeds()
+    varied = ["links.coupler.m", "links.rocker.l", "links.crank.m"]
+    assert told.out.splitlines()[0] == ",".join(["column", *varied])
+    for row in told.rows:
+        for name in varied:
+            known = stats.spearmanr(rows.column(name), rows.column(row["column"])).statistic
+            assert float(row[name]) == pytest.approx(known, abs=1e-12)
+    assert float(told.rows[2]["links.rocker.l"]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
+    line = ("sweep", BAR, "--kind", "torque", "--vary", "links.crank.l=0.3,0.35,1.2,0.32")
+    line += ("--q", 3, "--qd", 5, "--result", "shake_fx,qd1")
+    told = robodyn(*line, "--correlations", "--quiet")
+    assert abs(float(told.succeeds().rows[0]["links.crank.l"])) == 1.0
+    assert told.rows[1]["links.crank.l"] == ""  # constant
+    every = robodyn("sweep", BAR, "--kind", "torque", "--vary", "links.crank.l=1.2", "--q", 3,
+                    "--correlations", "--quiet")  # fmt: skip
+    assert {row["links.crank.l"] for row in every.succeeds().rows} == {""}
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (["--result", "max(tau9)"], ["--result = max(tau9): is no result; did you mean tau2?"]),
+        (["--result", "tau1"], ["--result = tau1: is a column of many rows: take min(tau1)"]),
+        (["--result", "top(tau1)"], ["--result = top(tau1): is no result"]),
+        (["--result", "max(e1)"], ["--result = max(e1): is no result"]),
+        (["--result", "max(q1),max(q1)"], ["max(q1): is given twice"]),
+        (["--kind", "torque", "--result", "max(tau1)"], ["there is one row: write tau1"]),
+        (["--kind", "torque", "--result", "drift"], ["--result = drift: is for --kind motion"]),
+        (["--kind", "torque", "--track", "REF"], ["--result: missing: --track needs it"]),
+        (["--track", "REF", "--result", "max(tau1)"], ["--track: needs --control, or --kind"]),
+        (["--kind", "torque", "--track", "REF", "--qd", "1,1"], ["--qd and --track"]),
+        (["--kind", "torque", "--track", "REF", "--vary", "q1=0,1"], ["q1: is told by --track"]),
+        (["--kind", "torque", "--track", "none.csv"], ["none.csv: cannot be read"]),
+        ([*PD, "--track", "REF", "--tau", "1,1"], ["--tau and --control: exclude each other"]),
+        ([*PD, "--track", "REF", "--vary", "tau1=0,1"], ["tau1: is what --control gives"]),
+        ([*PD, "--track", "REF", "--kind", "torque"], ["--control: is for --kind motion"]),
+        ([*PD], ["--track or --hold: missing: --control pd needs it"]),
+        ([*PD[:4], "--track", "REF"], ["--kd: missing: --control pd needs it"]),
+        ([*PD, "--track", "REF", "--engine", "compiled"], ["--engine = compiled", "in Python"]),
+        (["--kp", "3"], ["--kp: needs --control"]),
+        (["--points", "11"], ["--points = 11: is for motions with --result of columns"]),
+        (["--points", "1", "--result", "max(q1)"], ["--points = 1: must be in [2,"]),
+        (["--of", "tip2"], ["--of: is for --result with columns of points"]),
+        (["--of", "tip9", "--result", "max(q1)"], ["--of = tip9: names no point"]),
+        (["--extremes", "--correlations"], ["--extremes and --correlations: exclude each other"]),
+        (["--vary", "q1=normal(0,1)"], ["--vary q1 = normal(0,1): normal is for --sample"]),
+        (["--vary", "q1=normal(0,0)", "--sample", "3"], ["the deviation must be > 0"]),
+        (["--vary", "q1=normal(0,x)", "--sample", "3"], ["--vary q1 = x:"]),
+        (["--vary", "q1=normal(0)", "--sample", "3"], ["--vary q1 = normal(0)"]),
+        (["--vary", "q1=uniform(2,1)", "--sample", "3"], ["first must be below the second"]),
+        (
+            ["--vary", "links.upper arm.m=normal(-1,1)", "--sample", "3"],
+            ["links[0] (upper arm).m = -1.0: must be >= 0"],
+        ),
+    ],
+)
+def test_what_is_wrong_is_told(
+    robodyn: Run, reference: Path, options: list[str], parts: list[str]
+) -> None:
+    given = [str(reference) if word == "REF" else word for word in options]
+    sampled = [] if "--sample" in options else ["--vary", "links.forearm.m=0.9,1"]
+    robodyn("sweep", ARM, *sampled, *given).fails(2, *parts)
+
+
+def test_what_does_not_finish_has_its_end_and_no_columns(robodyn: Run) -> None:
+    line = ("sweep", ARM, "--vary", "qd1=3", "--max-steps", 20, "--time", 10, "--quiet")
+    (row,) = robodyn(*line, "--result", "final,max(q1)", "--points", 4).succeeds().rows
+    assert row["outcome"] == "too many evaluations"
+    assert row["max(q1)"] == ""
+    end = float(row["t_end"])
+    assert 0.1 < end < 10.0 / 3.0
+    motion = simulate(load(ARM), [0, 0], [3, 0], end, rtol=1e-11, atol=1e-11)
+    assert float(row["q1_end"]) == pytest.approx(motion.q[-1, 0], abs=1e-7)
