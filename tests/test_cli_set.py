@@ -102,7 +102,7 @@ def test_values_are_written_as_in_scenes(robodyn: Run) -> None:
                 "links[1] (coupler).m = -1: must be >= 0"
             ],
         ),
-        (["links.coupler.m=1kg"], ["links[1] (coupler).m = 1kg: must be a number"]),
+        (["links.coupler.m=1m"], ["links[1] (coupler).m = 1m: must be in kg, not in m"]),
         (["links.coupler.m='1'"], [".m = '1': is quoted text, not a number"]),
         (["links.coupler.m=[1, 2]"], [".m = a list: must be a number"]),
         (["links.coupler.m=[1, 2"], ["--set links.coupler.m=[1, 2", "is not YAML"]),

@@ -360,7 +360,7 @@ def test_scipy_is_not_imported(shell: Run) -> None:
         ("--from 0,0 --to 1,x --time 1", ["--to", "entry 2 = x"]),
         ("--from 0,0 --to 1,1 --time 0", ["--time = 0", "> 0"]),
         ("--from 0,0 --to 1,1 --time=-1", ["--time = -1", "> 0"]),
-        ("--from 0,0 --to 1,1 --time 2h", ["--time = 2h", "not a number", "min"]),
+        ("--from 0,0 --to 1,1 --time 2kg", ["--time = 2kg", "must be in s", "min"]),
         ("--from 0,0 --to 1,1 --time inf", ["--time = inf", "finite"]),
         ("--from 0,0 --to 1,1 --time min", ["--time = min", "needs a limit"]),
         ("--from 1,1 --to 1,1 --time min --max-qd 1", ["--time = min", "nothing moves"]),

@@ -406,7 +406,7 @@ def test_keys_that_are_no_names(key: str) -> None:
         ("m: 1.5", "m: ", "links[0] (upper).m", "nothing", "must be a number", 4),
         ("m: 1.5", "m: null", "links[0] (upper).m", "null", "must be a number", 4),
         ("m: 1.5", "m: ~", "links[0] (upper).m", "~", "must be a number", 4),
-        ("m: 1.5", "m: 1.5kg", "links[0] (upper).m", "1.5kg", "must be a number", 4),
+        ("m: 1.5", "m: 1.5kgs", "links[0] (upper).m", "1.5kgs", "must be a number", 4),
         ("m: 1.5", "m: 1_5", "links[0] (upper).m", "1_5", "must be a number", 4),
         ("m: 1.5", "m: 0x15", "links[0] (upper).m", "0x15", "must be a number", 4),
         ("m: 1.5", "m: 1:30", "links[0] (upper).m", "1:30", "must be a number", 4),

@@ -102,7 +102,7 @@ def start(scene: str, rate: float) -> tuple[Mechanism, Array, Array]:
     mechanism = loaded(f"robots/{scene}.yaml")
     text = Path(f"robots/{scene}.yaml").read_text()
     tried = re.search(r"^# try:.*--q (\S+)", text, re.MULTILINE)
-    given = parse_vector(tried[1] if tried else "50deg", where="q", angles=True)
+    given = parse_vector(tried[1] if tried else "50deg", where="q", unit="rad")
     if not mechanism.rows:
         return mechanism, np.array(given), np.full(mechanism.n, rate)
     q = assemble(mechanism, given)

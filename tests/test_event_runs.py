@@ -291,7 +291,7 @@ def test_all_scenes_against_fine_rows(
     text = Path(f"robots/{scene}.yaml").read_text()
     actuated = len(mechanism.actuated)
     tried = [line.split("--q ")[1] for line in text.splitlines() if line.startswith("# try:")]
-    given = parse_vector(tried[0].split()[0], where="q", angles=True)
+    given = parse_vector(tried[0].split()[0], where="q", unit="rad")
     if start is not None:
         given = [math.radians(start)]
     q = assemble(mechanism, given) if mechanism.rows else np.array(given)

@@ -7,7 +7,7 @@ from conftest import ROOT
 
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.description import from_text
-from robodyn.scene.scene_values import SceneValues, is_angle
+from robodyn.scene.scene_values import SceneValues
 
 TEXT = """
 gravity: 9.81
@@ -87,9 +87,14 @@ def test_two_names_of_one_number_clash() -> None:
     assert scene().clash(["links.fore.r", "links.fore.r[0]"]) is not None
 
 
-def test_angles() -> None:
-    assert all(is_angle(name) for name in ("q1", "qd12", "qdd3", "start.crank", "springs[0].angle"))
-    assert not any(is_angle(name) for name in ("tau1", "links.q1.m", "gravity"))
+def test_units() -> None:
+    path = ROOT / "robots" / "spring-slider-crank.yaml"
+    values = SceneValues(path.read_text(), path.name)
+    assert values.unit("links.crank.I") == "kg m²"
+    assert values.unit("gravity") == "m/s²"
+    assert values.unit("springs[0].stiffness") == "N/m"
+    assert values.unit("closures[0].on.through[1]") == "m"
+    assert values.number("springs[0].stiffness") > 0.0
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "robots").glob("*.yaml")), ids=lambda p: p.stem)

@@ -371,7 +371,7 @@ FAULTS = [
     (POINTS.format('law: "q1"'), "springs[0].law", "name q1"),
     (TORQUE.format('"q2"'), "loads[0].torque", "name q2; known: t, q1..q1"),
     (TORQUE.format('"x"'), "loads[0].torque", "name x"),
-    (TORQUE.format('"1/0"'), "loads[0].torque", "must be a finite number"),
+    (TORQUE.format('"1/0"'), "loads[0].torque", "divides by zero"),
     (TORQUE.format('"5"'), "loads[0].torque", "quoted"),
     (TORQUE.format("yes"), "loads[0].torque", "truth value"),
     (TORQUE.format("[1, 2]"), "loads[0].torque", "must be a number"),

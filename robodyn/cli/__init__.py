@@ -13,6 +13,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from copy import copy
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -23,9 +24,12 @@ import typer
 from robodyn import __version__
 from robodyn.cli import signals
 from robodyn.errors import RobodynError, printable_lines
+from robodyn.scene.quantities import parse_quantity
 from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
+# units of numbers by what stands for them in the help
+OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
 COMMANDS = (
     *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
     *("equilibrium", "linearize"),
@@ -67,7 +71,7 @@ def run(arguments: list[str]) -> int:
             os.environ.pop(size, None)
     try:
         command = typer.main.get_command(_application(arguments))
-        _plain_numbers(command)
+        _numbers(command)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
         return 130
@@ -128,18 +132,27 @@ def _application(arguments: list[str]) -> typer.Typer:
     return application
 
 
-def _plain_numbers(group: Any) -> None:
-    """Let the options of all commands take the digits that a scene or a table may have."""
+def _numbers(group: Any) -> None:
+    """Let the options of all commands take the numbers that a scene may have, with units."""
     for parameter in (x for command in group.commands.values() for x in command.params):
         if parameter.type.name in ("float", "int", "integer"):
             parameter.type = kind = copy(parameter.type)
-            kind.convert = functools.partial(_number, kind.convert, kind.name)
+            unit = OPTION_UNITS.get(getattr(parameter, "metavar", None) or "", "")
+            kind.convert = functools.partial(_number, kind.convert, kind.name, unit)
 
 
-def _number(convert: Callable[..., Any], kind: str, value: Any, *place: Any) -> Any:
-    if isinstance(value, str) and not plain_digits(value):
-        raise typer.BadParameter(f"{value!r} is not a valid {kind}.")
-    return convert(value, *place)
+def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *place: Any) -> Any:
+    if not isinstance(value, str):
+        return convert(value, *place)
+    if plain_digits(value):
+        with suppress(USAGE_ERROR):
+            return convert(value, *place)
+    if kind == "float":
+        try:
+            return parse_quantity(value.strip(), unit)
+        except ValueError as error:
+            raise typer.BadParameter(f"{value!r} {error}.") from None
+    raise typer.BadParameter(f"{value!r} is not a valid {kind}.")
 
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:

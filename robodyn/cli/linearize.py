@@ -75,9 +75,7 @@ def linearize(
     for flag, value in (weigh | {"--gain-out": gain_out}).items():
         if value is not None and not lqr:
             raise InputError(flag, value=value, limit="there is no gain without --lqr")
-    weights = [
-        parse_vector("1" if x is None else x, where=flag, angles=False) for flag, x in weigh.items()
-    ]
+    weights = [parse_vector("1" if x is None else x, where=flag) for flag, x in weigh.items()]
     pose, rates = single_state(mechanism, given)
     torques = None if tau is None else joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)

@@ -34,7 +34,7 @@ def load_with(model: Model, forces: Sequence[str] | None) -> Mechanism:
             limit = "must be POINT=FX,FY, such as coupler@0.5,0.2=10,-5 (N)"
             raise InputError("--force", value=shown(text), limit=limit)
         where = f"--force {shown(point)}"
-        values = parse_vector(force, where=where, angles=False)
+        values = parse_vector(force, where=where, unit="N")
         if len(values) != 2:
             raise InputError(where, value=shown(force), limit="must be FX,FY (N, ground axes)")
         loads.append(Load(named_point(mechanism, point, "--force").own, complex(*values)))

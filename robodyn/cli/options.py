@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from typer import Option
 
 from robodyn.cli.files import input_argument, output_file
 from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.scene.quantities import is_plain
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -37,7 +39,23 @@ class Model:
         """The mechanism; InputError for a faulty scene, naming --set where that made it so."""
         from robodyn.mechanics.mechanism import build, load
 
-        return build(self.values().base) if self.numbers else load(self.model)
+        mechanism = build(self.values().base) if self.numbers else load(self.model)
+        self._tell_large_angles(mechanism)
+        return mechanism
+
+    def _tell_large_angles(self, mechanism: Mechanism) -> None:
+        """A note of springs' angles beyond a turn without a unit, which may be meant as degrees."""
+        springs = mechanism.description.springs
+        angles = {f"springs[{k}].angle": getattr(x, "angle", 0.0) for k, x in enumerate(springs)}
+        large = [name for name, angle in angles.items() if abs(angle) > 2 * math.pi]
+        if not large:
+            return
+        from robodyn.cli.output import note
+
+        values = self.values()
+        for name in large:
+            if name in values and is_plain(text := values.text(name)):
+                note(f"{self.model}: {name} = {text} is in rad; write {text}deg for degrees")
 
     def values(self) -> SceneValues:
         """The numbers of the scene, those of --set in place of its own."""

@@ -13,8 +13,17 @@ from typer import Option
 
 from robodyn.cli.files import input_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
-from robodyn.cli.states import Quantity, Source, complete, open_input, option_source, read_columns
-from robodyn.cli.times import frequency_from, value_from
+from robodyn.cli.states import (
+    Quantity,
+    Source,
+    complete,
+    joint_values,
+    open_input,
+    option_source,
+    read_columns,
+    without_units,
+)
+from robodyn.cli.times import value_from
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
@@ -164,7 +173,7 @@ def torque_source(
     check_no_control(control)
     end = DEFAULT_DURATION if duration is None else duration
     if options.tau is not None:
-        return actuation.expressions(mechanism, options.tau, "--tau"), end
+        return actuation.expressions(mechanism, without_units(mechanism, options.tau), "--tau"), end
     if options.volt is not None:
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
@@ -197,12 +206,16 @@ def controlled(
         raise InputError("--control", where=mechanism.source, limit="no joint is actuated")
     believed = None if options.control_model is None else load(options.control_model)
     gains: dict[str, Any] = {
-        name: parse_vector(text, where="--" + name.replace("_", "-"), angles=False)
+        name: (
+            joint_values(mechanism, text, "tau", "--tau-max")
+            if name == "tau_max"
+            else parse_vector(text, where=f"--{name}")
+        )
         for name in ("kp", "kd", "ki", "tau_max")
         if (text := getattr(options, name)) is not None
     }
     if options.control_rate is not None:
-        rate = value_from(options.control_rate, frequency_from, "--control-rate", "100 or 100Hz")
+        rate = value_from(options.control_rate, "Hz", "--control-rate")
     end = DEFAULT_DURATION if duration is None else duration
     if options.track is not None:
         reference = reference_from(mechanism, options.track)

@@ -17,8 +17,9 @@ from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_number, parse_vector
+from robodyn.pictures.column_units import scene_units, unit_of
+from robodyn.scene.quantities import EXAMPLES, parse_quantity, parse_vector
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
         return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
     n, actuated = mechanism.n, len(mechanism.actuated)
     flag = f"--{quantity.name}"
-    values = parse_vector(quantity.option, where=flag, angles=quantity.name != "tau")
+    kind = quantity.name if quantity.name in ("qd", "qdd", "tau") else "q"
+    values = joint_values(mechanism, quantity.option, kind, flag)
     if len(values) not in (n, actuated):
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
         if actuated != n:
@@ -70,27 +72,45 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
         shown_values = f"{shown(quantity.option)} ({count})"
         raise InputError(flag, value=shown_values, limit=f"needs {wanted}")
-    check_displacements(mechanism, quantity.option, range(n) if len(values) == n else None, flag)
     return Source(quantity, values, [], len(values) == n)
 
 
-def check_displacements(
-    mechanism: Mechanism, text: str | None, joints: Sequence[int] | None, flag: str
-) -> None:
-    """Raise InputError where an entry of joints that slide (the actuated, for None) is an angle."""
-    if text is None or not mechanism.slides:
-        return
-    entries = zip(mechanism.actuated if joints is None else joints, text.replace(",", " ").split())  # noqa: B905
-    for place, (joint, entry) in enumerate(entries, start=1):
-        if joint not in mechanism.slides:
-            continue
+def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[float]:
+    """An option's q, qd, qdd or tau of all joints, the actuated ones or the first of these."""
+
+    def units(count: int) -> list[str]:
+        joints = [*range(mechanism.n)] if count == mechanism.n else [*mechanism.actuated]
+        known = scene_units(mechanism)
+        each = [unit_of(f"{kind}{k + 1}", known) for k in joints]
+        return [*each, *[""] * count][:count]
+
+    try:
+        return parse_vector(text, where=flag, unit=units)
+    except InputError as error:
+        if mechanism.slides:
+            sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
+            error.limit = f"{error.limit}; {sliding} slides"
+        raise
+
+
+def without_units(mechanism: Mechanism, torques: str) -> str:
+    """Torques as expressions have them: entries with units, `350 mN`, in SI units without."""
+    entries, known = torques.split(","), scene_units(mechanism)
+    for k, entry in enumerate(entries):
         try:
-            parse_number(entry)
+            if not read_value(entry).of:
+                continue
+        except ValueError:  # an expression, or a part of one
+            continue
+        joint = mechanism.actuated[min(k, len(mechanism.actuated) - 1)] if mechanism.actuated else 0
+        try:
+            entries[k] = repr(parse_quantity(entry, unit_of(f"tau{joint + 1}", known)))
         except ValueError as error:
-            limit = f"{error}: q{joint + 1} ({mechanism.link_names[joint]}) slides; write 0.25 (m)"
+            limit = f"{error}; write {EXAMPLES['']}"
             raise InputError(
-                f"entry {place}", where=flag, value=shown(entry), limit=limit
+                f"entry {k + 1}", where="--tau", value=shown(entry.strip()), limit=limit
             ) from None
+    return ",".join(entries)
 
 
 def table_source(

@@ -20,13 +20,13 @@ from robodyn.cli.simulate_options import (
     named,
     reference_from,
 )
-from robodyn.cli.states import check_displacements
+from robodyn.cli.states import joint_values
 from robodyn.cli.times import DEFAULT_POINTS, value_from
 from robodyn.control.laws import controller
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, build
-from robodyn.scene.quantities import parse_angle, parse_number, parse_vector
-from robodyn.scene.scene_values import SceneValues, is_angle
+from robodyn.pictures.column_units import scene_units, unit_of
+from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
 from robodyn.simulation.simulation import check_span
@@ -223,9 +223,7 @@ def _values(mechanism: Mechanism, name: str, text: str | None) -> tuple[float, .
     actuated = [mechanism.link_names[k] for k in mechanism.actuated]
     if text is None:
         return (0.0,) * len(actuated)
-    values = parse_vector(text, where=f"--{name}", angles=name != "tau")
-    if name != "tau":
-        check_displacements(mechanism, text, None, f"--{name}")
+    values = joint_values(mechanism, text, name, f"--{name}")
     if len(values) != len(actuated):
         limit = f"needs {len(actuated)} values, one an actuated joint ({', '.join(actuated)})"
         raise InputError(f"--{name}", value=f"{shown(text)} ({len(values)} values)", limit=limit)
@@ -241,6 +239,7 @@ def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
     last = "tau" if given.kind == "motion" else "qdd"
     joints = [f"{x}{k + 1}" for x in ("q", "qd", last) for k in mechanism.actuated]
     axes: list[Axis] = []
+    units = scene_units(mechanism)
     for text in given.vary:
         name, equals, values = text.partition("=")
         name = name.strip()
@@ -251,10 +250,8 @@ def _axes(scene: SceneValues, given: SweepOptions) -> tuple[Axis, ...]:
             raise InputError("--vary", value=shown(name), limit=limit)
         if any(axis.name == name for axis in axes):
             raise InputError("--vary", value=shown(name), limit="is given twice")
-        slides = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in mechanism.slides]
-        slides += [f"start.{mechanism.link_names[k]}" for k in mechanism.slides]
-        angle = is_angle(name) and name not in slides
-        axes.append(_axis(name, values.strip(), sample is not None, angle))
+        unit = unit_of(name, units) if name in joints else scene.unit(name)
+        axes.append(_axis(name, values.strip(), sample is not None, unit))
     clash = scene.clash(axis.name for axis in axes if axis.name in scene)
     if clash is not None:
         raise InputError("--vary", value=" and ".join(clash), limit="are one number of the scene")
@@ -276,14 +273,12 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
     )
 
 
-def _axis(name: str, text: str, drawn: bool, angle: bool) -> Axis:
+def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
     """One --vary: a list, a grid, or an interval to draw from."""
     where = f"--vary {name}"
 
     def number(part: str) -> float:
-        if angle:
-            return value_from(part.strip(), parse_angle, where, "-0.5, 30deg or pi/2")
-        return value_from(part.strip(), parse_number, where, "1.5 or -2e-3")
+        return value_from(part, unit, where)
 
     def wrong(limit: str) -> InputError:
         return InputError(where, value=shown(text), limit=limit)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated
 
 from typer import Option
 
 from robodyn.errors import InputError
-from robodyn.scene.quantities import parse_number
+from robodyn.scene.quantities import EXAMPLES, parse_quantity
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.tables.csv_fields import shown
 
@@ -19,16 +18,13 @@ _POINTS = f"Number of rows. Default: {DEFAULT_POINTS}."
 Points = Annotated[int | None, Option("--points", metavar="N", help=_POINTS)]
 
 
-def value_from(text: str, parse: Callable[[str], float], option: str, example: str) -> float:
-    """What `parse` makes of an option's text; InputError, naming the option, if it is none."""
+def value_from(text: str, unit: str, option: str, example: str = "") -> float:
+    """The number that an option's text writes; InputError, naming the option, if it is none."""
     try:
-        return parse(text)
+        return parse_quantity(text.strip(), unit)
     except ValueError as error:
-        raise InputError(option, value=shown(text), limit=f"{error}; write {example}") from None
-
-
-def frequency_from(text: str) -> float:
-    return parse_number(text.removesuffix("Hz"))
+        limit = f"{error}; write {example or EXAMPLES.get(unit) or EXAMPLES['']}"
+        raise InputError(option, value=shown(text), limit=limit) from None
 
 
 def output_times(duration: float, every: float | None, points: int | None) -> EvenTimes:

@@ -21,7 +21,6 @@ from robodyn.dynamics.switching import AT_REST_REMARK
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
-from robodyn.scene.quantities import parse_time
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
@@ -85,7 +84,7 @@ def trajectory(
         refuse("a sweep", **others, ends=given.ends, **given.task)
     elif given.amplitude is not None or given.frequencies is not None:
         raise InputError("--amplitude and --frequencies", limit="are for --profile sweep")
-    step = None if every is None else value_from(every, parse_time, "--every", "2, 0.5s, 20ms")
+    step = None if every is None else value_from(every, "s", "--every")
     with remarks(), ways.named(given), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=AT_REST_REMARK)  # it starts and ends so
         with progress("following the loops") as watch:

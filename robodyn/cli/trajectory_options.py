@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -15,16 +15,16 @@ from robodyn.cli.files import input_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
 from robodyn.cli.states import (
     Quantity,
-    check_displacements,
+    joint_values,
     option_source,
     read_columns,
     table_source,
 )
-from robodyn.cli.times import frequency_from, value_from
+from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.per_joint import for_each_actuated
-from robodyn.scene import quantities
+from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
@@ -101,30 +101,17 @@ class TrajectoryOptions:
         """Seconds; NaN for the shortest."""
         if self.time in (None, "min"):
             return None if self.time is None else math.nan
-        return value_from(self.time, quantities.parse_time, "--time", "2, 0.5s, 20ms or min")
+        return value_from(self.time, "s", "--time", "2, 0.5s, 20ms or min")
 
     def limits(self, mechanism: Mechanism) -> Limits:
-        def acceleration(text: str) -> float:
-            return quantities.parse_angle(text.removesuffix("/s^2"))
-
-        check_displacements(mechanism, self.max_qd, None, "--max-qd")
-        check_displacements(mechanism, self.max_qdd, None, "--max-qdd")
+        given = {"qd": self.max_qd, "qdd": self.max_qdd, "tau": self.max_tau}
         return limits_of(
             mechanism,
-            _entries(self.max_qd, "--max-qd", quantities.parse_rate, "6.28, 60rpm or 90deg/s"),
-            _entries(self.max_qdd, "--max-qdd", acceleration, "20 or 90deg/s^2"),
-            _entries(self.max_tau, "--max-tau", quantities.parse_number, "25"),
+            *(
+                None if text is None else joint_values(mechanism, text, kind, f"--max-{kind}")
+                for kind, text in given.items()
+            ),
         )
-
-
-def _entries(
-    text: str | None, option: str, parse: Callable[[str], float], example: str
-) -> list[float] | None:
-    return (
-        None
-        if text is None
-        else quantities.parse_entries(text, parse, where=option, example=example)
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +171,12 @@ def sweep_from(
     mechanism: Mechanism, pose: np.ndarray, given: TrajectoryOptions, duration: float | None
 ) -> tuple[JointPath, float]:
     """The sine sweep about a pose (n,), and its duration."""
-    sizes = _entries(given.amplitude, "--amplitude", quantities.parse_angle, "0.1 or 5deg")
-    band = _entries(given.frequencies, "--frequencies", frequency_from, "0.2,5 (Hz)")
-    if sizes is None or band is None:
+    if given.amplitude is None or given.frequencies is None:
         raise InputError("--profile sweep", limit="needs --amplitude and --frequencies F0,F1")
+    sizes = joint_values(mechanism, given.amplitude, "q", "--amplitude")
+    band = parse_vector(given.frequencies, where="--frequencies", unit="Hz", example="0.2,5 (Hz)")
     if duration is None or not (math.isfinite(duration) and duration > 0.0):
         raise InputError("--time", limit="of a sweep must be seconds, > 0 and finite")
-    check_displacements(mechanism, given.amplitude, None, "--amplitude")
     sizes = for_each_actuated(mechanism, sizes, "--amplitude")
     if len(band) != 2 or min(band) < 0.0 or max(band) == 0.0:
         limit = "must be two frequencies, at the start and at the end, Hz, >= 0 and not both 0"
@@ -208,9 +194,10 @@ def turning_from(
 ) -> tuple[JointPath, float]:
     """The path at constant speed, and its duration (NaN: the shortest)."""
     start = begin[list(mechanism.actuated)]
-    counts = _entries(given.turns, "--turns", quantities.parse_number, "1 or 0.5")
-    rates = _entries(given.speed, "--speed", quantities.parse_rate, "6.28, 60rpm or 360deg/s")
-    if rates is None:
+    counts = None
+    if given.turns is not None:
+        counts = parse_vector(given.turns, where="--turns", example="1 or 0.5")
+    if given.speed is None:
         assert counts is not None
         if duration is None:
             raise InputError("--turns", limit="needs --speed or --time")
@@ -219,7 +206,7 @@ def turning_from(
             raise InputError("--turns", value=given.turns, limit=limit)
         way = 2 * np.pi * np.array(for_each_actuated(mechanism, counts, "--turns"))
         return ConstantSpeed(start, way), duration
-    check_displacements(mechanism, given.speed, None, "--speed")
+    rates = joint_values(mechanism, given.speed, "qd", "--speed")
     rate = np.array(for_each_actuated(mechanism, rates, "--speed"))
     fastest = float(np.abs(rate).max())
     if counts is not None:

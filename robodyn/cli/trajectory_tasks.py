@@ -130,7 +130,7 @@ def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array)
     if given.arc is not None:
         text, colon, turn = given.arc.partition(":")
         centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")
-        angle = value_from(turn, quantities.parse_angle, "--arc", "0.3,0.2:90deg")
+        angle = value_from(turn, "rad", "--arc", "0.3,0.2:90deg")
         if not (math.isfinite(angle) and angle != 0.0):
             raise InputError("--arc", value=shown(given.arc), limit="the angle must not be 0")
         if np.linalg.norm(begin - centre) <= ALIKE * (1.0 + np.linalg.norm(begin)):
@@ -146,7 +146,7 @@ def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array)
 
 
 def _vector(text: str, flag: str, whole: str, form: str) -> Array:
-    values = quantities.parse_vector(text, where=flag, angles=False) if text else []
+    values = quantities.parse_vector(text, where=flag, unit="m") if text else []
     if len(values) != 2 or not np.isfinite(values).all():
         raise InputError(flag, value=shown(whole), limit=f"must be {form}")
     return np.array(values)
@@ -155,7 +155,7 @@ def _vector(text: str, flag: str, whole: str, form: str) -> Array:
 def _speed(text: str | None) -> float | None:
     if text is None:
         return None
-    most = value_from(text, quantities.parse_number, "--max-speed", "0.5 (m/s)")
+    most = value_from(text, "m/s", "--max-speed", "0.5 (m/s)")
     if not (math.isfinite(most) and most > 0.0):
         raise InputError("--max-speed", value=shown(text), limit="must be > 0 and finite")
     return most

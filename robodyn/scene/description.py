@@ -15,7 +15,7 @@ from robodyn.scene import yaml_tree
 from robodyn.scene.contact_values import ContactReader
 from robodyn.scene.grammar import Key
 from robodyn.scene.point_values import PointReader
-from robodyn.scene.quantities import parse_coupling
+from robodyn.scene.quantities import in_unit, parse_coupling
 from robodyn.scene.scene import (
     BRANCHES,
     FRAMES,
@@ -128,8 +128,9 @@ class _Reader(PointReader, SignalReader, ContactReader):
         angles: list[float | None] = [None] * self.count
         for name, value in self.keys(node, place, [], list(self.index), "link").items():
             if name in self.index:
-                kind = "number" if self.index[name] in self.slides else "angle"
-                angles[self.index[name]] = self.number(value, f"{place}.{name}", Key(kind, ""))
+                unit = "m" if self.index[name] in self.slides else "rad"
+                key = Key("number", "", unit)
+                angles[self.index[name]] = self.number(value, f"{place}.{name}", key)
         return tuple(angles)
 
     # -- links -------------------------------------------------------------------------------
@@ -273,11 +274,12 @@ class _Reader(PointReader, SignalReader, ContactReader):
     def coupling(self, node: Node, place: str, count: int) -> Coupling | None:
         text = self.name(node, place)
         try:
-            joint, terms, angle = parse_coupling(text)
+            joint, value = parse_coupling(text)
         except ValueError as error:
             if text:
                 self.fault(place, node, str(error), self.shown(node))
             return None
+        terms = value.joints
         unknown = [k for k in (joint, *terms) if not 1 <= k <= count]
         if unknown:
             limit = f"names q{unknown[0]}; the joints are q1 to q{count}"
@@ -286,11 +288,15 @@ class _Reader(PointReader, SignalReader, ContactReader):
         if joint in terms:
             self.fault(place, node, f"has q{joint} on both sides", self.shown(node))
             return None
-        if any(k - 1 in self.slides for k in (joint, *terms)) and ("deg" in text or "pi" in text):
-            limit = "joins a displacement: its constant is a plain number"
-            self.fault(place, node, limit, self.shown(node))
-        ratios = tuple((k - 1, ratio) for k, ratio in terms.items() if ratio != 0.0)
-        return Coupling(joint - 1, ratios, angle)
+        units = {k: "m" if k - 1 in self.slides else "rad" for k in (joint, *terms)}
+        own = units[joint]
+        try:
+            ratios = {k: in_unit(x, f"{own}/{units[k]}") for k, x in terms.items()}
+            constant = in_unit(value._replace(joints={}), own)
+        except ValueError as error:
+            self.fault(place, node, str(error), self.shown(node))
+            return None
+        return Coupling(joint - 1, tuple((k - 1, x) for k, x in ratios.items() if x), constant)
 
 
 def _scalars(node: Node) -> Iterator[tuple[str, Scalar]]:

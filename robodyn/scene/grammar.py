@@ -38,6 +38,8 @@ NUMBERS = {  # and their limits
     "part": "in [0, 1]",
 }
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
+BY_JOINT = "rad or m"  # as the joint turns or slides
+WITH_UNIT = ("vector", "varying", "varying_vector")  # beside numbers
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
 # The forms of a mapping of this kind, each with the keys that tell it; the last has none.
 MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -121,7 +123,7 @@ FORMS = {
             "start": Key(
                 "start",
                 "where joints begin when larger loops are assembled, {crank: 30deg}",
-                "rad or m",
+                BY_JOINT,
                 "none",
             ),
             "couplings": Key(

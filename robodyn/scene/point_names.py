@@ -69,7 +69,7 @@ def places_of(description: Description) -> Places:
 
 def _vector(offset: str, link: str) -> complex:
     try:
-        values = parse_vector(offset, where="", angles=False)
+        values = parse_vector(offset, where="", unit="m")
     except InputError:
         values = []
     if len(values) != 2:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, ClassVar
 
 from robodyn.scene.point_names import Places
-from robodyn.scene.quantities import parse_number
+from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.scene import Point
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
@@ -49,7 +49,7 @@ class PointReader(ValueReader):
     def point(self, node: Node, place: str) -> Point:
         """A ground point [x, y], a name of a point, or {link: NAME, at: [x, y]}."""
         if isinstance(node, Sequence):
-            return Point(None, self.vector(node, place))
+            return Point(None, self.vector(node, place, "m"))
         if isinstance(node, Scalar):
             return self.named_point(node, place) or Point(None, 0j)
         return Point(**self.form("point", node, place))
@@ -123,4 +123,4 @@ class PointReader(ValueReader):
 
 
 def _number(node: Node | None) -> float:
-    return parse_number(node.text if isinstance(node, Scalar) else "")
+    return parse_quantity(node.text if isinstance(node, Scalar) else "", "m")

@@ -1,153 +1,155 @@
-"""Numbers as people write them: `1e-3`, `-0.5`, `30deg`, `pi/2`, `2*pi/3`, `1/3`."""
+"""Values as people write them, everywhere in one grammar: arithmetic with units.
+
+`1e-3`, `30deg`, `30 °`, `-pi/2+0.6`, `sqrt(2)/2`, `350 mm`, `1/12`, `9.81 m/s^2`, `60rpm`; a
+blank between a number and a unit is a product.  A number without a unit is in that of its place.
+"""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 from robodyn.errors import InputError
+from robodyn.scene.unit_arithmetic import (
+    CONSTANTS,
+    FUNCTIONS,
+    PLAIN_NUMBER,
+    Value,
+    finite,
+    plain_text,
+    read_value,
+    tokens_of,
+)
+from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension
 from robodyn.tables.csv_fields import shown
 
-# Digits can be told in one way only: a pattern with two takes time by the square of their number.
-_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-_PLAIN = re.compile(rf"[+-]?{_NUMBER}", re.ASCII)
-ANGLE_PATTERN = (
-    rf"(?P<sign>[+-]?)(?:(?P<number>{_NUMBER})?(?P<pi>\*?pi)|(?P<value>{_NUMBER}))"
-    rf"(?:/(?P<divisor>{_NUMBER}))?(?P<unit>deg|rad)?"
-)
-_ANGLE = re.compile(ANGLE_PATTERN, re.ASCII)
-
-_JOINT = re.compile(
-    rf"(?P<sign>[+-]?)(?:(?P<ratio>{_NUMBER}(?:/{_NUMBER})?)\*?)?q(?P<joint>\d{{1,18}})", re.ASCII
-)
-_APART = re.compile(r"[\w.]\s+(?!q)[\w.]|q\d+\s+q")  # a blank within what is no product
-_SIGNED = re.compile(r"(?<=[^eE])(?=[+-])")  # before every sign but that of an exponent
+# of values, by the unit of their place
+EXAMPLES = {
+    "": "1.5 or -2e-3",
+    "rad": "-0.5, 30deg or pi/2",
+    "rad/s": "6.28, 60rpm or 90deg/s",
+    "rad/s²": "20 or 90deg/s^2",
+    "m": "0.25 or 250mm",
+    "s": "2, 0.5s or 20ms",
+    "Hz": "100 or 100Hz",
+}
 
 
-def parse_number(text: str) -> float:
-    """The finite number that `text` writes; ValueError with the reason if it is none."""
-    if _PLAIN.fullmatch(text) is None:
-        if text.lstrip("+-.").lower() in ("nan", "inf", "infinity"):
-            raise ValueError("must be a finite number")
-        raise ValueError("is not a number")
-    value = float(text)
-    if math.isinf(value):
-        raise ValueError("is too large for a number")
-    return value
+def parse_quantity(text: str, unit: str = "") -> float:
+    """The finite number that `text` writes, in the unit of its place; ValueError with the reason.
 
-
-def parse_angle(text: str) -> float:
-    """The angle (or angular rate) in radians that `text` writes; ValueError with the reason.
-
-    `0.5`, `30deg`, `1.2rad`, `pi`, `-pi/4`, `2*pi/3`, `3pi/2`, `1/3`.
+    `unit` is such as `kg m²` or `N m s/rad`; of plain numbers, which may have none, it is empty.
     """
-    match = _ANGLE.fullmatch(text)
-    if match is None or ((match["pi"] or "").startswith("*") and not match["number"]):
-        parse_number(text)  # tells nan and inf from what is no number at all
-        raise ValueError("is not an angle")
-    value = parse_number(match["value"] or match["number"] or "1")
-    if match["pi"]:
-        if match["unit"] == "deg":
-            raise ValueError("mixes pi with deg")
-        value *= math.pi
-    if match["divisor"]:
-        divisor = parse_number(match["divisor"])
-        if divisor == 0.0:
-            raise ValueError("divides by zero")
-        value /= divisor
-    if match["unit"] == "deg":
-        value = math.radians(value)
-    if math.isinf(value):
-        raise ValueError("is too large for a number")
-    return -value if match["sign"] == "-" else value
+    if PLAIN_NUMBER.fullmatch(text):
+        return finite(float(text))
+    return in_unit(read_value(text), unit)
 
 
-def parse_coupling(text: str) -> tuple[int, dict[int, float], float]:
-    """`q3 = -2 q1 + 0.1` as 3, {1: -2.0} and 0.1 (rad); ValueError with the reason if it is none.
+def is_plain(text: str) -> bool:
+    """Whether it is a number without arithmetic and unit."""
+    return PLAIN_NUMBER.fullmatch(text) is not None
 
-    Ratios are numbers or fractions (`-20/37 q1`, `2*q1`, `-q1`), the constant an angle (`30deg`).
-    """
-    if _APART.search(text):
-        raise ValueError("must be such as q3 = -2 q1 + 0.1: a sign is missing between terms")
-    sides = "".join(text.split()).split("=")
-    left = _JOINT.fullmatch(sides[0])
-    if len(sides) != 2 or left is None or left["ratio"] or left["sign"]:
+
+def in_unit(value: Value, unit: str) -> float:
+    """A value in the unit of its place; ValueError if it has another dimension."""
+    if value.joints:
+        raise ValueError("is not a number: it has a joint")
+    place = dimension_of(unit)
+    if not fits(value.of, place):
+        wanted = f"in {unit}" if unit else "a plain number"
+        raise ValueError(f"must be {wanted}, not in {shown_dimension(value.of)}")
+    return finite(value.total)
+
+
+@lru_cache
+def dimension_of(unit: str) -> Dimension:
+    """The dimension of a unit in words."""
+    return read_value(unit).of if unit else PLAIN
+
+
+def parse_coupling(text: str) -> tuple[int, Value]:
+    """`q3 = -2 q1 + 0.1` as 3 and -2 q1 + 0.1; ValueError with the reason if it is no equation."""
+    left, equals, right = text.partition("=")
+    match = re.fullmatch(r"\s*q(\d{1,18})\s*", left, re.ASCII)
+    if match is None or not equals or "=" in right:
         raise ValueError("must be an equation such as q3 = -2 q1 + 0.1")
-    terms: dict[int, float] = {}
-    angle = 0.0
-    for part in _SIGNED.split(sides[1]):
-        joint = _JOINT.fullmatch(part)
-        if joint is None:
-            try:
-                angle += parse_angle(part)
-            except ValueError as error:
-                missing = part in ("", "+", "-")
-                reason = "a term is missing" if missing else f"{part} {error}"
-                raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {reason}") from None
-            continue
-        ratio, number = 1.0, int(joint["joint"])
-        if joint["ratio"]:
-            above, _, below = joint["ratio"].partition("/")
-            divisor = parse_number(below or "1")
-            if divisor == 0.0:
-                raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {part} divides by zero")
-            ratio = parse_number(above) / divisor
-        terms[number] = terms.get(number, 0.0) + (-ratio if joint["sign"] == "-" else ratio)
-    return int(left["joint"]), terms, angle
+    try:
+        return int(match[1]), read_value(right, joints=True)
+    except ValueError as error:
+        raise ValueError(f"must be such as q3 = -2 q1 + 0.1: {right.strip()} {error}") from None
 
 
-def parse_rate(text: str) -> float:
-    """The rate in rad/s that `text` writes; ValueError with the reason.
-
-    `6.28`, `2*pi`, `360deg/s`, `360deg`, `6.28rad/s`, `60rpm`.
-    """
-    if text.endswith("rpm"):
-        return parse_number(text.removesuffix("rpm")) * (math.pi / 30)
-    return parse_angle(text.removesuffix("/s"))
-
-
-def parse_time(text: str) -> float:
-    """The time in seconds that `text` writes, `2`, `0.5s`, `20ms`; ValueError with the reason."""
-    if text.endswith("ms"):
-        return parse_number(text.removesuffix("ms")) / 1000
-    return parse_number(text.removesuffix("s"))
-
-
-def parse_vector(text: str, *, where: str, angles: bool) -> list[float]:
-    """The numbers of a comma- or space-separated vector; InputError naming `where` if none."""
-    if angles:
-        return parse_entries(text, parse_angle, where=where, example="-0.5, 30deg or pi/2")
-    return parse_entries(text, parse_number, where=where, example="1.5 or -2e-3")
-
-
-def parse_entries(
-    text: str, parse: Callable[[str], float], *, where: str, example: str
+def parse_vector(
+    text: str,
+    *,
+    where: str,
+    unit: str | Callable[[int], Sequence[str]] = "",
+    example: str = "",
 ) -> list[float]:
-    """What `parse` makes of each entry of a vector; InputError naming `where` if it is none."""
-    entries = text.replace(",", " , ").split()
-    values: list[float] = []
-    comma = True  # a comma needs an entry before it; one may stand between two entries
-    for entry in entries:
-        if entry == ",":
-            if comma:
-                raise InputError(
-                    repr(shown(text)), where=where, limit="an entry is missing at a comma"
-                )
-            comma = True
+    """The numbers of a comma- or space-separated vector; InputError naming `where` if none.
+
+    `unit`: that of all entries, or what tells those of so many.
+    """
+    entries = _entries(plain_text(text), where, example or EXAMPLES[""])
+    units = [unit] * len(entries) if isinstance(unit, str) else unit(len(entries))
+    values = []
+    for k, (entry, own) in enumerate(zip(entries, units, strict=True), start=1):
+        try:
+            values.append(parse_quantity(entry, own))
+        except ValueError as error:
+            limit = f"{error}; write {example or EXAMPLES.get(own) or EXAMPLES['']}"
+            raise InputError(f"entry {k}", where=where, value=shown(entry), limit=limit) from None
+    return values
+
+
+def _entries(text: str, where: str, example: str) -> list[str]:
+    """What stands between commas, or between blanks that cannot be within one value."""
+    found: list[str] = []
+    parts = _at_commas(text)
+    for part in parts:
+        if not part.strip():
+            if len(parts) == 1:
+                raise InputError("the vector is empty", where=where, limit=f"write {example}")
+            limit = "an entry is missing at a comma"
+            raise InputError(repr(shown(text)), where=where, limit=limit)
+        words = part.split()
+        if len(words) == 1 or all(map(PLAIN_NUMBER.fullmatch, words)):
+            found += words
             continue
         try:
-            values.append(parse(entry))
+            found += _at_blanks(part)
         except ValueError as error:
             raise InputError(
-                f"entry {len(values) + 1}",
-                where=where,
-                value=shown(entry),
-                limit=f"{error}; write {example}",
+                f"entry {len(found) + 1}", where=where, value=shown(part.strip()), limit=str(error)
             ) from None
-        comma = False
-    if not values:
-        raise InputError("the vector is empty", where=where, limit=f"write {example}")
-    if comma:
-        raise InputError(repr(shown(text)), where=where, limit="an entry is missing at a comma")
-    return values
+    return found
+
+
+def _at_commas(text: str) -> list[str]:
+    parts, begin, depth = [], 0, 0
+    for k, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth <= 0:
+            parts.append(text[begin:k])
+            begin = k + 1
+    return [*parts, text[begin:]]
+
+
+def _at_blanks(part: str) -> list[str]:
+    """The values of a part without commas: a new one begins where none can go on."""
+    tokens, begins, depth = tokens_of(part), [0], 0
+    for before, token, after in zip(tokens, tokens[1:], [*tokens[2:], None], strict=False):
+        depth += (before.text == "(") - (before.text == ")")
+        ended = before.kind != "sign" or before.text == ")"
+        if depth or not token.apart or not ended:
+            continue
+        sign = token.text in ("+", "-") and after is not None and not after.apart
+        name = token.kind == "name" and token.text not in UNITS
+        if name and before.kind == "number" and token.text in (*CONSTANTS, *FUNCTIONS):
+            both = f"{before.text}*{token.text} or {before.text},{token.text}"
+            raise ValueError(f"is one value or two: write {both}")
+        opens = token.text == "(" and before.text not in FUNCTIONS
+        if token.kind == "number" or sign or name or opens:
+            begins.append(token.at)
+    return [part[a:b].strip() for a, b in zip(begins, [*begins[1:], len(part)], strict=True)]

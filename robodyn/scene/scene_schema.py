@@ -6,13 +6,14 @@ exist, links that hang from themselves and the like are found by robodyn alone.
 
 from __future__ import annotations
 
-import re
 from itertools import combinations
 from typing import Any
 
 from robodyn.scene.expressions import CONSTANTS, SMOOTH
 from robodyn.scene.grammar import FORMS, MAPPINGS, NUMBERS, OR_VECTOR, WORDS, Form, Key
-from robodyn.scene.quantities import ANGLE_PATTERN
+from robodyn.scene.unit_arithmetic import CONSTANTS as OF_VALUES
+from robodyn.scene.unit_arithmetic import FUNCTIONS
+from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
 
@@ -21,7 +22,10 @@ def scene_schema() -> Schema:
     """The schema of a scene file, as JSON has it."""
     keyword: dict[str, Schema] = {"": {}, ">= 0": {"minimum": 0}, "> 0": {"exclusiveMinimum": 0}}
     keyword |= {"not 0": {"not": {"const": 0}}, "in [0, 1]": {"minimum": 0, "maximum": 1}}
-    kinds: dict[str, Schema] = {x: {"type": "number", **keyword[y]} for x, y in NUMBERS.items()}
+    written = _ref("quantity")
+    kinds: dict[str, Schema] = {
+        x: {"anyOf": [{"type": "number", **keyword[y]}, written]} for x, y in NUMBERS.items()
+    }
     kinds |= {kind: {"enum": list(words)} for kind, words in WORDS.items()}
     kinds |= {kind: _any(plain, "vector") for kind, plain in OR_VECTOR.items()}
     kinds |= {kind: _any(*forms) for kind, forms in MAPPINGS.items() if len(forms) > 1}
@@ -37,15 +41,13 @@ def scene_schema() -> Schema:
 def _other_kinds() -> dict[str, Schema]:
     any_name = ["string", "number", "boolean"]  # what YAML makes of a name such as 3
     pair = {"type": "array", "minItems": 2, "maxItems": 2}
-    # the pattern of angles in the dialect of JSON Schema, which has no (?P<name>...)
-    angle = re.sub(r"\?P<\w+>", "?:", ANGLE_PATTERN)
     return {
         "name": {"type": any_name, "pattern": r"\S"},
         "link_name": _ref("name"),
         "joints": {**_list("name"), "uniqueItems": True},
-        "vector": {**pair, "items": {"type": "number"}},
+        "quantity": {"type": "string", "pattern": _quantity()},
+        "vector": {**pair, "items": _ref("number")},
         "direction": {**_ref("vector"), "contains": {"not": {"const": 0}}},
-        "angle": {"anyOf": [_ref("number"), {"type": "string", "pattern": f"^(?:{angle})$"}]},
         "points": {"type": "object", "additionalProperties": _ref("moving_point")},
         "start": {"type": "object", "additionalProperties": _ref("angle")},
         "assembly": {"anyOf": [_ref("branch"), _list("branch")]},
@@ -67,6 +69,16 @@ def _expression(variables: str) -> str:
     """The pattern of smooth expressions: which words they have, in the dialect of JSON Schema."""
     words = "|".join((*SMOOTH, *CONSTANTS, variables))
     return rf"^(?:[\s0-9.+*/(),-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
+
+
+def _quantity() -> str:
+    """The pattern of arithmetic with units: which letters and words it has."""
+    words = "|".join(sorted({*FUNCTIONS, *OF_VALUES, *UNITS}, key=len, reverse=True))
+    letters = "\u03c0\u00b0\u00b2\u00b3\u00b7\u03a9\u2126\u00b5\u03bc\u2212\u00d7"
+    plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
+    return (
+        rf"^(?!{plain})(?:[\s0-9.+*/(),^{letters}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
+    )
 
 
 def _mapping(form: Form) -> Schema:

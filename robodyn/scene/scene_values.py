@@ -17,16 +17,13 @@ from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.scene import description, yaml_tree
-from robodyn.scene.grammar import FORMS, NUMBERS, OR_VECTOR, Key, form_of
-from robodyn.scene.quantities import parse_angle, parse_number
+from robodyn.scene.grammar import BY_JOINT, NUMBERS, OR_VECTOR, Key, form_of
+from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.scene import Description, Written
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Node, Scalar, Sequence
 from robodyn.scene.yaml_values import nearest
 
-_ANGLES = {
-    name for form in FORMS.values() for name, key in form.keys.items() if key.kind == "angle"
-}
-_ANGLE = re.compile(rf"(q|qd|qdd)[0-9]+|start\..*|.*\.({'|'.join(_ANGLES)})", re.ASCII)
 _OF_LINK = re.compile(r"links\[(\d+)\]\.")
 # Of what a list of this kind consists, where not of numbers.
 _INNER: dict[str, str | None] = {
@@ -34,7 +31,8 @@ _INNER: dict[str, str | None] = {
     "pair": "point",
     "varying_vector": "varying",
 } | dict.fromkeys(("joints", "assembly", "couplings"))
-_BY_NAME = {"start": "angle", "points": "moving_point"}  # mappings by names, and what they hold
+# mappings by names, and what they hold
+_BY_NAME = {"start": Key("angle", "", BY_JOINT), "points": Key("moving_point", "")}
 
 
 @dataclass(slots=True)
@@ -43,6 +41,7 @@ class _Place:
 
     around: yaml_tree.Mapping | Sequence
     at: str | int
+    unit: str = ""
 
     @property
     def held(self) -> list[Any]:
@@ -112,9 +111,20 @@ class SceneValues:
 
     def number(self, name: str) -> float:
         """The number of this name, as the file has it, or 0 where it is left out."""
+        return parse_quantity(self.text(name), self.unit(name))
+
+    def text(self, name: str) -> str:
+        """The number of this name as it is written."""
         node = self._places[name].node
-        text = node.text if isinstance(node, Scalar) else "0"
-        return parse_angle(text) if is_angle(name) else parse_number(text)
+        return node.text if isinstance(node, Scalar) else "0"
+
+    def unit(self, name: str) -> str:
+        """The unit of the number of this name; empty for plain ones."""
+        unit = self._places[name].unit
+        if unit != BY_JOINT:
+            return unit
+        slides = {link.name for link in self.base.links if link.slides}
+        return "m" if name.removeprefix("start.") in slides else "rad"
 
     def clash(self, names: Iterable[str]) -> tuple[str, str] | None:
         """Two of the names that stand for one number, or for a point and one of its entries."""
@@ -178,11 +188,6 @@ def read_numbers(text: str, source: str, given: tuple[tuple[str, str], ...] = ()
 numbers_of = lru_cache(maxsize=8)(read_numbers)  # read once for all who ask
 
 
-def is_angle(name: str) -> bool:
-    """Whether the number of this name (or the joint's angle, rate) may be written in degrees."""
-    return _ANGLE.fullmatch(name) is not None
-
-
 def _unshared(node: Node) -> Node:
     """A copy in which no two places hold the same node, as aliases do."""
     if isinstance(node, Scalar):
@@ -198,7 +203,7 @@ def _varies(kind: str | None, node: Node) -> bool:
     if kind != "varying" or not isinstance(node, Scalar):
         return False
     with suppress(ValueError):
-        parse_number(node.text)
+        read_value(node.text)
         return True
     return False
 
@@ -212,18 +217,22 @@ def _numbers(
     if isinstance(node, Sequence):
         inner = _INNER.get(kind or "", "number")
         for k, item in enumerate(node.items):
-            yield from _numbers(_Place(node, k), item, f"{name}[{k}]", inner)
+            unit = "m" if kind in ("point", "moving_point") else place.unit
+            yield from _numbers(_Place(node, k, unit), item, f"{name}[{k}]", inner)
     elif isinstance(node, yaml_tree.Mapping):
         given = {key.text: value for key, value in node.pairs}
         prefix = f"{name}." if name else ""
         keys = {} if kind in _BY_NAME else form_of(str(kind), given).keys
+        other = _BY_NAME.get(str(kind), Key("number", ""))
         for text, value in given.items():
-            key = keys.get(text, Key(_BY_NAME.get(str(kind), "number"), ""))
+            key = keys.get(text, other)
             if key.listed and isinstance(value, Sequence):
                 for k, item in enumerate(value.items):
-                    yield from _numbers(_Place(value, k), item, f"{prefix}{text}[{k}]", key.kind)
+                    yield from _numbers(
+                        _Place(value, k, key.unit), item, f"{prefix}{text}[{k}]", key.kind
+                    )
             else:
-                yield from _numbers(_Place(node, text), value, prefix + text, key.kind)
+                yield from _numbers(_Place(node, text, key.unit), value, prefix + text, key.kind)
         for text, key in keys.items():
             if key.default == "0" and text not in given:
-                yield prefix + text, _Place(node, text)
+                yield prefix + text, _Place(node, text, key.unit)

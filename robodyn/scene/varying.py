@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from robodyn.scene.grammar import Key
-from robodyn.scene.quantities import parse_number
 from robodyn.scene.scene import Law, Signal, Table
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 from robodyn.scene.yaml_values import ValueReader
 
@@ -34,12 +34,12 @@ class SignalReader(ValueReader):
         file = self.name(node, place)
         return self.file_table(node, place, file, "x", "x", "F", False) if file else None
 
-    def varying(self, node: Node, place: str) -> float | Signal:
+    def varying(self, node: Node, place: str, unit: str) -> float | Signal:
         """A number, an expression in t, q1.., qd1.., or {table, over, column}."""
         if isinstance(node, Mapping):
             return self.load_table(node, place) or 0.0
-        if not isinstance(node, Scalar) or _plain(node):
-            return self.number(node, place, Key("number", ""))
+        if not isinstance(node, Scalar) or _meant_as_number(node):
+            return self.number(node, place, Key("number", "", unit))
         law = self.expression(node, place)
         if law is None or law.names:
             return law or 0.0
@@ -53,12 +53,14 @@ class SignalReader(ValueReader):
             self.fault(place, node, "must be a finite number", self.shown(node))
         return value if math.isfinite(value) else 0.0
 
-    def varying_vector(self, node: Node, place: str) -> tuple[float | Signal, float | Signal]:
+    def varying_vector(
+        self, node: Node, place: str, unit: str
+    ) -> tuple[float | Signal, float | Signal]:
         """Two of these."""
         if not isinstance(node, Sequence) or len(node.items) != 2:
             self.vector(node, place)  # says so
             return 0.0, 0.0
-        x, y = (self.varying(item, f"{place}[{k}]") for k, item in enumerate(node.items))
+        x, y = (self.varying(item, f"{place}[{k}]", unit) for k, item in enumerate(node.items))
         return x, y
 
     def load_table(self, node: Node, place: str) -> Table | None:
@@ -111,11 +113,11 @@ class SignalReader(ValueReader):
         return Law(node.text.strip(), written.codes[0], frozenset(written.names))
 
 
-def _plain(node: Scalar) -> bool:
+def _meant_as_number(node: Scalar) -> bool:
     """Whether it is a number, or was meant as one."""
     try:
-        parse_number(node.text)
+        read_value(node.text)
     except ValueError as error:
         truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false", "null", "~", "")
-        return truth or str(error) != "is not a number"
+        return truth or not str(error).startswith("is not a number")
     return True

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from robodyn.errors import MOST_FAULTS, Fault
-from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WORDS, Key, excluded, form_of
-from robodyn.scene.quantities import parse_angle, parse_number
+from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WITH_UNIT, WORDS, Key, excluded, form_of
+from robodyn.scene.quantities import is_plain, parse_quantity
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
 
 COMPARISONS = 2000  # of names that a file's suggestions may cost
@@ -101,10 +101,11 @@ class ValueReader:
         if key.kind in OR_VECTOR:
             plain = key._replace(kind=OR_VECTOR[key.kind])
             vector = isinstance(node, Sequence)
-            return self.vector(node, place) if vector else self.number(node, place, plain)
+            return self.vector(node, place, key.unit) if vector else self.number(node, place, plain)
         if key.kind in WORDS:
             return self.word(node, place, WORDS[key.kind])
-        return getattr(self, key.kind)(node, place)
+        unit = (key.unit,) if key.kind in WITH_UNIT else ()
+        return getattr(self, key.kind)(node, place, *unit)
 
     def items(self, node: Node | None, place: str) -> list[Node]:
         if node is None:
@@ -131,9 +132,9 @@ class ValueReader:
             self.fault(place, node, "must be a number", self.shown(node))
             return 0.0
         try:
-            if node.quoted:
+            if node.quoted and is_plain(node.text):
                 raise ValueError("is quoted text, not a number")
-            value = (parse_angle if key.kind == "angle" else parse_number)(node.text)
+            value = parse_quantity(node.text, key.unit)
         except ValueError as error:
             truth = node.text.lower() in ("yes", "no", "on", "off", "true", "false")
             reason = "is a truth value, not a number" if truth else str(error)
@@ -151,14 +152,15 @@ class ValueReader:
             return 0.0
         return value
 
-    def vector(self, node: Node, place: str) -> complex:
+    def vector(self, node: Node, place: str, unit: str = "") -> complex:
         if not isinstance(node, Sequence):
             self.fault(place, node, "must be two numbers, [x, y]", self.shown(node))
             return 0j
         if len(node.items) != 2:
             self.fault(place, node, "must be two numbers, [x, y]", f"{len(node.items)} values")
             return 0j
-        x, y = (self.number(item, f"{place}[{k}]") for k, item in enumerate(node.items))
+        key = Key("number", "", unit)
+        x, y = (self.number(item, f"{place}[{k}]", key) for k, item in enumerate(node.items))
         return complex(x, y)
 
     @staticmethod
