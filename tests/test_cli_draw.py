@@ -317,10 +317,10 @@ def test_the_users_settings_of_matplotlib_break_no_picture(shell: Run, tmp_path:
 
 
 def test_the_pictures_of_the_readme_are_there_and_small() -> None:
+    from documents import DOCUMENTS
     from PIL import Image
 
-    readme = (ROOT / "README.md").read_text()
-    named = set(re.findall(r"robots/pictures/[\w-]+\.png", readme))
+    named = set(re.findall(r"robots/pictures/[\w-]+\.png", "".join(DOCUMENTS.values())))
     assert {f"robots/pictures/{path.stem}.png" for path in ROOT.glob("robots/*.yaml")} <= named
     there = {str(path.relative_to(ROOT)) for path in ROOT.glob("robots/pictures/*")}
     assert named == there
