@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +33,14 @@ def blocks(*languages: str) -> list[tuple[str, str]]:
     ]
 
 
+def is_whole(command: str) -> bool:
+    """Whether a command ends here: no backslash at its end, no quotation that is open."""
+    with suppress(ValueError):
+        shlex.split(command)
+        return not command.endswith("\\\n")
+    return False
+
+
 def example_blocks() -> list[tuple[str, list[Example]]]:
     """The document and the commands of each console block, each with the output below it."""
     found: list[tuple[str, list[Example]]] = []
@@ -38,9 +48,19 @@ def example_blocks() -> list[tuple[str, list[Example]]]:
         commands = []
         for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
             lines = part.splitlines(keepends=True)
-            end = next(k for k, line in enumerate(lines) if not line.endswith("\\\n")) + 1
+            end = next(k for k in range(1, len(lines) + 1) if is_whole("".join(lines[:k])))
             commands.append(Example("".join(lines[:end]), "".join(lines[end:])))
         found.append((name, commands))
+    return found
+
+
+def scene_files(name: str) -> dict[str, str]:
+    """The scenes of a document whose first line, a comment, names a file."""
+    found = {}
+    for document, text in blocks("yaml"):
+        first = re.match(r"# (\S+\.yaml)\n", text)
+        if document == name and first:
+            found[first[1]] = text
     return found
 
 
