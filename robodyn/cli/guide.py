@@ -23,7 +23,7 @@ from robodyn.tables.output_file import on_terminal
 FOLDER = Path(__file__).resolve().parent.parent / "guide"
 KINDS = ("tutorial", "how-to", "reference", "background")  # as they are listed
 WIDEST = 100  # characters of a line, as in the pages
-_FRONT = re.compile(r"<!-- *([\w-]+)(?:: *([\w, ]+?))? *-->\n+")
+_FRONT = re.compile(r"<!-- *([\w-]+)(?:: *([\w,\s]+?))? *-->\n+")
 
 
 class Page(NamedTuple):
