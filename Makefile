@@ -42,19 +42,20 @@ bench: $(READY)
 	$(BIN)/python tests/bench.py
 
 PICTURES := robots/pictures
-DRAW     := $(BIN)/robodyn draw --size 3.2x2.4
+DRAW     := $(BIN)/robodyn draw --size 3.2x2.4 --dpi 300
 
 pictures: $(READY)
 	mkdir -p bench
 	for scene in robots/*.yaml; do \
-		$(DRAW) "$$scene" --labels names $$(sed -n 's/^# try: //p' "$$scene") \
+		$(DRAW) "$$scene" --labels names $$(sed -n 's/ --qd.*//; s/^# try: //p' "$$scene") \
 		-o $(PICTURES)/$$(basename "$$scene" .yaml).png || exit; \
 	done
-	$(DRAW) robots/four-bar.yaml --q 60deg --qd 5 --forces -o $(PICTURES)/forces.png
+	$(BIN)/robodyn draw robots/four-bar.yaml --q 60deg --qd 5 --forces --dpi 200 --size 4.8x3.6 \
+		-o $(PICTURES)/forces.png
 	(echo q1; seq 0 1.0472 5.3) | $(DRAW) robots/slider-crank.yaml - -o $(PICTURES)/poses.png
 	$(BIN)/robodyn sweep robots/2r.yaml --vary q1=-269.25deg:89.25deg:240 \
 		--vary q2=-179deg:179.5deg:240 --rtol 1e-6 --atol 1e-6 --result flip -o bench/flips.csv
-	$(BIN)/robodyn plot bench/flips.csv --x q1 --y q2 --colour flip --log --size 7x6 \
+	$(BIN)/robodyn plot bench/flips.csv --x q1 --y q2 --colour flip --log --size 7x6 --dpi 300 \
 		-o $(PICTURES)/flip-map.png
 
 PEERS := .venv-peers

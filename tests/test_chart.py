@@ -143,13 +143,11 @@ def test_tables_that_cannot_be_drawn() -> None:
         chart(["a.csv", "b.csv"], ["t", None], [table(("t", "q1")), table(("q1",))])
 
 
-def test_units_are_those_of_the_readme() -> None:
-    from conftest import ROOT
+def test_units_are_those_of_the_guide() -> None:
+    from documents import PAGES, rows_below
 
-    rows = (ROOT / "README.md").read_text().split("## CSV columns")[1].split("\n\n")[2]
     told = 0
-    for row in rows.splitlines()[2:]:
-        names, unit = (cell.strip() for cell in row.strip("|").split("|")[:2])
+    for names, unit, *_ in rows_below(PAGES["columns"], "| columns | unit | in | out |"):
         for name in names.replace("`", "").replace("...", "").split(","):
             if name.strip() and unit:
                 assert unit_of(name.strip()) == unit

@@ -312,3 +312,26 @@ def test_units_of_joints_that_slide(robodyn: Run) -> None:
     for part in ("q1 [rad]", "q2 [m]", "tau2 [N]"):
         assert part in found
     robodyn(*given, "--model", "nowhere.yaml", stdin=rows).fails(2, "nowhere.yaml")
+
+
+def test_degrees_and_a_title(robodyn: Run, tmp_path: Path) -> None:
+    """Angles are drawn times 180/pi; what slides, or is no angle, as it is."""
+    rows = "t,q1,q2,tau1\n0,0,0.5,1\n1,3.141592653589793,0.7,2\n"
+    line = ("plot", "-", "--format", "text", "--degrees", "--title", "A [turn]")
+    shown = robodyn(*line, stdin=rows).succeeds().out
+    assert shown.startswith("  A [turn]\n")
+    assert "q [°]" in shown
+    assert "150 ┤" in shown
+    shown = robodyn(*line, "--model", "robots/rp-arm.yaml", "--y", "q*", stdin=rows).succeeds().out
+    assert "q1_deg [°]" in shown
+    assert "q2 [m]" in shown
+    shown = robodyn(*line, "--x", "q1", "--y", "q2", "--colour", "tau1", stdin=rows).succeeds().out
+    assert shown.startswith("  A [turn]\n")
+    assert "q1_deg [°]" in shown
+    for size in (100, 300):
+        out = tmp_path / f"{size}.png"
+        robodyn(
+            *("plot", "-", "--title", "$E", "--dpi", size, "--size", "4x3", "-o", out), stdin=rows
+        ).succeeds()
+        assert int.from_bytes(out.read_bytes()[16:20], "big") == 4 * size
+    robodyn("plot", "-", "--dpi", 5, "-o", out, stdin=rows).fails(2, "--dpi = 5", "from 10 to 1200")

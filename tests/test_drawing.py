@@ -124,7 +124,8 @@ def test_springs_end_where_they_are_hung(seed: int) -> None:
         assert straight.real.max() < abs(second - first) + 1e-12
         assert np.abs(straight.imag).max() == pytest.approx(drawn.half_width)
     coiled = sum(isinstance(s, JointSpring) for s in described.springs)
-    spirals = [s for body in drawn.bodies if body.turns for s in body.shapes if s.kind == "spring"]
+    whole = [body for body in drawn.bodies if body.turns and body.end is None]
+    spirals = [s for body in whole for s in body.shapes if s.kind == "spring"]
     assert len([s for s in spirals if len(s.points) > 20]) == coiled
 
 
@@ -507,3 +508,27 @@ def test_the_first_free_place_is_taken() -> None:
     assert free_place(candidates, 1 + 1j, points, [], shown) == 5 + 5j
     assert free_place(candidates, 1 + 1j, points, [(5.2 + 5j, 1 + 1j)], shown) == 8 + 8j
     assert free_place(candidates[3:] + candidates[:1], 1 + 1j, points, [], shown) == 2 + 2j
+
+
+@pytest.mark.parametrize("length", [0.3, 1.0, 5.0])
+def test_the_zigzag_of_a_spring_is_even_and_steep(length: float) -> None:
+    text = (
+        "links: [{name: a, joint: prismatic, axis: [1, 0], m: 1, l: 0.1, r: 0, I: 0}]\n"
+        "springs: [{joint: a, stiffness: 30, length: 0.1}]\n"
+    )
+    drawn = drawing(scene(text), [length])
+    (coil,) = shapes_of(drawn, "spring")
+    teeth = coil[np.abs(coil.imag) > 0.5 * drawn.half_width]
+    assert np.allclose(np.abs(teeth.imag), drawn.half_width)
+    assert (np.diff(np.sign(teeth.imag)) != 0).all()
+    apart = np.diff(teeth.real)
+    assert np.allclose(apart, apart[0])
+    assert apart[0] < 1.2 * drawn.half_width or len(teeth) == 8
+    assert coil[1] - coil[0] == pytest.approx(coil[-1] - coil[-2])
+
+
+def test_no_centre_line_runs_along_a_spring() -> None:
+    mech = robodyn.load(ROOT / "robots/spring-slider-crank.yaml")
+    assert not shapes_of(drawing(mech, first_pose(mech)), "axis")
+    mech = robodyn.load(ROOT / "robots/slider-crank.yaml")
+    assert shapes_of(drawing(mech, first_pose(mech)), "axis")

@@ -10,7 +10,7 @@ import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn.dynamics import dynamics
 from robodyn.mechanics import mechanism
-from robodyn.pictures.force_arrows import LONGEST, forces, metres_a_newton
+from robodyn.pictures.force_arrows import LONGEST, arrows, forces, metres_a_newton
 from robodyn.scene import description
 from robodyn.scene.scene import Load, Spring
 
@@ -118,3 +118,17 @@ def test_forces_that_vanish_have_no_arrow() -> None:
     assert forces(floating, zero, zero, zero, np.zeros(0)) == []
     scale = metres_a_newton(found, 0.5)
     assert max(abs(f.force) for f in found) * scale == pytest.approx(LONGEST * 0.5)
+
+
+def test_an_arrow_that_would_lie_on_another_ends_where_it_acts() -> None:
+    mech = robodyn.load(ROOT / "robots/four-bar.yaml")
+    q = robodyn.assemble(mech, [np.pi / 3])
+    qd = robodyn.loop_velocities(mech, q, [5.0])
+    _, found = found_at("four-bar", [np.pi / 3], qd, robodyn.loop_accelerations(mech, q, qd, [0.0]))
+    placed = dict(zip([f.name for f in found], arrows(found, 0.02), strict=True))
+    force = {f.name: f for f in found}
+    assert placed["m3 g"][0] == force["m3 g"].place
+    assert placed["r3"][1] == force["r3"].place
+    for name, (tail, head) in placed.items():
+        assert head - tail == pytest.approx(0.02 * force[name].force)
+        assert force[name].place in (tail, head)

@@ -11,26 +11,20 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from conftest import ROOT
+from documents import PAGES, README, ROOT, rows_below
 
 from robodyn.mechanics.program import Row
 
 PACKAGE = ROOT / "robodyn"
-GUIDE = (PACKAGE / "guide" / "how-it-works.md").read_text(encoding="utf-8")
+GUIDE = PAGES["how-it-works"]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 # the imports upwards, which the guide tells
 UPWARDS = {("machine_motion.py", "taylor")}
 
 
-def rows_below(header: str) -> list[list[str]]:
-    """The cells of the table with this header."""
-    lines = GUIDE.split(header + "\n")[1].split("\n\n")[0].splitlines()[1:]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-
-
 def storeys() -> dict[str, int]:
     """The storey of each room."""
-    table = rows_below("| storey | room | what is in it |")
+    table = rows_below(GUIDE, "| storey | room | what is in it |")
     return {room.strip("`"): int(storey) for storey, room, _ in table}
 
 
@@ -63,7 +57,7 @@ def unknown_files(text: str) -> set[str]:
 def test_every_room_is_listed() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert set(storeys()) == folders
-    table = rows_below("| storey | room | what is in it |")
+    table = rows_below(GUIDE, "| storey | room | what is in it |")
     assert [int(row[0]) for row in table] == sorted(storeys().values(), reverse=True)
 
 
@@ -86,7 +80,7 @@ def test_no_name_stands_in_two_rooms() -> None:
 
 
 def test_the_rows_are_those_of_the_program() -> None:
-    told = {name.strip("`"): text for name, text in rows_below("| row | is |")}
+    told = {name.strip("`"): text for name, text in rows_below(GUIDE, "| row | is |")}
     documented = {}
     for row in get_args(Row):
         first, _, _ = (inspect.getdoc(row) or "").partition("\n\n")
@@ -119,7 +113,4 @@ def test_the_wheel_holds_the_guide() -> None:
 
 
 def test_the_readme_links_to_the_guide() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for target in re.findall(r"\]\((robodyn/[^)]+)\)", readme):
-        assert (ROOT / target).exists()
-    assert "](robodyn/guide/how-it-works.md)" in readme
+    assert "](robodyn/guide/how-it-works.md)" in README

@@ -8,57 +8,33 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import pytest
+from documents import (
+    DOCUMENTS,
+    GUIDE,
+    PAGES,
+    README,
+    ROOT,
+    Example,
+    blocks,
+    example_blocks,
+    scene_files,
+)
 
 import robodyn
 from robodyn.cli import COMMANDS
 from robodyn.scene.grammar import FORMS
-
-ROOT = Path(__file__).resolve().parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = sorted((ROOT / "robodyn" / "guide").glob("*.md"))
-GUIDE = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 RELATIVE = 1e-9  # a last digit may differ from machine to machine
 ABSOLUTE = 1e-12  # so may what is zero but for rounding
 
 
-class Example(NamedTuple):
-    """A command and what it prints."""
-
-    command: str
-    output: str
-
-
-def blocks(*languages: str) -> list[str]:
-    """The texts of the fenced blocks in these languages."""
-    fences = re.findall(r"^```(\w*)\n(.*?)^```$", README + GUIDE, re.MULTILINE | re.DOTALL)
-    return [text for language, text in fences if language in languages]
-
-
-def example_blocks() -> list[list[Example]]:
-    """The commands of each console block, each with the output below it."""
-    found = []
-    for block in blocks("console", "sh"):
-        found.append([])
-        for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
-            lines = part.splitlines(keepends=True)
-            end = next(k for k, line in enumerate(lines) if not line.endswith("\\\n")) + 1
-            found[-1].append(Example("".join(lines[:end]), "".join(lines[end:])))
-    return found
-
-
 def examples() -> list[Example]:
-    """All of them."""
-    return [example for block in example_blocks() for example in block]
-
-
-def section(title: str) -> str:
-    """The text of one section of the README."""
-    return README.split(f"\n## {title}\n")[1].split("\n## ")[0]
+    """The commands of all documents."""
+    return [example for _, block in example_blocks() for example in block]
 
 
 def assert_same(shown: str, real: str) -> None:
@@ -71,13 +47,23 @@ def assert_same(shown: str, real: str) -> None:
 
 def plain_lines() -> list[str]:
     """The lines of the blocks that are not run."""
-    return [line.partition("#")[0].strip() for text in blocks("") for line in text.splitlines()]
+    return [line.partition("#")[0].strip() for _, text in blocks("") for line in text.splitlines()]
 
 
-@pytest.mark.parametrize("block", example_blocks(), ids=lambda block: block[0].command.strip())
-def test_examples_run_and_print_what_is_shown(block: list[Example], tmp_path: Path) -> None:
-    """A block in a directory of its own, where the files that it writes meet no other's."""
+def labels(found: list[tuple[str, Any]]) -> list[str]:
+    """Of blocks: the document and the number there."""
+    names = [name for name, _ in found]
+    return [f"{name}-{names[:k].count(name) + 1}" for k, name in enumerate(names)]
+
+
+@pytest.mark.parametrize(("name", "block"), example_blocks(), ids=labels(example_blocks()))
+def test_examples_run_and_print_what_is_shown(
+    name: str, block: list[Example], tmp_path: Path
+) -> None:
+    """A block in a directory of its own, with the scenes that its page has the reader write."""
     (tmp_path / "robots").symlink_to(ROOT / "robots")
+    for file, text in scene_files(name).items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
     for example in block:
         _check(example, tmp_path)
 
@@ -98,12 +84,14 @@ def _check(example: Example, directory: Path) -> None:
     assert_same(example.output, done.stdout)
 
 
-@pytest.mark.parametrize("block", blocks("python"), ids=lambda block: block.splitlines()[0])
+@pytest.mark.parametrize(
+    "block", [text for _, text in blocks("python")], ids=labels(blocks("python"))
+)
 def test_python_runs_and_prints_what_its_comments_say(
     block: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(ROOT)
-    exec(compile(block, "README.md", "exec", dont_inherit=True), {})
+    exec(compile(block, "the guide", "exec", dont_inherit=True), {})
     shown = re.findall(r"^print\(.*\)  # (.*\n)", block, re.MULTILINE)
     assert block.count("print(") == len(shown)
     assert_same("".join(shown), capsys.readouterr().out)
@@ -112,10 +100,11 @@ def test_python_runs_and_prints_what_its_comments_say(
 def test_scenes_are_accepted(tmp_path: Path) -> None:
     scenes = blocks("yaml")
     assert scenes
-    for k, text in enumerate(scenes):
-        scene = tmp_path / f"{k}.yaml"
-        scene.write_text(text, encoding="utf-8")
-        robodyn.load(scene)
+    for k, (name, text) in enumerate(scenes):
+        if text not in scene_files(name).values():  # those are read by the examples of their page
+            scene = tmp_path / f"{k}.yaml"
+            scene.write_text(text, encoding="utf-8")
+            robodyn.load(scene)
 
 
 def test_there_are_examples_of_every_kind() -> None:
@@ -127,18 +116,18 @@ def test_there_are_examples_of_every_kind() -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_command_is_documented_and_shown(name: str) -> None:
-    assert f"`robodyn {name} " in section("Commands")
+    assert re.search(rf"`robodyn {name}[ `]", README.split("\n## Commands\n")[1])
     assert any(f"robodyn {name} " in example.command for example in examples())
 
 
 @pytest.mark.parametrize("name", sorted(robodyn._ROOM_OF))
 def test_public_name_is_documented(name: str) -> None:
-    assert re.search(rf"`{name}\b", section("Python"))
+    assert re.search(rf"`{name}\b", PAGES["python"])
 
 
 @pytest.mark.parametrize("key", sorted({key for form in FORMS.values() for key in form.keys}))
 def test_scene_key_is_documented(key: str) -> None:
-    assert f"`{key}`" in section("Scene format")
+    assert f"`{key}`" in PAGES["scene"]
 
 
 def test_make_targets_exist() -> None:
@@ -154,6 +143,33 @@ def test_install_line_names_this_package() -> None:
     assert (ROOT / "pyproject.toml").exists()
 
 
-def test_lines_are_not_too_long() -> None:
-    lines = README.splitlines() + GUIDE.splitlines()
-    assert [line for line in lines if len(line) > 100] == []
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_lines_are_not_too_long(name: str) -> None:
+    assert [line for line in DOCUMENTS[name].splitlines() if len(line) > 100] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 250
+
+
+def anchor(heading: str) -> str:
+    """What a link to a heading says, as on a repository's web page."""
+    return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_links_lead_somewhere(name: str) -> None:
+    folder = ROOT if name == "README" else GUIDE
+    text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)
+    targets = re.findall(r"\]\(([^)]+)\)", text) + re.findall(
+        r"^\[[\w-]+\]: (\S+)", text, re.MULTILINE
+    )
+    for target in targets:
+        if "://" in target:
+            continue
+        path, _, part = target.partition("#")
+        there = folder / path if path else folder / f"{name}.md"
+        assert there.exists(), target
+        if part:
+            headings = re.findall(r"^#+ (.+)$", there.read_text(encoding="utf-8"), re.MULTILINE)
+            assert part in map(anchor, headings), target

@@ -34,7 +34,7 @@ COMMANDS = (
     *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
     *("equilibrium", "linearize"),
     *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
-    *("plot", "draw", "animate", "init", "schema"),
+    *("plot", "draw", "animate", "init", "schema", "guide"),
 )
 
 
@@ -126,10 +126,17 @@ def _application(arguments: list[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     application.callback()(_root)
+    asked = not {"--help", "-h"}.isdisjoint(arguments)
     for name in chosen:
         function: Callable[..., None] = getattr(import_module(f"robodyn.cli.{name}"), name)
-        application.command(name)(_guarded(function))
+        application.command(name, epilog=_more(name) if asked else None)(_guarded(function))
     return application
+
+
+def _more(command: str) -> str:
+    from robodyn.cli.guide import page_of
+
+    return f"More: robodyn guide {page_of(command)}"
 
 
 def _numbers(group: Any) -> None:

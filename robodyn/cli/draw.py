@@ -8,8 +8,26 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from typer import Option
 
-from robodyn.cli.figures import parse_size, picture_format, save, write_characters
-from robodyn.cli.options import Ascii, Model, OutputPicture, PictureOut, Q, Qd, Qdd, Size, States
+from robodyn.cli.figures import (
+    DOTS,
+    check_dpi,
+    parse_size,
+    picture_format,
+    save,
+    write_characters,
+)
+from robodyn.cli.options import (
+    Ascii,
+    Dpi,
+    Model,
+    OutputPicture,
+    PictureOut,
+    Q,
+    Qd,
+    Qdd,
+    Size,
+    States,
+)
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.states import (
@@ -59,6 +77,7 @@ def draw(
     labels: Annotated[Labels | None, Option("--labels", help="Beside each link.")] = None,
     poses: Annotated[int, Option("--poses", metavar="N", help=_POSES)] = DEFAULT_POSES,
     size: Size = None,
+    dpi: Dpi = DOTS,
     format: OutputPicture = None,
     ascii: Ascii = False,
     out: PictureOut = None,
@@ -82,7 +101,7 @@ def draw(
       robodyn draw robots/five-bar.yaml --q 120deg,60deg --format text
     """
     mechanism = model.load()
-    extent = parse_size(size)
+    extent, dpi = parse_size(size), check_dpi(dpi)
     if qdd is not None and tau is not None:
         raise InputError("--qdd and --tau", limit="exclude each other")
     if not forces:
@@ -127,11 +146,11 @@ def draw(
         write_characters(lines, ascii, out)
         return
     from robodyn.cli.pictures import Picture
-    from robodyn.pictures.force_arrows import metres_a_newton
+    from robodyn.pictures.force_arrows import arrows, metres_a_newton
 
-    scale = metres_a_newton(found, span(mechanism, drawn.q))
+    placed = arrows(found, metres_a_newton(found, span(mechanism, drawn.q)))
     room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
-    around = [f.place + scale * f.force + d for f in found for d in (room, -room)]
+    around = [z + d for ends in placed for z in ends for d in (room, -room)]
     around += [z for trace in traces for z in trace.path.tolist()]
     picture = Picture(drawn, extent, around)
     last = len(drawn.q) - 1
@@ -139,8 +158,8 @@ def draw(
         picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
     picture.show(last)
     picture.trace(traces)
-    picture.annotate(last, texts, found, scale)
-    save(picture.figure, out, chosen)
+    picture.annotate(last, texts, found, placed)
+    save(picture.figure, out, chosen, dpi)
 
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:

@@ -29,6 +29,7 @@ KINDS: dict[str, PictureFormat] = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 MARKS = "osD^vP*X"
 LINE_STYLES = ("-", "--", ":", "-.")
 DOTS = 150  # an inch
+MOST_DOTS = 1200
 LEAST_SIZE, MOST_SIZE = 1.0, 50.0  # inches
 WIDTH, HEIGHT = 80, 24  # characters, where there is no terminal
 WIDEST, HIGHEST = 2_000, 1_000  # whatever a terminal, or the environment, tells
@@ -74,6 +75,13 @@ def picture_format(format: PictureFormat | None, out: str | None) -> PictureForm
     if format != "text":
         check_matplotlib(f"a picture ({format})")
     return format
+
+
+def check_dpi(dpi: int) -> int:
+    """Dots an inch; InputError where they are too few or too many."""
+    if not 10 <= dpi <= MOST_DOTS:
+        raise InputError("--dpi", value=dpi, limit=f"must be from 10 to {MOST_DOTS}")
+    return dpi
 
 
 def parse_size(size: str | None) -> tuple[float, float] | None:
@@ -149,7 +157,7 @@ def work_precision(result: Benchmark, title: str, path: str, slides: bool = Fals
     save(figure, path, Path(path).suffix[1:].lower())
 
 
-def chart_figure(content: Chart, size: tuple[float, float] | None) -> Any:
+def chart_figure(content: Chart, size: tuple[float, float] | None, title: str = "") -> Any:
     """A chart's panels, stacked; each curve has its name at its end, or in a box if they are many.
 
     Columns have colours and files line styles; where there is one column files have both.
@@ -186,6 +194,7 @@ def chart_figure(content: Chart, size: tuple[float, float] | None) -> Any:
                 axes.set_xlim(*x_limits)
         _name_curves(axes, panel, rises, inches)
     stacked[-1].set_xlabel(content.x_label)
+    stacked[0].set_title(title)
     figure.align_ylabels(stacked)
     return figure
 
@@ -243,10 +252,10 @@ def new_figure(size: tuple[float, float], formulas: bool = False, **options: Any
     return figure
 
 
-def save(figure: Any, path: str | None, format: str) -> None:
+def save(figure: Any, path: str | None, format: str, dpi: int = DOTS) -> None:
     """Write the figure, all or nothing; the same figure makes the same bytes.
 
-    A .png has the 256 colours that suit it best, in a third of the bytes.
+    A .png has `dpi` dots an inch, and the 256 colours that suit it best, in a third of the bytes.
     """
     from matplotlib import rc_context
     from PIL import Image
@@ -256,7 +265,7 @@ def save(figure: Any, path: str | None, format: str) -> None:
     with rc_context({"svg.hashsalt": "robodyn"}), open_output(path) as stream:
         with warnings.catch_warnings():  # long names may leave little room
             warnings.simplefilter("ignore", UserWarning)
-            figure.savefig(drawn, format=format, dpi=DOTS, metadata={dates[format]: None})
+            figure.savefig(drawn, format=format, dpi=dpi, metadata={dates[format]: None})
         if format == "png":
             with Image.open(drawn) as image:
                 small = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)

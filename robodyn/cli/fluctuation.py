@@ -29,6 +29,8 @@ def tell_flywheel(
     """Write the flywheel for a turn, the rows of `states`; InputError naming what is none."""
     if rows.extremes:
         raise InputError("--extremes and --fluctuation", limit="exclude each other")
+    if rows.degrees:
+        raise InputError("--degrees and --fluctuation", limit="exclude each other")
     if states is None:
         raise InputError(FLAG, limit="needs STATES: rows over a turn")
     if not 0.0 < delta < 2.0:

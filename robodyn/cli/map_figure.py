@@ -30,10 +30,11 @@ RASTER = 500  # dots across and up
 MOST_SHAPES = 2_000  # points that an .svg or .pdf holds as shapes
 
 
-def map_figure(content: ValueMap, size: tuple[float, float] | None) -> Any:
+def map_figure(content: ValueMap, size: tuple[float, float] | None, title: str = "") -> Any:
     """A map with its colour bar, or its words, at the right."""
     figure = new_figure(size or (LONGEST, LONGEST))
     axes = figure.add_subplot()
+    axes.set_title(title)
     if content.grid is None and len(content.x) <= MOST_POINTS:
         _points(axes, content)
     else:

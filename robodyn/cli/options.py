@@ -136,9 +136,13 @@ _PICTURE = "Write here, all or nothing: .png, .svg, .pdf, or .txt."
 PictureOut = Annotated[Text, output_file("--out", "-o", help=_PICTURE)]
 _SUFFIX = "Default: by the suffix of --out; on a terminal text, made of characters."
 OutputPicture = Annotated[PictureFormat | None, Option("--format", help=_SUFFIX)]
+_DEGREES = "Angles and their rates in degrees, in columns such as q1_deg."
+Degrees = Annotated[bool, Option("--degrees", help=_DEGREES)]
 Ascii = Annotated[bool, Option("--ascii", help="Text of plain characters, not of braille dots.")]
-_SIZE = "Of the picture, inches (at 150 dots an inch), such as 8x5."
+_SIZE = "Of the picture, inches, such as 8x5."
 Size = Annotated[Text, Option("--size", metavar="WxH", help=_SIZE)]
+_DPI = "Dots an inch of a .png: 300 is twice as sharp."
+Dpi = Annotated[int, Option("--dpi", metavar="N", help=_DPI)]
 Quiet = Annotated[bool, Option("--quiet", help="No progress, no summary.")]
 
 

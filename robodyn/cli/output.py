@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import sys
 import warnings
@@ -10,7 +11,15 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
 
-from robodyn.cli.options import Differentiate, Extremes, Format, Out, OutputFormat, StructuredFormat
+from robodyn.cli.options import (
+    Degrees,
+    Differentiate,
+    Extremes,
+    Format,
+    Out,
+    OutputFormat,
+    StructuredFormat,
+)
 from robodyn.errors import printable, printable_lines
 from robodyn.pictures.column_units import TURNING, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
@@ -33,12 +42,14 @@ def row_writer(
     header: Sequence[str] = (),
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
+    degrees: bool = False,
 ) -> Iterator[Writer]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
 
     A table for people tells `units` of the scene (`column_units.scene_units`).  A `summary` takes
     the place of the rows.
     """
+    summary = degrees_writer(units, summary) if degrees else summary
     format = default_format(format, out)
     with open_output(out, styled=format == "table") as stream:
         make = maker(stream, format, out, units)
@@ -70,6 +81,7 @@ class RowOptions:
     """How rows are written."""
 
     extremes: Extremes = False
+    degrees: Degrees = False
     format: OutputFormat = None
     out: Out = None
 
@@ -82,7 +94,7 @@ class RowOptions:
     ) -> AbstractContextManager[Writer]:
         """A writer of rows, or of what is asked for in their place: see `row_writer`."""
         summary = extremes_writer if self.extremes else summary
-        return row_writer(self.format, self.out, columns, header, units, summary)
+        return row_writer(self.format, self.out, columns, header, units, summary, self.degrees)
 
 
 @dataclass(frozen=True)
@@ -97,6 +109,18 @@ def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[s
     from robodyn.tables.summaries import Extremes
 
     return Extremes(make, columns, header)
+
+
+def degrees_writer(units: Mapping[str, str], summary: Summary | None = None) -> Summary:
+    """Makes a writer with the columns of angles in degrees, by the units of the scene."""
+    from robodyn.pictures.column_units import in_degrees
+    from robodyn.tables.scaled import ScaledWriter
+
+    def write(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
+        inner = make if summary is None else functools.partial(summary, make)
+        return ScaledWriter(inner, lambda name: in_degrees(name, units), columns, header)
+
+    return write
 
 
 def default_format(format: Format | None, out: str | None) -> Format:

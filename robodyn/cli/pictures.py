@@ -110,7 +110,7 @@ class Picture:
             body = self.drawn.bodies[b]
             if shape.kind in GHOSTS and body.link is not None:
                 patch = self._polygon(shape.kind, z, shape.closed, body.link)
-                patch.set(alpha=strength, zorder=2 + 0.001 * pose + 1e-5 * b, linewidth=0.6)
+                patch.set(alpha=strength, zorder=0.5 + 0.001 * pose + 1e-5 * b, linewidth=0.6)
 
     def trace(self, traces: Sequence[Trace]) -> None:
         """The paths of points, with a cross and the name at the end of each."""
@@ -126,10 +126,9 @@ class Picture:
         pose: int,
         names: Sequence[str],
         found: Sequence[Force] = (),
-        metres_a_newton: float = 0.0,
+        arrows: Sequence[tuple[complex, complex]] = (),
     ) -> None:
         """The links' names beside them, and arrows of forces with their sizes at their heads."""
-        arrows = [(f.place, f.place + metres_a_newton * f.force) for f in found]
         shafts = np.array([a + p * (b - a) for a, b in arrows for p in np.linspace(0, 1, 12)])
         boxes = [self.extent(text) for text in names]
         places = label_places(self.drawn, pose, boxes, self.frame, shafts)

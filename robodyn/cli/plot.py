@@ -6,22 +6,31 @@ from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from typer import Option
 
 from robodyn.cli import figures
-from robodyn.cli.figures import parse_size, picture_format, save, write_characters
+from robodyn.cli.figures import (
+    DOTS,
+    check_dpi,
+    parse_size,
+    picture_format,
+    save,
+    write_characters,
+)
 from robodyn.cli.files import input_argument, input_file
-from robodyn.cli.options import Ascii, OutputPicture, PictureOut, Size
+from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
 from robodyn.cli.states import open_input
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of
-from robodyn.pictures.column_units import TURNING, scene_units
+from robodyn.pictures.column_units import TURNING, in_degrees, scene_units
 from robodyn.pictures.value_map import ColourColumn, ValueMap, value_map
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
+Array = NDArray[np.float64]
 ONE_Y = "a map has one column along y"
 _X = "Along x. Default: t, else the row."
 _Y = "Separated by commas; q* is q1, q2, ... Default: q*,tau*, else all."
@@ -39,7 +48,10 @@ def plot(
     colour: Colour = None,
     model: Annotated[str | None, input_file("--model", _MODEL)] = None,
     log: Annotated[bool, Option("--log", help="Logarithmic --colour.")] = False,
+    degrees: Degrees = False,
+    title: Annotated[str | None, Option("--title", metavar="TEXT", help="Above it.")] = None,
     size: Size = None,
+    dpi: Dpi = DOTS,
     format: OutputPicture = None,
     ascii: Ascii = False,
     out: PictureOut = None,
@@ -53,6 +65,7 @@ def plot(
     grid, as rows of a sweep do.  It may hold numbers or words; where it is empty they are grey.
 
     --model tells which joints slide, whose columns have m and N in place of rad and N m.
+    --degrees draws angles, their rates and accelerations in degrees.
 
     Without --out a terminal gets a chart of characters, as wide as it is; in a pipe it takes
     --format text.
@@ -66,7 +79,7 @@ def plot(
         robodyn plot - --model robots/rp-arm.yaml -o motion.svg
       robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
-    extent = parse_size(size)
+    extent, dpi = parse_size(size), check_dpi(dpi)
     if files.count("-") > 1:
         raise InputError("CSV", value="-", limit="is given twice: stdin can be read once")
     patterns = None if y is None else [word for word in map(str.strip, y.split(",")) if word]
@@ -79,34 +92,46 @@ def plot(
     chosen = picture_format(format, out)
     units = TURNING if model is None else scene_units(load(model))
     if colour is not None:
-        mapped = _read_map(files, x or "", patterns or [], colour, log)._replace(units=units)
+        read = _read_map(files, x or "", patterns or [], colour, log)
+        mapped = _map_in_degrees(read, units) if degrees else read._replace(units=units)
         if chosen == "text":
             from robodyn.pictures.characters import map_lines
 
-            write_characters(lambda w, h, *how: map_lines(mapped, w, h - 1, *how), ascii, out)
+            above = _above(title)
+
+            def drawn(width: int, height: int, plain: bool, colours: str) -> list[str]:
+                return above + map_lines(mapped, width, height - 1 - len(above), plain, colours)
+
+            write_characters(drawn, ascii, out)
             return
         from robodyn.cli.map_figure import map_figure
 
-        save(map_figure(mapped, extent), out, chosen)
+        save(map_figure(mapped, extent, shown(title or "")), out, chosen, dpi)
         return
-    content = _read(files, x, patterns, units)
+    content = _read(files, x, patterns, units, degrees)
     if chosen == "text":
         from robodyn.pictures.characters import chart_lines
 
         def lines(width: int, height: int, plain: bool, colours: str) -> list[str]:
             panels = len(content.panels)
             rows = max(5, min(12 + 6 // panels, (height - 4) // panels - 1))
-            return chart_lines(content, width, rows, plain, bool(colours))
+            return _above(title) + chart_lines(content, width, rows, plain, bool(colours))
 
         write_characters(lines, ascii, out)
         return
-    save(figures.chart_figure(content, extent), out, chosen)
+    save(figures.chart_figure(content, extent, shown(title or "")), out, chosen, dpi)
 
 
 def _read(
-    files: list[str], x: str | None, patterns: list[str] | None, units: Mapping[str, str]
+    files: list[str],
+    x: str | None,
+    patterns: list[str] | None,
+    units: Mapping[str, str],
+    degrees: bool,
 ) -> Chart:
-    names, along, tables = [], [], []
+    names: list[str] = []
+    along: list[str | None] = []
+    tables: list[dict[str, Array]] = []
     for file in files:
         with open_input(file) as (stream, name):
             reader = Reader(stream, name)
@@ -118,7 +143,28 @@ def _read(
         along.append(own)
         values = np.concatenate([np.zeros((0, len(columns))), *blocks])
         tables.append(dict(zip(columns, values.T, strict=True)))
+    if degrees:
+        along = [name and in_degrees(name, units)[0] for name in along]
+        for k, table in enumerate(tables):
+            told = {name: in_degrees(name, units) for name in table}
+            tables[k] = {told[name][0]: told[name][1] * values for name, values in table.items()}
     return chart(names, along, tables, units)
+
+
+def _map_in_degrees(mapped: ValueMap, units: Mapping[str, str]) -> ValueMap:
+    """The map with its angles in degrees."""
+    names = mapped.x_name, mapped.y_name, mapped.name
+    told = [in_degrees(name, units) for name in names]
+    values = told[2][1] * mapped.values if mapped.scale else mapped.values
+    log = mapped.scale is not None and mapped.scale.log
+    x, y = told[0][1] * mapped.x, told[1][1] * mapped.y
+    new = value_map((told[0][0], told[1][0], told[2][0]), x, y, values, mapped.words, log)
+    return new._replace(units=units)
+
+
+def _above(title: str | None) -> list[str]:
+    """The title as a line of characters."""
+    return [f"  {shown(title)}"] if title else []
 
 
 def _read_map(files: list[str], x: str, patterns: list[str], colour: str, log: bool) -> ValueMap:

@@ -16,8 +16,8 @@ from typer import Option
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Extremes, Model, Number, Q, Qd, Quiet, Text
-from robodyn.cli.output import default_format, extremes_writer, maker, note
+from robodyn.cli.options import Degrees, Extremes, Model, Number, Q, Qd, Quiet, Text
+from robodyn.cli.output import default_format, degrees_writer, extremes_writer, maker, note
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
     ControlOptions,
@@ -65,6 +65,7 @@ def simulate(
     quiet: Quiet = False,
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None,
     extremes: Extremes = False,
+    degrees: Degrees = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
     """The motion that torques cause, as CSV.
@@ -152,6 +153,8 @@ def simulate(
         def writer() -> Writer:  # a run that cannot start writes no header
             names, make = _columns(mechanism, torques), maker(stream, format, out, units)
             names += carried.columns if carried else []
+            if degrees:
+                return degrees_writer(units, extremes_writer if extremes else None)(make, names, ())
             return extremes_writer(make, names) if extremes else make(names)
 
         def sink(t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:

@@ -25,8 +25,11 @@ Complex = NDArray[np.complex128]
 
 SUPPORT = 2.6  # depth of a ground support, half widths
 SMALL = 0.6  # of a support that holds a spring alone
-# lines of a spring and of a damper, a piston in a cylinder: x from end to end, y in half widths
-COIL = ([0j, 0.15, *(0.15 + 0.7 * (k + 0.5) / 8 + 1j * (-1) ** k for k in range(8)), 0.85, 1.0],)
+TOOTH = 0.9  # of a spring's zigzag in the pose that is drawn, half widths; of 8 teeth or more
+MOST_TEETH = 80
+LEAD = 0.15  # of a spring, straight on either side, but no longer than this many half widths
+LONGEST_LEAD = 2.5
+# lines of a damper, a piston in a cylinder: x from end to end, y in half widths
 CYLINDER = [0.36 + 1j, 0.64 + 1j, 0.64 - 1j, 0.36 - 1j]
 DASHPOT = (CYLINDER, [0.5 + 0.7j, 0.5 - 0.7j], [0j, 0.5], [0.64 + 0j, 1.0])
 
@@ -60,7 +63,10 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
         if closure.second.link is None:
             travel = ((at(sliding, poses.X) - closure.second.at) * along.conjugate()).real
             way = Way(*closure.second, along, float(travel.min()), float(travel.max()))
-            yield Body(None, origin, False, on_ground(way, w))
+            shapes = on_ground(way, w)
+            if closure.first in _spring_ends(mechanism):  # the spring lies where the line would
+                shapes = tuple(shape for shape in shapes if shape.kind != "axis")
+            yield Body(None, origin, False, shapes)
     ways = list(slots(mechanism, tree, travelled))
     for way in rails(mechanism, travelled):
         if way.link is not None:
@@ -69,12 +75,11 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             ways.append(way)
             yield Body(None, origin, False, on_ground(way, w))
     for spring in mechanism.springs:
-        yield _spring(bool(spring.stiffness or spring.law), *spring.ends, w)
+        yield _spring(bool(spring.stiffness or spring.law), *spring.ends, poses, w)
     for coil in mechanism.joint_springs:
         if (k := coil.joint) in mechanism.slides:
-            yield _spring(
-                bool(coil.stiffness or coil.law), mechanism.pivots[k], tree.point(Point(k, 0j)), w
-            )
+            slid = tree.point(Point(k, 0j))
+            yield _spring(bool(coil.stiffness or coil.law), mechanism.pivots[k], slid, poses, w)
     for k in mechanism.order:
         begin = tree.point(Point(k, 0j)) if k in mechanism.slides else mechanism.pivots[k]
         yield Body(k, begin, True, tuple(_link(mechanism, k, ways, w)))
@@ -89,11 +94,21 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             yield Body(link, sliding, True, (block("slider", turned, w), pin))
 
 
-def _spring(pulls: bool, first: PlanarPoint, second: PlanarPoint, w: float) -> Body:
+def _spring(pulls: bool, first: PlanarPoint, second: PlanarPoint, poses: Placed, w: float) -> Body:
     """A coil, or a damper, between two points."""
-    lines = [np.array(z, complex) for z in (COIL if pulls else DASHPOT)]
+    length = abs(at(second, poses.X)[-1] - at(first, poses.X)[-1])
+    lines = [np.array(z, complex) for z in ((_coil(length / w),) if pulls else DASHPOT)]
     shapes = tuple(Shape("spring", z.real + 1j * w * z.imag, False) for z in lines)
     return Body(None, first, True, shapes, second)
+
+
+def _coil(length: float) -> list[complex]:
+    """The zigzag of a spring so long, half widths; x from end to end, y in half widths."""
+    lead = min(LEAD, LONGEST_LEAD / max(length, 1.0))
+    teeth = int(np.clip((1.0 - 2.0 * lead) * length / TOOTH, 8, MOST_TEETH))
+    part = lead + (1.0 - 2.0 * lead) * (np.arange(teeth) + 0.5) / teeth
+    zigzag = (part + 1j * (-1.0) ** np.arange(teeth)).tolist()
+    return [0j, complex(lead), *zigzag, complex(1.0 - lead), 1.0 + 0j]
 
 
 def link_points(mechanism: Mechanism, k: int) -> Complex:

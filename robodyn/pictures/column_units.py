@@ -5,6 +5,7 @@ A joint that slides has m and N where others have rad and N m; only who has the 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -33,12 +34,14 @@ _OF_POINT = re.compile("_([va]?[xy]|J[xy][0-9]+)$")
 POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
 ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
+DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s²": "°/s²"}
+IN_DEGREES = "_deg"  # ends the names of such columns
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
 
 
 def quantity_of(name: str) -> str:
-    """A column's name less the number of its link or closure: `q` of `q1`."""
-    return name.rstrip("0123456789") or name
+    """A column's name less the number of its link or closure: `q` of `q1` and of `q1_deg`."""
+    return name.removesuffix(IN_DEGREES).rstrip("0123456789") or name
 
 
 def scene_units(mechanism: Mechanism) -> Mapping[str, str]:
@@ -54,10 +57,18 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
 
     `units` are those of the scene, where it is known.
     """
+    if name.endswith(IN_DEGREES):
+        return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), units), "")
     column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max)$", "", name)
     of_point = _OF_POINT.search(column)
     unit = units.get(column) or UNITS.get(quantity_of(column), "")
     return unit or (POINTS[of_point[1][0]] if of_point else "")
+
+
+def in_degrees(name: str, units: Mapping[str, str] = TURNING) -> tuple[str, float]:
+    """A column's name where angles are told in degrees, and what its values are times those."""
+    turns = unit_of(name, units) in DEGREES
+    return (name + IN_DEGREES, 180.0 / math.pi) if turns else (name, 1.0)
 
 
 def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
 SEEN = 1e-9  # forces below this part of the largest are none
+CLOSE = 0.08  # arrows nearer than this part of the longest lie on one another
 
 
 class Force(NamedTuple):
@@ -78,3 +79,26 @@ def forces(
 def metres_a_newton(found: list[Force], span: float) -> float:
     """The scale of arrows: the largest force is LONGEST of the span."""
     return LONGEST * span / max((abs(item.force) for item in found), default=1.0)
+
+
+def arrows(found: list[Force], scale: float) -> list[tuple[complex, complex]]:
+    """The tail and the head of each force, m, at `scale` m/N.
+
+    An arrow begins where its force acts.  One that would so lie on another ends there instead.
+    """
+    close = CLOSE * scale * max((abs(item.force) for item in found), default=0.0)
+    placed: list[tuple[complex, complex]] = []
+    for item in found:
+        way = scale * item.force
+        choices = [(item.place, item.place + way), (item.place - way, item.place)]
+        free = (x for x in choices if not any(_cover(x, y, close) for y in placed))
+        placed.append(next(free, choices[0]))
+    return placed
+
+
+def _cover(one: tuple[complex, complex], two: tuple[complex, complex], close: float) -> bool:
+    """Whether a third of one arrow or more is that close to another."""
+    z = np.linspace(*one, 13) - two[0]
+    along = two[1] - two[0]
+    part = np.clip((z * along.conjugate()).real / abs(along) ** 2, 0.0, 1.0)
+    return bool(np.mean(np.abs(z - part * along) < close) > 1 / 3)

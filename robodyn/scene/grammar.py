@@ -2,7 +2,7 @@
 
 From it come the reader's checks (`description.py`), the JSON Schema (`scene_schema.py`), the names
 of numbers that sweeps vary (`scene_values.py`) and the symbols of equations (`parameters.py`); the
-README's tables are held against it.
+tables of the guide's page on scenes are held against it.
 
 A kind is that of a value: one of those below, or one that the reader has a method for and the
 schema a definition.

@@ -102,11 +102,17 @@ class Extremes(SummaryWriter):
         self._ends[:, 0] = [[np.inf], [-np.inf]]
         self._sums = np.zeros((2, width), np.longdouble)  # of values, and of their squares
 
+    @property
+    def _q1(self) -> int | None:
+        """The place of q1, which may be in degrees."""
+        place = self.numeric("q1")
+        return self.numeric("q1_deg") if place is None else place
+
     def write_columns(self, values: Array) -> None:
         count, every = len(values), np.arange(values.shape[1])
         where = [np.full(count, np.nan)] * 2
-        for k, name in enumerate(("t", "q1")):
-            if (place := self.numeric(name)) is not None:
+        for k, place in enumerate((self.numeric("t"), self._q1)):
+            if place is not None:
                 where[k] = values[:, place]
         known = ~np.isnan(values)
         for end, pick, beats, last in zip(
@@ -129,7 +135,7 @@ class Extremes(SummaryWriter):
     def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
         rows: list[list[float | str | None]] = []
         mean, square = self._sums / np.maximum(self._count, 1)
-        t, q1 = self.numeric("t"), self.numeric("q1")
+        t, q1 = self.numeric("t"), self._q1
         for name in self._header:
             if name == "t" or (k := self.numeric(name)) is None:
                 continue
@@ -140,4 +146,7 @@ class Extremes(SummaryWriter):
             for value, at_t, at_q1 in self._ends[:, :, k].tolist():
                 row += [value, None if t is None else at_t, None if q1 is None else at_q1]
             rows.append([*row, float(mean[k]), float(np.sqrt(square[k]))])
-        return EXTREMES, rows
+        degrees = q1 is not None and self._header[q1] != "q1"
+        return [
+            name + "_deg" if degrees and name.endswith("q1") else name for name in EXTREMES
+        ], rows

@@ -1,0 +1,89 @@
+"""The reference tables of the guide are what the code says: commands, values, codes, functions.
+
+Those of the scene format are in test_scene_schema.py, units of columns in test_chart.py, and rows
+of the program in test_guide.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+import pytest
+import typer
+from documents import DOCUMENTS, PAGES, README, rows_below
+
+import robodyn
+from robodyn import cli
+from robodyn.errors import InputError, RobodynError
+from robodyn.events.functions import UNITS
+from robodyn.scene import expressions
+from robodyn.scene.quantities import parse_angle, parse_number, parse_rate, parse_time
+
+COMMANDS = typer.main.get_command(cli._application([])).commands
+PARSERS = {
+    "number": parse_number,
+    "angle, rad": parse_angle,
+    "rate, rad/s": parse_rate,
+    "time, s": parse_time,
+}
+
+
+def usage(name: str) -> str:
+    """The command with its arguments, as its help has them."""
+    arguments = [x for x in COMMANDS[name].params if x.param_type_name == "argument"]
+    return " ".join(["robodyn", name, *(x.metavar for x in arguments)])
+
+
+def test_the_commands_are_those_of_the_readme() -> None:
+    told = [row[0].strip("`") for row in rows_below(README, "| command | computes | writes |")]
+    assert sorted(told) == sorted(map(usage, COMMANDS))
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_options_of_the_guide_exist(name: str) -> None:
+    options = {x for each in COMMANDS.values() for parameter in each.params for x in parameter.opts}
+    options |= {"--debug", "--help", "--version", "--install-completion", "--show-completion"}
+    text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)
+    assert set(re.findall(r"(?<![\w-])--[a-z][\w-]*", text)) <= options
+
+
+def test_values_are_read_as_the_guide_says() -> None:
+    rows = rows_below(PAGES["values"], "| quantity | written | is |")
+    assert {row[0] for row in rows} == set(PARSERS)
+    for quantity, written, value in rows:
+        assert PARSERS[quantity](written.strip("`")) == float(value), written
+
+
+def test_expressions_and_their_units_are_listed() -> None:
+    written = PAGES["values"].split("## Expressions")[1]
+    listed = next(x for x in re.findall(r"`([^`]+)`", written) if "atan2" in x)
+    assert sorted(listed.split()) == sorted(expressions.FUNCTIONS)
+    assert all(f"`{name}`" in written for name in [*expressions.CONSTANTS, *UNITS])
+    smooth = PAGES["scene"].split("## Expressions and tables")[1].split("What bends")[0]
+    words = set(re.findall(r"[a-z]+[0-9]*", smooth))
+    assert set(expressions.SMOOTH) | set(expressions.CONSTANTS) <= words
+    assert words.isdisjoint(expressions.BENDS)
+
+
+def test_exit_codes() -> None:
+    codes = [row[0] for row in rows_below(PAGES["exit-codes"], "| code | is |")]
+    own = [0, RobodynError.exit_code, InputError.exit_code, 130]
+    assert codes == [*map(str, own), "128 + n"]
+    assert cli.USAGE_ERROR.exit_code == InputError.exit_code
+
+
+def test_functions_are_called_as_the_guide_says() -> None:
+    """What it names first are the parameters in their order, `mech` for the mechanism."""
+    calls = re.findall(r"`(\w+)\((\w.*?)\)`", PAGES["python"].split("| function | result |")[1])
+    assert len(calls) > 30
+    for name, arguments in calls:
+        function = getattr(robodyn, name, None)
+        if function is None:  # a method, which the text names with its class
+            continue
+        parameters = inspect.signature(function).parameters
+        told = re.sub(r"\[.*?\]|\(\)", "", arguments).split(", ")
+        for k, argument in enumerate(x for x in told if x != "..."):
+            word, _, default = argument.replace("mech", "mechanism").partition("=")
+            assert word in parameters, (name, word)
+            assert default or list(parameters)[k] == word, (name, word)
