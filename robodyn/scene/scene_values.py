@@ -82,9 +82,9 @@ class SceneValues:
         root = yaml_tree.parse(text, source)
         self.base = description.from_tree(root, source)
         assert root is not None
-        self._root = _unshared(root)
-        assert isinstance(self._root, yaml_tree.Mapping)
-        self._places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
+        self.root = _unshared(root)
+        assert isinstance(self.root, yaml_tree.Mapping)
+        self._places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene"))
         for name, place in list(self._places.items()):
             if match := _OF_LINK.match(name):
                 named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
@@ -97,6 +97,16 @@ class SceneValues:
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
+
+    def place(self, name: str) -> tuple[yaml_tree.Mapping | Sequence, Node | None, str | int]:
+        """The collection that holds the number, what stands there, if anything, and where."""
+        place = self._places[name]
+        return place.around, place.node, place.at
+
+    def own_name(self, name: str) -> str:
+        """The name among `names` of the same number, as `links.forearm.m` is of `links[1].m`."""
+        place = self._places[name]
+        return next(x for x in self.names if self._places[x] is place)
 
     def number(self, name: str) -> float:
         """The number of this name, as the file has it, or 0 where it is left out."""
@@ -132,7 +142,7 @@ class SceneValues:
         try:
             for name, value in values.items():
                 self._places[name].put(value)
-            return description.from_tree(self._root, self.source)
+            return description.from_tree(self.root, self.source)
         finally:
             for held, own in undo:
                 held[:] = own
