@@ -28,7 +28,7 @@ from robodyn.tables.csv_fields import plain_digits
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 COMMANDS = (
     *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
-    *("equilibrium", "linearize"),
+    *("equilibrium", "linearize", "regressor", "identify"),
     *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
     *("plot", "draw", "animate", "init", "schema"),
 )
