@@ -141,26 +141,23 @@ def test_base_parameters_give_the_torques(path) -> None:
 def test_rows_pass_through(robodyn: Run) -> None:
     rows = "t,q1,q2,note\n0,0.1,0.2,a\n1,0.3,0.1,b\n"
     done = robodyn("regressor", "robots/2r.yaml", "-", stdin=rows)
-    lines = done.stdout.splitlines()
+    lines = done.out.splitlines()
     names = [x.name for x in linear_parameters(rd.load("robots/2r.yaml").description)]
     wanted = [f"Y{j}_{name}" for j in (1, 2) for name in names]
     assert lines[0].split(",") == ["t", "q1", "q2", "note", *wanted]
     assert [line.split(",")[3] for line in lines[1:]] == ["a", "b"]
-    base = robodyn("regressor", "robots/2r.yaml", "-", "--base", stdin=rows).stdout.splitlines()
+    base = robodyn("regressor", "robots/2r.yaml", "-", "--base", stdin=rows).out.splitlines()
     assert len(base[0].split(",")) == 4 + 16
 
 
 def test_base_and_condition_are_told(robodyn: Run, tmp_path) -> None:
-    told = json.loads(robodyn("regressor", "robots/2r.yaml", "--base").stdout)["base"]
+    told = json.loads(robodyn("regressor", "robots/2r.yaml", "--base").out)["base"]
     assert told[0]["text"] == "mx1 + l1 m2"
     assert (
-        "J1 + l1^2 m2"
-        in robodyn("regressor", "robots/2r.yaml", "--base", "--format", "table").stdout
+        "J1 + l1^2 m2" in robodyn("regressor", "robots/2r.yaml", "--base", "--format", "table").out
     )
     rows = "t,q1,q2,qd1,qd2,qdd1,qdd2\n" + "".join(f"{k},{0.3 * k},0.2,0,0,0,0\n" for k in range(8))
-    found = json.loads(
-        robodyn("regressor", "robots/2r.yaml", "-", "--condition", stdin=rows).stdout
-    )
+    found = json.loads(robodyn("regressor", "robots/2r.yaml", "-", "--condition", stdin=rows).out)
     assert found["rows"] == 8
     assert {"J1 + l1^2 m2", "d1", "J2", "d2"} <= set(found["not_excited"])
 
@@ -171,4 +168,4 @@ def test_what_has_no_regressor_is_refused(robodyn: Run) -> None:
     with pytest.raises(InputError, match="must broadcast"):
         rd.regressor(rd.load("robots/2r.yaml"), np.zeros((3, 2)), np.zeros((2, 2)), [0, 0])
     done = robodyn("regressor", "robots/2r.yaml", "--condition")
-    assert (done.code, done.stderr.startswith("Error: --condition: ")) == (2, True)
+    assert (done.code, done.err.startswith("Error: --condition: ")) == (2, True)
