@@ -111,7 +111,7 @@ class Model:
         """The columns of m, m rx, m ry and Izz of each link, (n, 4n); the others are spatial."""
         back = self.back
         state = q[back], qd[back], qdd[back]
-        found = np.array(pin.computeJointTorqueRegressor(self.model, self.data, *state))
+        found = np.atleast_2d(pin.computeJointTorqueRegressor(self.model, self.data, *state))
         places = [10 * (self.ids[k] - 1) + i for k in range(len(q)) for i in (0, 1, 2, 9)]
         return found[np.ix_(self.joints, places)]
 
