@@ -18,6 +18,9 @@ from robodyn.parameters import scene_numbers
 from robodyn.parameters.base_parameters import base_parameters, random_states
 from robodyn.parameters.identification import identify
 from robodyn.parameters.zero_phase import rates
+from robodyn.scene.description import from_text
+from robodyn.scene.rewrite import rewritten
+from robodyn.scene.scene_values import SceneValues
 
 Run = Callable[..., Outcome]
 ARM = "robots/2r.yaml"
@@ -53,9 +56,12 @@ def test_base_parameters_are_found_without_noise(path: Path) -> None:
     for x in found.estimates:
         assert abs(x.value - expected[x.name]) < 1e-9 * size
     assert not found.kept
-    again = torques(build(found.description), states) if not found.faults else None
-    if again is not None:
-        assert np.abs(again - torques(true, states)).max() < 1e-9 * np.abs(again).max()
+    if not found.faults:
+        text, known = path.read_text(), SceneValues(path.read_text(), str(path))
+        changed = scene_numbers.changes(mech.description, found.description, known)
+        again = build(from_text(rewritten(text, str(path), changed), str(path)))
+        left = torques(again, states) - torques(true, states)
+        assert np.abs(left).max() < 1e-9 * np.abs(torques(true, states)).max()
 
 
 def test_named_numbers_are_found_without_noise() -> None:
@@ -185,6 +191,16 @@ def test_the_scene_is_written_with_what_was_found(robodyn: Run, data: Path, tmp_
     assert header.endswith("tau1,tau2,residual1,residual2")
     assert first.startswith(data.read_text().splitlines()[1])
     assert abs(float(first.split(",")[-1])) < 1e-9
+
+
+def test_scene_and_residuals_go_to_a_pipe_in_place_of_results(robodyn: Run, data: Path) -> None:
+    done = robodyn("identify", ROOT / ARM, data, "-o", "-")
+    assert rd.load(ROOT / ARM).name in done.out
+    assert "condition" not in done.out
+    done = robodyn("identify", ROOT / ARM, data, "--residuals", "-")
+    assert len(done.rows) == 200
+    done = robodyn("identify", ROOT / ARM, data, "--residuals", "-", "-o", "-")
+    assert done.code == 2
 
 
 def test_one_number_is_changed_where_one_is_named(robodyn: Run, data: Path, tmp_path: Path) -> None:

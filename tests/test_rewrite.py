@@ -120,3 +120,14 @@ def test_a_file_is_written_whole(tmp_path: Path) -> None:
     source.write_text(BLOCK)
     write_scene(source, {"links.upper.m": 2.0}, str(out))
     assert out.read_text() == BLOCK.replace("m: 1.5 ", "m: 2.0 ")
+
+
+def test_a_scene_with_tables_stays_beside_them(tmp_path: Path) -> None:
+    text = BLOCK + "loads:\n  - {link: upper, torque: {table: T.csv, over: t, column: T}}\n"
+    (tmp_path / "T.csv").write_text("t,T\n0,1\n1,2\n")
+    source, there = tmp_path / "arm.yaml", tmp_path / "there"
+    source.write_text(text)
+    there.mkdir()
+    write_scene(source, {"links.upper.m": 2.0}, str(tmp_path / "new.yaml"))
+    with pytest.raises(InputError, match=r"must be in the folder of .* names T.csv"):
+        write_scene(source, {"links.upper.m": 2.0}, str(there / "new.yaml"))

@@ -27,8 +27,8 @@ _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for 
 _OF = "Numbers of the scene to find, links.forearm.m,links.forearm.I; else base parameters."
 _PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
 _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
-_SCENE = "Write the scene with the numbers found here; comments and order stay."
-_RESIDUALS = "Write the rows here, with residual1.. (N m): tau less what the numbers found give."
+_SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
+_RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
 LITTLE = 0.5  # of the torques' rms: where more is left, the scene does not tell the data
 
 
@@ -38,7 +38,7 @@ def identify(
     of: Annotated[Text, Option("--of", metavar="NAMES", help=_OF)] = None,
     physical: Annotated[bool, Option("--physical", help=_PHYSICAL)] = False,
     cutoff: Annotated[Number, Option("--cutoff", metavar="HZ", help=_CUTOFF)] = None,
-    out: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
+    fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
     residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
     format: OutputStructured = None,
 ) -> None:
@@ -85,8 +85,10 @@ def identify(
             f"tau{k}": x for k, x in zip(joints, found.rms_torque.tolist(), strict=True)
         },
     }
-    if out is not None:
-        _write_scene(mechanism, model, found, out)
+    if fitted is not None:
+        _write_scene(mechanism, model, found, fitted)
+    if "-" in (fitted, residuals):  # which took the place of the results
+        return
     write_structure(format, None, content, lambda: list(_tables(found, joints)))
 
 

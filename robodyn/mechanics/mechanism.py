@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.errors import InputError
-from robodyn.mechanics.bodies import Bodies, carried_by, largest
+from robodyn.mechanics.carried_bodies import Bodies, carried_by, largest
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow

@@ -15,6 +15,8 @@ import yaml
 
 from robodyn.errors import InputError
 from robodyn.scene import yaml_tree
+from robodyn.scene.description import from_text
+from robodyn.scene.scene import Table, signals_of
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.output_file import open_output
@@ -27,9 +29,16 @@ def write_scene(
 ) -> None:
     """Write the scene file `source` to `out`, all or nothing, with these numbers.
 
-    Raises as `rewritten`, and InputError where `out` cannot be created.
+    Raises as `rewritten`, and InputError where `out` cannot be created, or where the scene names
+    tables beside it and `out` is in another folder.
     """
     text = rewritten(yaml_tree.read_text(Path(source)), str(source), values)
+    signals = signals_of(from_text(text, str(source)))
+    table = next((x.file for _, x in signals if isinstance(x, Table)), None)
+    there = None if out in (None, "-") else Path(str(out)).parent
+    if table and there and there.resolve() != Path(source).parent.resolve():
+        limit = f"must be in the folder of {source}, which names {table} from there"
+        raise InputError("the scene", where=str(out), limit=limit)
     with open_output(out) as stream:
         stream.write(text.encode())
 
