@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,12 @@ from engine_cases import KINDS, ROBOTS, Case, random_case, robot_cases
 import robodyn as rd
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import build
-from robodyn.parameters.base_parameters import base_parameters, dependence, random_states
+from robodyn.parameters.base_parameters import (
+    _symbols,
+    base_parameters,
+    dependence,
+    random_states,
+)
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.scene.description import from_text
 
@@ -133,6 +139,22 @@ def test_base_parameters_give_the_torques(path) -> None:
     assert np.abs(tau - expected).max() <= 1e-11 * np.abs(expected).max()
     alike = dependence(found.Y.reshape(-1, len(found.names)), found.names)
     assert len(alike.kept) == len(base)
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_the_texts_of_base_parameters_are_their_values(path) -> None:
+    scene = rd.load(path).description
+    symbols = dict(_symbols(scene)) | {x.name: x.value for x in linear_parameters(scene)}
+    for x in base_parameters(rd.load(path)):
+        products = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", x.text.replace("^", "**"))
+        size = sum(abs(factor * symbols[name]) for name, factor in x.factors) + 1e-3
+        assert eval(products, {}, symbols) == pytest.approx(x.value, rel=1e-8, abs=1e-8 * size)
+
+
+def test_factors_of_a_six_bar_are_told_in_lengths() -> None:
+    texts = "".join(base_of("watt-six-bar"))
+    assert "(l1/l5 - l1 p5x/(l3 l5)) mx5" in texts
+    assert not re.search(r"[0-9]\.", texts)
 
 
 # -- the command ----------------------------------------------------------------------------------

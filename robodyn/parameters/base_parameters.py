@@ -12,10 +12,10 @@ symbols where one is it in the scene and in another with all lengths changed a l
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations, product
+from itertools import combinations_with_replacement, product
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,7 @@ FARTHEST = 0.05  # s/L of the states that are taken
 CLOSED = 1e-12  # of the loop's size, that a state's gap may have
 CUT = 8.0 * np.finfo(float).eps  # times the rows: part of a column that is rounding
 SAME = 1e-9  # relative, by which a factor is told
+MIXED = np.array([1.0, 0.739085133])  # of a value in both scenes: what they are sorted by
 SIZE = 0.03  # part by which lengths are changed to tell symbols that are equal by chance
 
 
@@ -105,7 +106,7 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
     names, values = [x.name for x in parameters], np.array([x.value for x in parameters])
     found = structural(mechanism)
     other, changed = _changed(mechanism, found)
-    symbols = list(zip(_symbols(mechanism.description), _symbols(changed), strict=True))
+    symbols = _Factors(_symbols(mechanism.description), _symbols(changed))
     made = []
     for i, k in enumerate(found.kept):
         factors, text = [], names[k]
@@ -114,7 +115,7 @@ def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
             if abs(beta) <= SAME * max(1.0, np.abs(found.beta[:, j]).max()):
                 continue
             beta2 = None if other is None else float(other.beta[i, j])
-            sign, told = _told(beta, beta2, symbols)
+            sign, told = symbols.told(beta, beta2)
             text += f" {'+-'[sign < 0]} {told + ' ' if told else ''}{names[d]}"
             factors.append((names[d], beta))
         value = values[k] + sum(f * values[names.index(name)] for name, f in factors)
@@ -231,35 +232,80 @@ def _changed(mechanism: Mechanism, found: Dependence) -> tuple[Dependence | None
     return (other if other.kept == found.kept else None), changed
 
 
-def _told(
-    beta: float, other: float | None, symbols: Sequence[tuple[Symbol, Symbol]]
-) -> tuple[float, str]:
-    """The sign of a factor, and it in symbols, or as a number; nothing where it is 1."""
-    told = _candidates(symbols) if other is not None else iter([("", 1.0, 1.0)])
-    for text, value, changed in told:
-        sign = 1.0 if value * beta > 0.0 else -1.0
-        close = abs(sign * value - beta) <= SAME * abs(beta)
-        if close and (other is None or abs(sign * changed - other) <= SAME * abs(other)):
-            return sign, text
-    return (1.0 if beta > 0.0 else -1.0), f"{abs(beta):.12g}"
+class _Factors:
+    """What factors may be in symbols, each in the scene and in that with other lengths.
+
+    A product of up to three lengths or ratios, or the square of where a joint or a pin is on its
+    link, over a product of up to two; or a sum or difference of two of these.
+    """
+
+    def __init__(self, scene: Sequence[Symbol], changed: Sequence[Symbol]) -> None:
+        pairs = zip(scene, changed, strict=True)
+        both = {name: np.array([x, y]) for (name, x), (_, y) in pairs if x and y}
+        above = {"": np.ones(2)} | _products(both, 3)
+        for name in [x for x in both if x.endswith("x") and f"{x[:-1]}y" in both]:
+            square = both[name] ** 2 + both[f"{name[:-1]}y"] ** 2
+            text = f"({name}^2 + {name[:-1]}y^2)"
+            above |= {text: square} | {f"{a} {text}": x * square for a, x in both.items()}
+        below = {"": np.ones(2)} | _products(both, 2)
+        ratios = np.array(list(above.values()))[:, None] / np.array(list(below.values()))
+        lengths = np.add.outer([len(x) for x in above], [len(x) for x in below]).ravel()
+        shortest = np.argsort(lengths, kind="stable")
+        values = ratios.reshape(-1, 2)[shortest]
+        _, first = np.unique(np.round(np.log(np.abs(values @ MIXED)), 11), return_index=True)
+        order = first[np.argsort(values[first] @ MIXED)]
+        self.values = values[order]  # (k, 2), each once
+        self.keys = self.values @ MIXED  # which rise
+        self.lengths, places = lengths[shortest][order], shortest[order]
+        self.texts = [divmod(place, len(below)) for place in places.tolist()]
+        self.above, self.below = list(above), list(below)
+
+    def told(self, beta: float, other: float | None) -> tuple[float, str]:
+        """The sign of a factor, and it in symbols, or as a number; nothing where it is 1."""
+        sign = 1.0 if beta > 0.0 else -1.0
+        if other is None:
+            return sign, "" if abs(abs(beta) - 1.0) <= SAME else f"{abs(beta):.12g}"
+        wanted = np.array([beta, other])
+        for way in (1.0, -1.0):
+            nearest, same = self._nearest(way * wanted[None], np.abs(wanted))
+            if same[0]:
+                return way, self._text(int(nearest[0]))
+        size = np.abs(self.values) + np.abs(wanted)
+        found = []  # of two terms: beta = way (A - second B)
+        for way, second in product((1.0, -1.0), repeat=2):
+            k, close = self._nearest(second * (self.values - way * wanted), size)
+            for i in np.flatnonzero(close).tolist():
+                length = int(self.lengths[i] + self.lengths[k[i]])
+                found.append((length, -way, i, int(k[i]), "+-"[second > 0.0]))
+        if not found:
+            return sign, f"{abs(beta):.12g}"
+        _, way, i, j, second_sign = min(found)
+        return -way, f"({self._text(i)} {second_sign} {self._text(j)})"
+
+    def _nearest(self, wanted: Array, size: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Which value is next to each of (m, 2), and whether it is the same in both scenes."""
+        keys = wanted @ MIXED
+        k = np.searchsorted(self.keys, keys).clip(1, len(self.keys) - 1)
+        k = k - (keys - self.keys[k - 1] < self.keys[k] - keys)
+        close = (np.abs(self.values[k] - wanted) <= SAME * size).all(axis=-1)
+        return k, close
+
+    def _text(self, k: int) -> str:
+        i, j = self.texts[k]
+        text, under = str(self.above[i]), self.below[j]
+        if under:
+            text = f"{text or 1}/{f'({under})' if ' ' in under else under}"
+        return text
 
 
-def _candidates(
-    symbols: Sequence[tuple[Symbol, Symbol]],
-) -> Iterator[tuple[str, float, float]]:
-    """Products of symbols, the simplest first: 1, a, a^2, a b, a/b, a^2/b, .. and ax^2 + ay^2."""
-    yield "", 1.0, 1.0
-    there = [(name, x, y) for (name, x), (_, y) in symbols if x and y]
-    terms = [*there, *((f"{s}^2", x * x, y * y) for s, x, y in there)]
-    signed = {name: (x, y) for (name, x), (_, y) in symbols}
-    for name, (x, y) in signed.items():
-        if name[0] in "pab" and name.endswith("x"):
-            x2, y2 = signed[name[:-1] + "y"]
-            if x2:
-                sides = (x * x + x2 * x2, y * y + y2 * y2)
-                terms.append((f"({name}^2 + {name[:-1]}y^2)", *sides))
-    terms += [(f"{a} {b}", x * u, y * v) for (a, x, y), (b, u, v) in combinations(there, 2)]
-    yield from terms
-    for (a, x, y), (b, u, v) in product([("1", 1.0, 1.0), *terms], terms):
-        if a != b:
-            yield f"{a}/({b})" if " " in b else f"{a}/{b}", x / u, y / v
+def _products(symbols: dict[str, Array], most: int) -> dict[str, Array]:
+    """Products of up to so many of them, as l1^2 l2."""
+    found = {}
+    for count in range(1, most + 1):
+        for names in combinations_with_replacement(symbols, count):
+            parts = [
+                name if (power := names.count(name)) == 1 else f"{name}^{power}"
+                for name in dict.fromkeys(names)
+            ]
+            found[" ".join(parts)] = np.prod([symbols[name] for name in names], axis=0)
+    return found
