@@ -203,6 +203,23 @@ def test_scene_and_residuals_go_to_a_pipe_in_place_of_results(robodyn: Run, data
     assert done.code == 2
 
 
+def test_what_only_rounding_excites_stays(robodyn: Run, tmp_path: Path) -> None:
+    """A crank at a constant speed; its rates are found, so that qdd is no exact zero."""
+    file = tmp_path / "turn.csv"
+    mech = rd.load(ROOT / "robots/pendulum.yaml")
+    t = np.linspace(0.0, 1.0, 101)
+    q = 6.0 * t[:, None]
+    tau = rd.inverse_dynamics(mech, q, np.full_like(q, 6.0), np.zeros_like(q))
+    rows = np.column_stack([t, q, tau]).tolist()
+    file.write_text("t,q1,tau1\n" + "".join(f"{a},{b},{c}\n" for a, b, c in rows))
+    done = robodyn("identify", ROOT / "robots/pendulum.yaml", file)
+    assert json.loads(done.out)["kept"] == ["J1"]
+    done = robodyn(
+        *("identify", ROOT / "robots/pendulum.yaml", file), "--of", "links.rod.I,links.rod.m"
+    )
+    assert json.loads(done.out)["kept"] == ["links.rod.I"]
+
+
 def test_one_number_is_changed_where_one_is_named(robodyn: Run, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "new.yaml"
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m", "-o", out)
@@ -271,6 +288,8 @@ def test_numbers_that_torques_do_not_tell_are_refused(robodyn: Run, data: Path) 
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.l")
     assert done.code == 2
     assert "links.forearm.l: is no mass, moment, damping" in done.err
+    done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m,")
+    assert (done.code, "--of = links.forearm.m,: a name is" in done.err) == (2, True)
     mech = rd.load(ROOT / ARM)
     states = random_states(mech, 20)
     tau = torques(mech, states)

@@ -14,7 +14,7 @@ from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
@@ -62,6 +62,8 @@ def identify(
     """
     mechanism = load(model)
     names = [] if of is None else [x.strip() for x in of.split(",")]
+    if "" in names:
+        raise InputError("--of", value=of, limit="a name is missing at a comma")
     with remarks(), named_options(["cutoff"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
         q, qd, qdd = motion.states

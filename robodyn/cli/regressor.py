@@ -12,7 +12,7 @@ from robodyn.cli.output import Grid, StateOptions, write_structure
 from robodyn.cli.states import Quantity, evaluate, remarks
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.parameters.base_parameters import base_parameters, dependence, structural
+from robodyn.parameters.base_parameters import base_parameters, excited, structural
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor as matrix
 
@@ -99,8 +99,8 @@ def _tell_condition(
         base, kept = base_parameters(mechanism), structural(mechanism).kept
         q, qd, qdd = motion.states
         found = matrix(mechanism, q, qd, qdd, motion.t)
-    Y = found.Y.reshape(-1, len(found.names))[:, kept]
-    alike = dependence(Y, [found.names[k] for k in kept])
+    every = found.Y.reshape(-1, len(found.names))
+    Y, alike = every[:, kept], excited(mechanism, every)
     value = None
     if alike.kept:
         scaled = Y[:, alike.kept] / np.linalg.norm(Y[:, alike.kept], axis=0)

@@ -38,18 +38,23 @@ STATES = 60  # drawn to find the base, each a row a motor
 TRIES = 20  # drawings of so many, until enough of them close
 FARTHEST = 0.05  # s/L of the states that are taken
 CLOSED = 1e-12  # of the loop's size, that a state's gap may have
-CUT = 8.0 * np.finfo(float).eps  # times the rows: part of a column that is rounding
+CUT = 1e-10  # part of a column that is rounding; of the examples 2e-13 is it, and 1e-3 is not
+EXCITED = 1e-7  # part of what random states do that a motion must do, to tell a number
 SAME = 1e-9  # relative, by which a factor is told
 MIXED = np.array([1.0, 0.739085133])  # of a value in both scenes: what they are sorted by
 SIZE = 0.03  # part by which lengths are changed to tell symbols that are equal by chance
 
 
 class Dependence(NamedTuple):
-    """Which columns are `kept`, which are `dropped`, and beta (kept, dropped)."""
+    """Which columns are `kept`, which are `dropped`, and beta (kept, dropped).
+
+    `size` is the rms of every column.
+    """
 
     kept: list[int]
     dropped: list[int]
     beta: Array
+    size: Array
 
 
 @dataclass(frozen=True)
@@ -63,15 +68,11 @@ class BaseParameter:
     unit: str
 
 
-def dependence(Y: Array, names: Sequence[str], rows: int | None = None) -> Dependence:
-    """What the columns of Y (k, p) have in common.
-
-    `rows` is how many rows a triangle Y stands for.
-    """
+def dependence(Y: Array, names: Sequence[str], cut: float = CUT) -> Dependence:
+    """What the columns of Y (k, p) have in common, but for a part `cut` of them."""
     size = np.linalg.norm(Y, axis=0)
     most = float(size.max(initial=0.0))
     order = sorted(range(len(names)), key=lambda k: _rank(names[k]))
-    cut = max(CUT * (rows or len(Y)), 1e-12)
     kept: list[int] = []
     Q = np.zeros((len(Y), 0))
     for k in order:
@@ -87,7 +88,8 @@ def dependence(Y: Array, names: Sequence[str], rows: int | None = None) -> Depen
     dropped = [k for k in range(len(names)) if k not in kept]
     scaled = Y[:, kept] / size[kept]
     found = np.linalg.lstsq(scaled, Y[:, dropped], rcond=None)[0]
-    return Dependence(kept, dropped, found / size[kept][:, None])
+    rms = size / np.sqrt(max(len(Y), 1))
+    return Dependence(kept, dropped, found / size[kept][:, None], rms)
 
 
 def _rank(name: str) -> int:
@@ -129,6 +131,14 @@ def structural(mechanism: Mechanism) -> Dependence:
     q, qd, qdd = random_states(mechanism)
     found = regressor(mechanism, q, qd, qdd)
     return dependence(found.Y.reshape(-1, len(found.names)), found.names)
+
+
+def excited(mechanism: Mechanism, Y: Array) -> Dependence:
+    """Which of the base parameters a motion with the regressor Y (k, p) tells, by their order."""
+    base = structural(mechanism)
+    names = [x.name for x in linear_parameters(mechanism.description)]
+    scaled = Y[:, base.kept] / base.size[base.kept]
+    return dependence(scaled, [names[k] for k in base.kept], EXCITED)
 
 
 def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> list[Array]:

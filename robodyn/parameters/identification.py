@@ -25,7 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
-from robodyn.parameters.base_parameters import base_parameters, dependence, structural
+from robodyn.parameters.base_parameters import (
+    EXCITED,
+    base_parameters,
+    dependence,
+    excited,
+    structural,
+)
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description
@@ -177,7 +183,7 @@ def _base(mechanism: Mechanism, data: _Data) -> Identification:
     """Of base parameters."""
     base, kept = base_parameters(mechanism), structural(mechanism).kept
     data.enough(len(kept))
-    found = dependence(data.R[:, kept], [data.names[k] for k in kept], data.rows)
+    found = excited(mechanism, data.R)
     if not found.kept:
         raise _told(mechanism, [x.text for x in base])
     columns = [kept[k] for k in found.kept]
@@ -215,8 +221,9 @@ def _numbers(
     kept: list[str] = []
     if of:
         data.enough(len(names))
-        J = data.R @ scene_numbers.slopes(base, where)
-        found = dependence(J, names, data.rows)
+        slopes = scene_numbers.slopes(base, where)
+        usual = np.abs(slopes).T @ structural(mechanism).size  # at random states
+        found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), names, EXCITED)
         if not found.kept:
             raise _told(mechanism, names)
         kept = [names[k] for k in found.dropped]
@@ -246,9 +253,7 @@ def _numbers(
     described = scene_numbers.with_numbers(base, where, x)
     if not of:  # of which only combinations are told: these have the errors
         structure = structural(mechanism)
-        found = dependence(
-            data.R[:, structure.kept], [data.names[k] for k in structure.kept], data.rows
-        )
+        found = excited(mechanism, data.R)
         columns = [structure.kept[k] for k in found.kept]
         errors, condition = data.errors(data.R[:, columns], change)
         combined = change[structure.kept] + structure.beta @ change[structure.dropped]
