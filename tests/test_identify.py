@@ -138,6 +138,22 @@ def test_physical_numbers_are_kept_to() -> None:
     assert [x.value for x in bound.estimates] == [x.value for x in free.estimates]
 
 
+def test_named_numbers_are_physical_too() -> None:
+    mech = rd.load(ARM)
+    states = [x[:12] for x in random_states(mech, 40, seed=5)]
+    true = scene_numbers.with_numbers(
+        mech.description,
+        [scene_numbers.place_of(mech.description, "links.forearm.damping")],
+        np.array([-0.5]),  # as no scene has it
+    )
+    tau, names = torques(build(true), states), ["links.forearm.damping", "links.forearm.m"]
+    free, bound = (identify(mech, *states, tau, of=names, physical=x) for x in (False, True))
+    assert free.estimates[0].value == pytest.approx(-0.5, rel=1e-9)
+    assert free.faults == ("links.forearm.damping = -0.5",)
+    assert 0.0 <= bound.estimates[0].value < 1e-6
+    assert bound.estimates[1].value > 0.0
+
+
 def test_rates_are_not_shifted() -> None:
     t = np.linspace(0.0, 4.0, 2001)
     x = np.sin(3.0 * t)[:, None]

@@ -16,13 +16,13 @@ The standard errors are those of independent noise of each joint's torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters import scene_numbers
 from robodyn.parameters.base_parameters import (
@@ -37,7 +37,6 @@ from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description
 
 Array = NDArray[np.float64]
-Vector = Callable[[Array], Array]
 
 BLOCK = 1 << 14  # states whose Y is held at once
 QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
@@ -98,8 +97,7 @@ def identify(
         limit = f"must be ({len(states[0])}, {a}): a row a state, a column an actuated joint"
         raise InputError("tau.shape", value=torques.shape, limit=limit)
     data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
-    found = _numbers(mechanism, data, of, False) if of else _base(mechanism, data)
-    return _numbers(mechanism, data, of, True) if physical and found.faults else found
+    return _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
 
 
 def predicted(
@@ -171,169 +169,153 @@ class _Data:
         return spread, float(singular[0] / singular[-1])
 
 
-def _told(mechanism: Mechanism, names: Sequence[str]) -> RobodynError:
-    return InputError(
-        "no excitation",
-        where=mechanism.source,
-        limit=f"the motion tells nothing of {', '.join(names)}",
-    )
+def _nothing(mechanism: Mechanism, names: Sequence[str]) -> InputError:
+    limit = f"the motion tells nothing of {', '.join(names)}"
+    return InputError("no excitation", where=mechanism.source, limit=limit)
 
 
-def _base(mechanism: Mechanism, data: _Data) -> Identification:
-    """Of base parameters."""
-    base, kept = base_parameters(mechanism), structural(mechanism).kept
+def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
+    """Base parameters: of what others make, and of what the motion does not tell, nothing moves."""
+    kept, scene = structural(mechanism).kept, mechanism.description
     data.enough(len(kept))
     found = excited(mechanism, data.R)
     if not found.kept:
-        raise _told(mechanism, [x.text for x in base])
+        raise _nothing(mechanism, [x.text for x in base_parameters(mechanism)])
     columns = [kept[k] for k in found.kept]
     change = np.zeros(len(data.names))
-    for _ in range(2):
+
+    def solve() -> None:
         change[columns] = np.linalg.lstsq(data.R[:, columns], data.s, rcond=None)[0]
+
+    for _ in range(2):
+        solve()
         data.weigh(change)
-    change[columns] = np.linalg.lstsq(data.R[:, columns], data.s, rcond=None)[0]
+    solve()
+    made = scene_numbers.from_parameters(scene, data.names, data.now + change)
+    if physical and scene_numbers.checked(made)[1]:
+        sought = _Numbers(data, scene, list(scene_numbers.all_places(scene).values()))
+        made = sought.described(sought.bounded(sought.before, hold=True))
+        change = scene_numbers.values_of(made) - data.now
     errors, condition = data.errors(data.R[:, columns], change)
-    pi = data.now + change
-    described = scene_numbers.from_parameters(mechanism.description, data.names, pi)
-    chosen = [base[k] for k in found.kept]
+    structure, base = structural(mechanism), base_parameters(mechanism)
+    combined = change[kept] + structure.beta @ change[structure.dropped]
     estimates = tuple(
-        Estimate(x.text, x.value + float(change[column]), float(error), x.value, x.unit)
-        for x, column, error in zip(chosen, columns, errors, strict=True)
+        Estimate(x.text, x.value + moved, error, x.value, x.unit)
+        for x, moved, error in zip(
+            (base[k] for k in found.kept),
+            combined[found.kept].tolist(),
+            errors.tolist(),
+            strict=True,
+        )
     )
     untold = tuple(base[k].text for k in found.dropped)
-    return _result(data, estimates, untold, condition, change, described)
+    return _result(data, estimates, untold, condition, change, made)
 
 
-def _numbers(
-    mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool
-) -> Identification:
-    """Of numbers of the scene."""
-    base = mechanism.description
-    if of:
-        named = {name: scene_numbers.place_of(base, name) for name in of}
-        if len(set(named.values())) < len(of):
-            raise InputError(", ".join(of), limit="name one number twice")
-    else:
-        named = scene_numbers.all_places(base)
-    names, where = list(named), list(named.values())
-    before = np.array([scene_numbers.number_at(base, x) for x in where])
-    least = np.array([scene_numbers.least_of(base, x) for x in where])
-    kept: list[str] = []
-    if of:
-        data.enough(len(names))
-        slopes = scene_numbers.slopes(base, where)
-        usual = np.abs(slopes).T @ structural(mechanism).size  # at random states
-        found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), names, EXCITED)
-        if not found.kept:
-            raise _told(mechanism, names)
-        kept = [names[k] for k in found.dropped]
-        chosen = found.kept
-        names, where = [names[k] for k in chosen], [where[k] for k in chosen]
-        before, least = before[chosen], least[chosen]
-    else:
-        data.enough(len(structural(mechanism).kept))
-
-    def change_of(x: Array) -> Array:
-        made = scene_numbers.with_numbers(base, where, x)
-        found: Array = scene_numbers.values_of(made) - data.now
-        return found
-
-    def slopes_of(x: Array) -> Array:
-        return scene_numbers.slopes(scene_numbers.with_numbers(base, where, x), where)
-
-    x = before
-    for last in (False, False, True):
-        if physical:
-            x = _bounded(data, change_of, slopes_of, x, before, least, hold=not of)
-        else:
-            x = _unbounded(data, change_of, slopes_of, x)
-        if not last:
-            data.weigh(change_of(x))
-    change = change_of(x)
-    described = scene_numbers.with_numbers(base, where, x)
-    if not of:  # of which only combinations are told: these have the errors
-        structure = structural(mechanism)
-        found = excited(mechanism, data.R)
-        columns = [structure.kept[k] for k in found.kept]
-        errors, condition = data.errors(data.R[:, columns], change)
-        combined = change[structure.kept] + structure.beta @ change[structure.dropped]
-        all_base = base_parameters(mechanism)
-        estimates = tuple(
-            Estimate(
-                all_base[k].text,
-                all_base[k].value + float(combined[k]),
-                float(error),
-                all_base[k].value,
-                all_base[k].unit,
-            )
-            for k, error in zip(found.kept, errors, strict=True)
-        )
-        untold = tuple(all_base[k].text for k in found.dropped)
-        return _result(data, estimates, untold, condition, change, described)
-    errors, condition = data.errors(data.R @ slopes_of(x), change)
+def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> Identification:
+    """Numbers of the scene."""
+    scene = mechanism.description
+    where = [scene_numbers.place_of(scene, name) for name in of]
+    if len(set(where)) < len(of):
+        raise InputError(", ".join(of), limit="name one number twice")
+    data.enough(len(of))
+    slopes = scene_numbers.slopes(scene, where)
+    usual = np.abs(slopes).T @ structural(mechanism).size  # at random states
+    found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), of, EXCITED)
+    if not found.kept:
+        raise _nothing(mechanism, of)
+    sought = _Numbers(data, scene, [where[k] for k in found.kept])
+    x = sought.before
+    for _ in range(2):
+        x = sought.free(x)
+        data.weigh(sought.change(x))
+    x = sought.free(x)
+    if physical and (x < sought.least).any():
+        x = sought.bounded(x, hold=False)
+    change = sought.change(x)
+    errors, condition = data.errors(data.R @ sought.slopes(x), change)
     estimates = tuple(
-        Estimate(name, float(value), float(error), float(scene), scene_numbers.unit_of(base, at))
-        for name, value, error, scene, at in zip(names, x, errors, before, where, strict=True)
+        Estimate(of[k], value, error, before, scene_numbers.unit_of(scene, where[k]))
+        for k, value, error, before in zip(
+            found.kept, x.tolist(), errors.tolist(), sought.before.tolist(), strict=True
+        )
     )
-    return _result(data, estimates, tuple(kept), condition, change, described)
+    untold = tuple(of[k] for k in found.dropped)
+    return _result(data, estimates, untold, condition, change, sought.described(x))
 
 
-def _unbounded(data: _Data, change_of: Vector, slopes_of: Vector, x: Array) -> Array:
-    """Gauss and Newton's steps, each cut in halves until it makes what is left no greater."""
+class _Numbers:
+    """Numbers x at places of a scene, and what fits the data best."""
 
-    def left(x: Array) -> Array:
-        found: Array = data.R @ change_of(x) - data.s
+    def __init__(
+        self, data: _Data, scene: Description, where: Sequence[scene_numbers.Place]
+    ) -> None:
+        self.data, self.scene, self.where = data, scene, where
+        self.before = np.array([scene_numbers.number_at(scene, x) for x in where])
+        self.least = np.array([scene_numbers.least_of(scene, x) for x in where])
+
+    def described(self, x: Array) -> Description:
+        """The scene with them."""
+        return scene_numbers.with_numbers(self.scene, self.where, x)
+
+    def change(self, x: Array) -> Array:
+        """pi less the scene's."""
+        found: Array = scene_numbers.values_of(self.described(x)) - self.data.now
         return found
 
-    r = left(x)
-    for _ in range(PASSES):
-        J = data.R @ slopes_of(x)
-        size = np.linalg.norm(J, axis=0)
-        size[size == 0.0] = 1.0
-        step = np.linalg.lstsq(J / size, -r, rcond=None)[0] / size
-        part = 1.0
-        while part > SETTLED and np.linalg.norm(left(x + part * step)) > np.linalg.norm(r):
-            part /= 2.0
-        x = x + part * step
-        r = left(x)
-        if (np.abs(part * step) <= SETTLED * np.maximum(np.abs(x), SETTLED)).all():
-            break
-    return x
+    def slopes(self, x: Array) -> Array:
+        """d pi by x."""
+        return scene_numbers.slopes(self.described(x), self.where)
 
+    def left(self, x: Array) -> Array:
+        """What is left of the torques."""
+        found: Array = self.data.R @ self.change(x) - self.data.s
+        return found
 
-def _bounded(
-    data: _Data,
-    change_of: Vector,
-    slopes_of: Vector,
-    x: Array,
-    before: Array,
-    least: Array,
-    hold: bool,
-) -> Array:
-    """Between bounds; what the data do not tell is held where it was, or near."""
-    from scipy.optimize import least_squares
+    def free(self, x: Array) -> Array:
+        """Gauss and Newton's steps, each cut in halves until it makes what is left no greater."""
+        r = self.left(x)
+        for _ in range(PASSES):
+            J = self.data.R @ self.slopes(x)
+            size = np.linalg.norm(J, axis=0)
+            size[size == 0.0] = 1.0
+            step = np.linalg.lstsq(J / size, -r, rcond=None)[0] / size
+            part = 1.0
+            while part > SETTLED and np.linalg.norm(self.left(x + part * step)) > np.linalg.norm(r):
+                part /= 2.0
+            x = x + part * step
+            r = self.left(x)
+            if (np.abs(part * step) <= SETTLED * np.maximum(np.abs(x), SETTLED)).all():
+                break
+        return x
 
-    size = np.sqrt(data.rows * ((data.rms_torque / data.weights) ** 2).sum())
-    weight = (HOLD * size if hold else 0.0) / np.where(before == 0.0, 1.0, np.abs(before))
+    def bounded(self, x: Array, hold: bool) -> Array:
+        """Those of bodies that can be; with `hold` what the data do not tell stays near."""
+        from scipy.optimize import least_squares
 
-    def left(x: Array) -> Array:
-        return np.concatenate([data.R @ change_of(x) - data.s, weight * (x - before)])
+        data = self.data
+        size = np.sqrt(data.rows * ((data.rms_torque / data.weights) ** 2).sum())
+        usual = np.where(self.before == 0.0, 1.0, np.abs(self.before))
+        weight = (HOLD * size if hold else 0.0) / usual
 
-    def slopes(x: Array) -> Array:
-        return np.concatenate([data.R @ slopes_of(x), np.diag(weight)])
+        def left(x: Array) -> Array:
+            return np.concatenate([self.left(x), weight * (x - self.before)])
 
-    found = least_squares(
-        left,
-        np.maximum(x, least),
-        slopes,
-        bounds=(least, np.inf),
-        x_scale="jac",
-        ftol=TIGHT,
-        xtol=TIGHT,
-        gtol=TIGHT,
-    )
-    result: Array = found.x
-    return result
+        def slopes(x: Array) -> Array:
+            return np.concatenate([data.R @ self.slopes(x), np.diag(weight)])
+
+        found = least_squares(
+            left,
+            np.maximum(x, self.least),
+            slopes,
+            bounds=(self.least, np.inf),
+            x_scale="jac",
+            ftol=TIGHT,
+            xtol=TIGHT,
+            gtol=TIGHT,
+        )
+        result: Array = found.x
+        return result
 
 
 def _result(

@@ -31,7 +31,6 @@ class Parameter(NamedTuple):
     name: str  # m2, mx2, ..
     value: float
     unit: str
-    meaning: str
 
 
 def linear_parameters(description: Description) -> tuple[Parameter, ...]:
@@ -39,31 +38,27 @@ def linear_parameters(description: Description) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     links, damping = description.links, joint_damping(description)
     for k, (m, first, J) in enumerate(zip(*bodies(links), strict=True)):
-        link, i, of = links[k], k + 1, f"of {links[k].name}"
+        link, i = links[k], k + 1
         force, rate = ("N", "s/m") if link.slides else ("N m", "s/rad")
         found += [
-            Parameter(f"m{i}", m, "kg", f"mass {of}"),
-            Parameter(f"mx{i}", first.real, "kg m", f"first moment {of}, along it"),
-            Parameter(f"my{i}", first.imag, "kg m", f"first moment {of}, across it"),
-            Parameter(f"J{i}", J, "kg m²", f"moment of inertia {of} about its own joint"),
-            Parameter(f"d{i}", damping[k], f"{force} {rate}", f"damping at the joint {of}"),
+            Parameter(f"m{i}", m, "kg"),
+            Parameter(f"mx{i}", first.real, "kg m"),
+            Parameter(f"my{i}", first.imag, "kg m"),
+            Parameter(f"J{i}", J, "kg m²"),
+            Parameter(f"d{i}", damping[k], f"{force} {rate}"),
         ]
         if link.friction is not None:
-            told = f"friction at the joint {of}"
-            found.append(Parameter(f"f{i}", link.friction.torque, force, told))
+            found.append(Parameter(f"f{i}", link.friction.torque, force))
         if isinstance(link.friction, DryFriction) and link.friction.stribeck is not None:
-            told = f"static friction at the joint {of}"
-            found.append(Parameter(f"fs{i}", link.friction.static, force, told))
+            found.append(Parameter(f"fs{i}", link.friction.static, force))
         if link.motor is not None:
-            told = f"inertia of the rotor {of}"
-            found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²", told))
+            found.append(Parameter(f"Jr{i}", link.motor.inertia, "kg m²"))
     for i, spring in enumerate(description.springs, start=1):
         if spring.law is None:
             turns = isinstance(spring, JointSpring) and not links[spring.joint].slides
-            unit = "N m/rad" if turns else "N/m"
-            found.append(Parameter(f"k{i}", spring.stiffness, unit, f"stiffness of spring {i}"))
+            found.append(Parameter(f"k{i}", spring.stiffness, "N m/rad" if turns else "N/m"))
         if isinstance(spring, Spring) and spring.damping:
-            found.append(Parameter(f"ds{i}", spring.damping, "N s/m", f"damping of spring {i}"))
+            found.append(Parameter(f"ds{i}", spring.damping, "N s/m"))
     return tuple(found)
 
 
