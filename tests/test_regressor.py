@@ -21,6 +21,7 @@ from robodyn.parameters.base_parameters import (
     random_states,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import _rows
 from robodyn.scene.description import from_text
 
 Run = Callable[..., Outcome]
@@ -87,6 +88,20 @@ links:
     tau = rd.inverse_dynamics(mech, q, qd, qdd)
     assert "fs1" in found.names
     assert np.abs(found.Y @ found.values + found.known - tau).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["2r", "four-bar", "spring-slider-crank", "watt-six-bar"])
+def test_machine_code_has_the_same_columns(name: str) -> None:
+    mech = rd.load(ROOT / f"robots/{name}.yaml")
+    states = random_states(mech, 60)
+    rows = _rows(mech, True) or _rows(mech, False)
+    assert rows is not None
+    function = rows.machine(2)
+    assert function is not None
+    found = [np.empty((60, width)) for width in rows.widths]
+    assert not function(states, found).size
+    for one, other in zip(found, rows.by_numpy(states, 2)[0], strict=True):
+        assert np.abs(one - other).max() <= 1e-13 * max(1.0, np.abs(other).max())
 
 
 # -- base parameters ------------------------------------------------------------------------------
