@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
     from robodyn.mechanics.voltages import voltages as voltages
+    from robodyn.parameters.identification import identify as identify
+    from robodyn.parameters.regression_matrix import regressor as regressor
     from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
@@ -95,6 +97,8 @@ _ROOMS = {
     "dynamics.motor_loads": ["motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
+    "parameters.identification": ["identify"],
+    "parameters.regression_matrix": ["regressor"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize"],
     "rest.regulator": ["lqr"],

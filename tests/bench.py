@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from bench_derivatives import derivatives
 from bench_frontier import frontier, taylor_process
+from bench_identify import identification
 from bench_motions import many_loops, motions, series_engines, sliding_joints, watched_runs
 from bench_sweep import sweeps
 from numpy.typing import NDArray
@@ -340,6 +341,7 @@ MEASURES = [
     series_engines,
     sliding_joints,
     derivatives,
+    identification,
     many_loops,
     motions,
     watched_runs,

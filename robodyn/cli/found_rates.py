@@ -63,7 +63,15 @@ def found_rates(
     chunks = list(reader.chunks(columns))
     values = np.concatenate([np.zeros((0, len(columns))), *(x.values for x in chunks)])
     column = dict(zip(columns, values.T, strict=True))
-    _check_times(column["t"], list(chain(*(x.line_numbers for x in chunks))), reader.source)
+    if len(column["t"]) < FEWEST:
+        limit = f"needs {FEWEST} rows or more; there are {len(column['t'])}"
+        raise InputError("--differentiate", where=reader.source, limit=limit)
+    check_rising(
+        column["t"],
+        list(chain(*(x.line_numbers for x in chunks))),
+        reader.source,
+        ", to differentiate",
+    )
 
     x = np.stack([column[name] for name in names], axis=-1)
     found: list[Source] = []
@@ -82,11 +90,9 @@ def found_rates(
     return found, (chunk._replace(values=piece) for chunk, piece in pairs)
 
 
-def _check_times(t: np.ndarray, lines: Sequence[int], source: str) -> None:
-    if len(t) < FEWEST:
-        limit = f"needs {FEWEST} rows or more; there are {len(t)}"
-        raise InputError("--differentiate", where=source, limit=limit)
+def check_rising(t: np.ndarray, lines: Sequence[int], source: str, why: str = "") -> None:
+    """Raise InputError, with the line, where a time is not greater than that before."""
     if len(wrong := np.flatnonzero(~(np.diff(t) > 0.0))):
         k = int(wrong[0]) + 1
-        limit = f"must be greater than that before ({t[k - 1]:.9g}), to differentiate"
+        limit = f"must be greater than that before ({t[k - 1]:.9g}){why}"
         raise InputError("t", where=f"{source}: line {lines[k]}", value=f"{t[k]:.9g}", limit=limit)

@@ -84,6 +84,18 @@ class Model:
 
         return read_text(Path(self.model))
 
+    def put(self) -> dict[str, float | tuple[float, ...]]:
+        """What --set gives, by the names of numbers, as a scene is rewritten with it."""
+        from robodyn.scene.yaml_tree import Sequence
+
+        values, found = self.values(), {}
+        for name, _ in self.given:
+            node = values.place(name)[1]
+            count = len(node.items) if isinstance(node, Sequence) else 0
+            entries = tuple(values.number(f"{name}[{k}]") for k in range(count))
+            found[name] = entries or values.number(name)
+        return found
+
     @property
     def given(self) -> tuple[tuple[str, str], ...]:
         """The names and values of --set."""

@@ -116,7 +116,14 @@ def _whole_inertia(mechanism: Mechanism, at: Placed) -> Array:
 
 def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0) -> Torques:
     """Torques and multipliers for states (..., n); see `dynamics.inverse_dynamics`."""
-    load = required_load(mechanism, q, qd, qdd, t)
+    return balanced(mechanism, q, required_load(mechanism, q, qd, qdd, t))
+
+
+def balanced(mechanism: Mechanism, q: Array, load: Array) -> Torques:
+    """Torques and multipliers that balance loads (..., n) at q (..., n), which broadcasts to them.
+
+    Raises SingularError where there are none.
+    """
     if not mechanism.rows and not mechanism.passive:
         return Torques(load, np.zeros((*load.shape[:-1], 0)))
     n, actuated, units = mechanism.n, list(mechanism.actuated), mechanism.arrays.units
@@ -134,8 +141,9 @@ def inverse(mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike 
     missing = np.abs(wanted - matvec(driven, tau[..., actuated])).max(axis=-1)
     excess = missing - BALANCE * np.abs(load).max(axis=-1)
     if (excess > 0.0).any():
-        state = np.unravel_index(np.argmax(excess), q.shape[:-1])
-        full = s.rank[state] == len(mechanism.rows)
+        state = np.unravel_index(np.argmax(excess), load.shape[:-1])
+        q = np.broadcast_to(q, load.shape)
+        full = np.broadcast_to(s.rank, load.shape[:-1])[state] == len(mechanism.rows)
         kind = "dead centre" if full else "change point or dependent closures"
         limit = "no torque of the actuated joints makes this motion: "
         limit += f"joint {_free_joint(mechanism, q[state])} is free here"

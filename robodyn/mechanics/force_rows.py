@@ -270,10 +270,11 @@ class ForceRows(LinkRows):
             constant -= way * friction.torque
             if work:
                 self.power.append((number(-way * friction.torque), self.v(j)))
-            if friction.stribeck is not None and friction.static > friction.torque:
+            more = friction.static - friction.torque  # never below zero
+            if friction.stribeck is not None and more:
                 part = program.sum((number(1.0 / friction.stribeck), self.v(j)))
                 square = program.sum((-1.0, program.add(Product(part, part))))
-                more, bell = friction.static - friction.torque, program.add(Function("exp", square))
+                bell = program.add(Function("exp", square))
                 acting.append((number(-way * more), bell))
                 self._bends(bell, more)
                 if work:

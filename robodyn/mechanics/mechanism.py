@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.errors import InputError
+from robodyn.mechanics.carried_bodies import Bodies, carried_by, largest
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
@@ -78,7 +79,7 @@ def build(description: Description) -> Mechanism:
         if description.couplings:
             rows = mechanism.rows + tuple(coupling_rows(description))
             mechanism = replace(mechanism, rows=rows)
-        numbers = [*mechanism.B, *mechanism.weights, *_largest(Tree(description.links))]
+        numbers = [*mechanism.B, *mechanism.weights, *largest(Tree(description.links))]
         numbers += [mechanism.energy_offset, *(row.offset for row in mechanism.rows)]
         numbers += mechanism.damping
         numbers += [x.inertia * x.ratio * x.ratio for x in mechanism.rotors]
@@ -89,13 +90,14 @@ def build(description: Description) -> Mechanism:
     return mechanism
 
 
-def constants(description: Description) -> Mechanism:
+def constants(description: Description, bodies: Bodies | None = None) -> Mechanism:
     """The numeric model less couplings; of symbols too, where a description has them for numbers.
 
-    Raises InputError for a closure of points that cannot move apart.
+    With `bodies` the links are these.  Raises InputError for a closure of points that cannot
+    move apart.
     """
     links, tree = description.links, Tree(description.links)
-    carried, first, inertia = _carried(tree)
+    carried, first, inertia = carried_by(tree, bodies)
     forces = [_fixed(tree, x) for x in description.loads if isinstance(x, Load)]
     steady = [0j] * len(links)  # of constant forces: their sum below each link, and its moment
     moment = [0j] * len(links)
@@ -179,10 +181,6 @@ def with_kept(named: Mechanism, kept: Mapping[int, ClosureRow]) -> Mechanism:
     return replace(named, rows=tuple(row for _, row in sorted(rows, key=lambda pair: pair[0])))
 
 
-def _square(z: complex) -> float:
-    return z.real * z.real + z.imag * z.imag
-
-
 def _couplings_of_links(
     tree: Tree, mass: Sequence[float], B: Sequence[complex], inertia: Sequence[float]
 ) -> Iterator[tuple[int, int, complex]]:
@@ -216,33 +214,6 @@ def _couplings_of_links(
         for j, p in above:
             add(j, tree.frames[k], p.conjugate() * own)
     yield from ((j, k, value) for (j, k), value in found.items())
-
-
-def _carried(tree: Tree) -> tuple[list[float], list[complex], list[float]]:
-    """Of all that each link carries: its mass, its first moment B_k, and A_kk."""
-    links = tree.links
-    mass = [link.m + link.payload for link in links]
-    B = [link.r * link.m + link.l * link.payload for link in links]
-    inertia = [link.I + link.m * _square(link.r) + link.payload * link.l * link.l for link in links]
-    for k in reversed(tree.order):  # what link k carries acts on its parent at k's own joint
-        p, j = links[k].hangs_from.at, tree.parent[k]
-        if j is not None:
-            mass[j] += mass[k]
-            B[j] += p * mass[k]
-            inertia[j] += mass[k] * _square(p)
-    return mass, B, inertia
-
-
-def _largest(tree: Tree) -> Iterator[complex]:
-    """Numbers that are finite only where A is: the products' sizes, from below."""
-    _, B, inertia = _carried(tree)
-    yield from map(complex, inertia)
-    most = [max(abs(b.real), abs(b.imag)) for b in B]
-    for k in reversed(tree.order):
-        p, j = tree.links[k].hangs_from.at, tree.parent[k]
-        if j is not None:
-            most[j] = max(most[j], most[k])
-            yield complex(max(abs(p.real), abs(p.imag)) * most[k] * 2.0)
 
 
 def _rotors(tree: Tree) -> Iterator[Rotor]:

@@ -83,18 +83,18 @@ class SceneValues:
         root = yaml_tree.parse(scene, source) if isinstance(scene, str) else scene.tree
         self.base = description.from_tree(root, source)
         assert root is not None
-        self._root = _unshared(root)
+        self.root = _unshared(root)
         self._places = self._found()
         if isinstance(scene, Written) and scene.put:
             for values in scene.put:
                 self._put(values)
                 self._places = self._found()
-            self.base = description.from_tree(self._root, source)._replace(written=scene)
+            self.base = description.from_tree(self.root, source)._replace(written=scene)
 
     def _found(self) -> dict[str, _Place]:
         """Where the numbers stand, by all of their names."""
-        assert isinstance(self._root, yaml_tree.Mapping)
-        places = dict(_numbers(_Place(self._root, ""), self._root, "", "scene"))
+        assert isinstance(self.root, yaml_tree.Mapping)
+        places = dict(_numbers(_Place(self.root, ""), self.root, "", "scene"))
         for name, place in list(places.items()):
             if match := _OF_LINK.match(name):
                 named = f"links.{self.base.links[int(match[1])].name}.{name[match.end() :]}"
@@ -108,6 +108,16 @@ class SceneValues:
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
+
+    def place(self, name: str) -> tuple[yaml_tree.Mapping | Sequence, Node | None, str | int]:
+        """The collection that holds the number, what stands there, if anything, and where."""
+        place = self._places[name]
+        return place.around, place.node, place.at
+
+    def own_name(self, name: str) -> str:
+        """The name among `names` of the same number, as `links.forearm.m` is of `links[1].m`."""
+        place = self._places[name]
+        return next(x for x in self.names if self._places[x] is place)
 
     def number(self, name: str) -> float:
         """The number of this name, as the file has it, or 0 where it is left out."""
@@ -159,7 +169,7 @@ class SceneValues:
         undo = [(held, list(held)) for held in (self._places[name].held for name in values)]
         try:
             self._put(values)
-            found = description.from_tree(self._root, self.source)
+            found = description.from_tree(self.root, self.source)
         finally:
             for held, own in undo:
                 held[:] = own

@@ -89,6 +89,7 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
         slopes = {
             "dtau": Compared(dtau, (q, qd, qdd), dtau),
             "dqdd": Compared(dqdd, (q, qd), np.concatenate([dqdd, size], axis=-1)),
+            "regressor": Compared(Y := inertial_columns(mechanism, q, qd, qdd), (q, qd, qdd), Y),
         }
     return slopes | {
         "M": Compared(M, (q,), M),
@@ -116,6 +117,13 @@ def compared(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> dict[str,
             (np.abs(np.linalg.inv(M)) @ (passing + np.abs(torques))[..., None])[..., 0],
         ),
     }
+
+
+def inertial_columns(mechanism: Mechanism, q: Array, qd: Array, qdd: Array) -> Array:
+    """The regressor's columns (T, n, 4n) of m, m rx, m ry, J of each link."""
+    found = robodyn.regressor(mechanism, q, qd, qdd)
+    names = [f"{name}{k + 1}" for k in range(mechanism.n) for name in ("m", "mx", "my", "J")]
+    return found.Y[..., [found.names.index(name) for name in names]]
 
 
 def freedoms(mechanism: Mechanism) -> Array:

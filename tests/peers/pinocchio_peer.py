@@ -99,6 +99,22 @@ class Model:
         Minv = np.triu(Minv) + np.triu(Minv, 1).T
         return np.hstack([x[np.ix_(self.joints, self.joints)] for x in (by_q, by_qd, Minv)])
 
+    def tangents(self) -> dict[str, Callable[..., Array]]:
+        """What is exact of derivatives: of an open tree."""
+        return {
+            "dtau": self.slopes,
+            "dqdd": self.forward_slopes,
+            "regressor": self.regressor,
+        }
+
+    def regressor(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """The columns of m, m rx, m ry and Izz of each link, (n, 4n); the others are spatial."""
+        back = self.back
+        state = q[back], qd[back], qdd[back]
+        found = np.atleast_2d(pin.computeJointTorqueRegressor(self.model, self.data, *state))
+        places = [10 * (self.ids[k] - 1) + i for k in range(len(q)) for i in (0, 1, 2, 9)]
+        return found[np.ix_(self.joints, places)]
+
     def accelerations(self, q: Array, qd: Array) -> Array:
         """Without torques; closures by its proximal solver, whose normal row is empty."""
         state = q[self.back], qd[self.back], np.zeros(len(q))
@@ -279,7 +295,7 @@ def terms(mechanism: Mechanism) -> dict[str, Callable[..., Array]]:
         "bias": model.bias,
         "tau": closed if mechanism.rows else model.torques,
         "qdd": model.accelerations,
-        **({} if mechanism.rows else {"dtau": model.slopes, "dqdd": model.forward_slopes}),
+        **({} if mechanism.rows else model.tangents()),
         **model.tips.terms(),
     }
 

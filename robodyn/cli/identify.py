@@ -1,0 +1,121 @@
+"""`robodyn identify`: masses, inertias, friction and springs from measured torques."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated
+
+import numpy as np
+from typer import Option
+
+from robodyn.cli.files import input_argument, output_file
+from robodyn.cli.motion_files import MotionFile, read_motion
+from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options
+from robodyn.cli.output import Grid, note, row_writer, write_structure
+from robodyn.cli.states import remarks
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.identification import Identification, predicted
+from robodyn.parameters.identification import identify as identified
+from robodyn.parameters.scene_numbers import changes
+from robodyn.scene.rewrite import write_scene
+
+_DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
+_OF = "Numbers of the scene to find, links.forearm.m,links.forearm.I; else base parameters."
+_PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
+_CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
+_SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
+_RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
+LITTLE = 0.5  # of the torques' rms: where more is left, the scene does not tell the data
+
+
+def identify(
+    model: Model,
+    data: Annotated[str, input_argument("DATA", _DATA)],
+    of: Annotated[Text, Option("--of", metavar="NAMES", help=_OF)] = None,
+    physical: Annotated[bool, Option("--physical", help=_PHYSICAL)] = False,
+    cutoff: Annotated[Number, Option("--cutoff", metavar="HZ", help=_CUTOFF)] = None,
+    fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
+    residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
+    format: OutputStructured = None,
+) -> None:
+    """The parameters of a mechanism from its torques along a motion, by least squares.
+
+    Without --of the base parameters are found: what the torques depend on (see regressor --base).
+    Columns qd, qdd are used as they are; missing ones are found by quintic splines through t, after
+    a low-pass with --cutoff. JSON keys: rows, condition (of the columns that were fitted, each
+    scaled to 1), parameters (name, value, error: the standard error, scene: the scene's value,
+    unit), kept (what the data do not tell: it keeps the scene's number), rms and rms_torque (N m,
+    of what is left of the torques, and of the torques).
+
+    Joints are weighted by what a first fit leaves of their torques. The standard errors are those
+    of noise in the torques that is independent from row to row; noise in q is not in them.
+
+    \b
+    Examples:
+      robodyn identify robots/2r.yaml measured.csv --format table
+      robodyn identify robots/2r.yaml measured.csv --of links.forearm.m,links.forearm.I -o new.yaml
+      robodyn identify robots/2r.yaml measured.csv --cutoff 20 --physical --residuals left.csv
+    """
+    mechanism = model.load()
+    names = [] if of is None else [x.strip() for x in of.split(",")]
+    if "" in names:
+        raise InputError("--of", value=of, limit="a name is missing at a comma")
+    with remarks(), named_options(["cutoff"]):
+        motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
+        q, qd, qdd = motion.states
+        found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
+    left, all_of_it = (float(np.sqrt((x**2).sum())) for x in (found.rms, found.rms_torque))
+    if left > LITTLE * all_of_it:
+        text = f"{100 * left / all_of_it:.3g} % of the torques are not told by the scene"
+        note(f"Warning: {motion.source}: {text}; are these data of another mechanism?")
+    if found.kept:
+        note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
+    if residuals is not None:
+        _write_residuals(mechanism, found, motion, residuals)
+    joints = [k + 1 for k in mechanism.actuated]
+    content = {
+        "rows": found.rows,
+        "condition": found.condition,
+        "parameters": [x._asdict() for x in found.estimates],
+        "kept": list(found.kept),
+        "rms": {f"tau{k}": x for k, x in zip(joints, found.rms.tolist(), strict=True)},
+        "rms_torque": {
+            f"tau{k}": x for k, x in zip(joints, found.rms_torque.tolist(), strict=True)
+        },
+    }
+    if fitted is not None:
+        _write_scene(mechanism, model, found, fitted)
+    if "-" in (fitted, residuals):  # which took the place of the results
+        return
+    write_structure(format, None, content, lambda: list(_tables(found, joints)))
+
+
+def _write_scene(mechanism: Mechanism, model: Model, found: Identification, out: str) -> None:
+    if found.faults:
+        limit = f"is no scene: {', '.join(found.faults)}; --physical keeps to what can be"
+        raise RobodynError("what was found", where=out, limit=limit)
+    found_there = changes(mechanism.description, found.description, model.values())
+    write_scene(model.model, model.put() | found_there, out)
+
+
+def _write_residuals(
+    mechanism: Mechanism, found: Identification, motion: MotionFile, file: str
+) -> None:
+    left = motion.tau - predicted(mechanism, found, motion.states, motion.t)
+    columns = [f"residual{k + 1}" for k in mechanism.actuated]
+    with row_writer("csv", file, columns, motion.header) as writer:
+        writer.write_rows(motion.lines, left)
+
+
+def _tables(found: Identification, joints: list[int]) -> Iterator[Grid]:
+    rows = [
+        [x.name, f"{x.value:.6g}", f"{x.error:.2g}", f"{x.scene:.6g}", x.unit]
+        for x in found.estimates
+    ]
+    yield Grid(["parameter", "value", "standard error", "scene", "unit"], rows)
+    if found.kept:
+        yield Grid(["keeps the scene's number"], [[x] for x in found.kept])
+    left = zip(joints, found.rms, found.rms_torque, strict=True)
+    yield Grid(["torque", "rms", "rms of what is left"], [[f"tau{k}", y, x] for k, x, y in left])
+    yield Grid(["rows", "condition"], [[str(found.rows), f"{found.condition:.6g}"]])

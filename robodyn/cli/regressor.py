@@ -1,0 +1,121 @@
+"""`robodyn regressor`: the matrix that makes torques of parameters, and the base parameters."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from typer import Option
+
+from robodyn.cli.options import Model, Q, Qd, Qdd, States
+from robodyn.cli.output import Grid, StateOptions, write_structure
+from robodyn.cli.states import Quantity, evaluate, remarks
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.base_parameters import base_parameters, excited, structural
+from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import regressor as matrix
+
+_BASE = (
+    "The fewest combinations of parameters that torques depend on, with the scene's numbers; "
+    "with states the columns of these alone."
+)
+_CONDITION = (
+    "In place of the rows: the condition of the base parameters' columns, each scaled to 1, and "
+    "the combinations that the motion does not excite."
+)
+
+
+def regressor(
+    model: Model,
+    states: States = None,
+    q: Q = None,
+    qd: Qd = None,
+    qdd: Qdd = None,
+    base: Annotated[bool, Option("--base", help=_BASE)] = False,
+    condition: Annotated[bool, Option("--condition", help=_CONDITION)] = False,
+    rows: StateOptions = StateOptions(),
+) -> None:
+    """Y(q, qd, qdd): the torques are linear in masses, moments, dampers and springs, tau = Y pi.
+
+    Columns Y1_m2, ..: of actuated joint 1 by the mass of link 2, m2 (kg, payload included). The
+    others are mx2, my2 (its first moment m r in its own frame, kg m), J2 (its moment of inertia
+    about its own joint, kg m^2), d2 (damping of its joint), f2 (friction), Jr2 (its motor's rotor),
+    k1 (stiffness of spring 1), ds1 (its damping). Where the scene has loads, laws of springs or
+    stops, Y1_known is what they take: it counts once.
+
+    --base tells the base parameters: name, text (J1 + l1^2 m2), value, unit.
+
+    \b
+    Examples:
+      robodyn regressor robots/2r.yaml --q 30deg,45deg --qd 1,0.5
+      robodyn regressor robots/four-bar.yaml --base --format table
+      robodyn trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 | \\
+        robodyn regressor robots/2r.yaml - --condition
+    """
+    mechanism = model.load()
+    given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    if condition:
+        _tell_condition(mechanism, states, given, rows)
+        return
+    if base and states is None and q is None:
+        _tell_base(mechanism, rows)
+        return
+    names = [x.name for x in linear_parameters(mechanism.description)]
+    chosen = structural(mechanism).kept if base else list(range(len(names)))
+    joints = [k + 1 for k in mechanism.actuated]
+    columns = [f"Y{j}_{names[k]}" for j in joints for k in chosen]
+    loaded = bool(mechanism.description.loads or mechanism.laws or mechanism.limits)
+    columns += [f"Y{j}_known" for j in joints if loaded]
+
+    def compute(**motion: np.ndarray) -> np.ndarray:
+        found = matrix(mechanism, **motion)
+        Y = found.Y[..., chosen].reshape(len(found.Y), -1)
+        return np.concatenate([Y, found.known], axis=-1) if loaded else Y
+
+    evaluate(mechanism, states, given, columns, compute, rows)
+
+
+def _tell_base(mechanism: Mechanism, rows: StateOptions) -> None:
+    with remarks():
+        found = base_parameters(mechanism)
+    columns = ["name", "text", "value", "unit"]
+    content = [{"name": x.name, "text": x.text, "value": x.value, "unit": x.unit} for x in found]
+    content_rows = [[x.text, f"{x.value:.6g}", x.unit] for x in found]
+    format = "json" if rows.format == "csv" else rows.format
+    write_structure(format, rows.out, {"base": content}, lambda: [Grid(columns[1:], content_rows)])
+
+
+def _tell_condition(
+    mechanism: Mechanism, states: str | None, given: list[Quantity], rows: StateOptions
+) -> None:
+    from robodyn.cli.motion_files import read_motion
+
+    told = next((f"--{x.name}" for x in given if x.option is not None), None)
+    if states is None or told:
+        raise InputError(told or "--condition", limit="--condition takes a motion from STATES")
+    motion = read_motion(mechanism, states, torques=False)
+    with remarks():
+        base, kept = base_parameters(mechanism), structural(mechanism).kept
+        q, qd, qdd = motion.states
+        found = matrix(mechanism, q, qd, qdd, motion.t)
+    every = found.Y.reshape(-1, len(found.names))
+    Y, alike = every[:, kept], excited(mechanism, every)
+    value = None
+    if alike.kept:
+        scaled = Y[:, alike.kept] / np.linalg.norm(Y[:, alike.kept], axis=0)
+        singular = np.linalg.svd(np.linalg.qr(scaled, mode="r"), compute_uv=False)
+        value = float(singular[0] / singular[-1])
+    untold = [base[k].text for k in alike.dropped]
+    content = {"rows": len(motion.t), "condition": value, "not_excited": untold}
+    words = [str(len(motion.t)), "none" if value is None else f"{value:.6g}"]
+    format = "json" if rows.format == "csv" else rows.format
+    write_structure(
+        format,
+        rows.out,
+        content,
+        lambda: (
+            [Grid(["rows", "condition"], [words])]
+            + ([Grid(["not excited"], [[x] for x in untold])] if untold else [])
+        ),
+    )

@@ -1,0 +1,321 @@
+"""Base parameters: the fewest combinations of parameters that the torques depend on.
+
+Columns of Y over random states, scaled to unit norm, are taken one after the other; one that those
+before it already make, to rounding, is dropped, and its parameter joins theirs:
+
+    Y_d = sum_k Y_k beta_kd        base_k = pi_k + sum_d beta_kd pi_d
+
+Inertias and first moments come first, masses last, so that masses are moved to the links below, as
+textbooks do.  The factors beta are products and ratios of lengths of the scene: each is told in
+symbols where one is it in the scene and in another with all lengths changed a little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations_with_replacement, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
+from robodyn.dynamics.placed import matvec
+from robodyn.errors import RobodynError
+from robodyn.loops.change_points import nearness
+from robodyn.loops.closing import close_positions, loop_size
+from robodyn.loops.loop_rates import nearest_velocities
+from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import regressor
+from robodyn.scene.scene import Description, Point
+
+Array = NDArray[np.float64]
+
+STATES = 60  # drawn to find the base, each a row a motor
+TRIES = 20  # drawings of so many, until enough of them close
+FARTHEST = 0.05  # s/L of the states that are taken
+CLOSED = 1e-12  # of the loop's size, that a state's gap may have
+CUT = 1e-10  # part of a column that is rounding; of the examples 2e-13 is it, and 1e-3 is not
+EXCITED = 1e-7  # part of what random states do that a motion must do, to tell a number
+SAME = 1e-9  # relative, by which a factor is told
+MIXED = np.array([1.0, 0.739085133])  # of a value in both scenes: what they are sorted by
+SIZE = 0.03  # part by which lengths are changed to tell symbols that are equal by chance
+
+
+class Dependence(NamedTuple):
+    """Which columns are `kept`, which are `dropped`, and beta (kept, dropped).
+
+    `size` is the rms of every column.
+    """
+
+    kept: list[int]
+    dropped: list[int]
+    beta: Array
+    size: Array
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """One combination: pi of `name` and, times `factors`, the others; its value in the scene."""
+
+    name: str
+    text: str  # J1 + l1^2 m2
+    factors: tuple[tuple[str, float], ...]  # of the others
+    value: float
+    unit: str
+
+
+def dependence(Y: Array, names: Sequence[str], cut: float = CUT) -> Dependence:
+    """What the columns of Y (k, p) have in common, but for a part `cut` of them."""
+    size = np.linalg.norm(Y, axis=0)
+    most = float(size.max(initial=0.0))
+    order = sorted(range(len(names)), key=lambda k: _rank(names[k]))
+    kept: list[int] = []
+    Q = np.zeros((len(Y), 0))
+    for k in order:
+        if size[k] <= cut * most:
+            continue
+        rest = Y[:, k] / size[k]
+        for _ in range(2):  # twice is enough for all digits
+            rest = rest - Q @ (Q.T @ rest)
+        if (length := float(np.linalg.norm(rest))) > cut:
+            kept.append(k)
+            Q = np.column_stack([Q, rest / length])
+    kept.sort()
+    dropped = [k for k in range(len(names)) if k not in kept]
+    scaled = Y[:, kept] / size[kept]
+    found = np.linalg.lstsq(scaled, Y[:, dropped], rcond=None)[0]
+    rms = size / np.sqrt(max(len(Y), 1))
+    return Dependence(kept, dropped, found / size[kept][:, None], rms)
+
+
+def _rank(name: str) -> int:
+    """When a column is taken: masses last."""
+    kind = name.rstrip("0123456789")
+    return {"J": 0, "my": 1, "mx": 2, "m": 9, "Jr": 8}.get(kind, 5)
+
+
+@lru_cache(maxsize=16)
+def base_parameters(mechanism: Mechanism) -> tuple[BaseParameter, ...]:
+    """The base parameters of a mechanism.
+
+    Raises RobodynError where no states are found that close its loops.
+    """
+    parameters = linear_parameters(mechanism.description)
+    names, values = [x.name for x in parameters], np.array([x.value for x in parameters])
+    found = structural(mechanism)
+    other, changed = _changed(mechanism, found)
+    symbols = _Factors(_symbols(mechanism.description), _symbols(changed))
+    made = []
+    for i, k in enumerate(found.kept):
+        factors, text = [], names[k]
+        for j, d in enumerate(found.dropped):
+            beta = float(found.beta[i, j])
+            if abs(beta) <= SAME * max(1.0, np.abs(found.beta[:, j]).max()):
+                continue
+            beta2 = None if other is None else float(other.beta[i, j])
+            sign, told = symbols.told(beta, beta2)
+            text += f" {'+-'[sign < 0]} {told + ' ' if told else ''}{names[d]}"
+            factors.append((names[d], beta))
+        value = values[k] + sum(f * values[names.index(name)] for name, f in factors)
+        made.append(BaseParameter(names[k], text, tuple(factors), float(value), parameters[k].unit))
+    return tuple(made)
+
+
+@lru_cache(maxsize=16)
+def structural(mechanism: Mechanism) -> Dependence:
+    """What the columns of Y have in common at all states."""
+    q, qd, qdd = random_states(mechanism)
+    found = regressor(mechanism, q, qd, qdd)
+    return dependence(found.Y.reshape(-1, len(found.names)), found.names)
+
+
+def excited(mechanism: Mechanism, Y: Array) -> Dependence:
+    """Which of the base parameters a motion with the regressor Y (k, p) tells, by their order."""
+    base = structural(mechanism)
+    names = [x.name for x in linear_parameters(mechanism.description)]
+    scaled = Y[:, base.kept] / base.size[base.kept]
+    return dependence(scaled, [names[k] for k in base.kept], EXCITED)
+
+
+def random_states(mechanism: Mechanism, count: int = STATES, seed: int = 0) -> list[Array]:
+    """q, qd, qdd (count, n) of closed states, none near a singular one.
+
+    Raises RobodynError where they are not found.
+    """
+    rng, n, units = np.random.default_rng(seed), mechanism.n, mechanism.arrays.units
+    poses = np.zeros((0, n))
+    for _ in range(TRIES):
+        q = rng.uniform(-np.pi, np.pi, (4 * count, n)) * units
+        if mechanism.rows:
+            q = close_positions(mechanism, q)
+            good = np.isfinite(q).all(axis=-1)
+            q = q[good]
+            gap = np.abs(closure_gap(mechanism, q)).max(axis=-1)
+            closed = gap <= CLOSED * loop_size(mechanism)
+            q = q[closed]
+            if len(q):
+                q = q[nearness(mechanism, scaled_jacobian(mechanism, q)) >= FARTHEST]
+        poses = np.concatenate([poses, q])[:count]
+        if len(poses) == count:
+            break
+    if len(poses) < min(count, 8):
+        limit = "no states were found that close its loops, to tell the base parameters from"
+        raise RobodynError("base parameters", where=mechanism.source, limit=limit)
+    qd, qdd = (rng.normal(size=poses.shape) * units for _ in range(2))
+    if mechanism.rows:
+        qd = nearest_velocities(mechanism, poses, qd)
+        Psi = scaled_jacobian(mechanism, poses)
+        opening = matvec(Psi, qdd / units) + closure_bias(mechanism, poses, qd)
+        qdd = qdd - units * matvec(np.linalg.pinv(Psi), opening)
+    return [poses, qd, qdd]
+
+
+# -- factors in symbols ---------------------------------------------------------------------------
+
+Symbol = tuple[str, float]
+
+
+def _symbols(description: Description) -> list[Symbol]:
+    """The lengths and ratios of a scene, by the names that equations have for them."""
+    links = description.links
+    found: list[Symbol] = []
+
+    def point(name: str, at: Point) -> None:
+        if at.link is None:
+            return
+        if at.at == links[at.link].l:
+            return
+        found.extend((f"{name}{axis}", x) for axis, x in (("x", at.at.real), ("y", at.at.imag)))
+
+    for k, link in enumerate(links, start=1):
+        found.append((f"l{k}", link.l))
+        point(f"p{k}", link.hangs_from)
+        if link.motor is not None:
+            found.append((f"N{k}", link.motor.ratio))
+    for c, closure in enumerate(description.closures, start=1):
+        point(f"a{c}", closure.first)
+        if closure.along is None:
+            point(f"b{c}", closure.second)
+    for c, coupling in enumerate(description.couplings, start=1):
+        found += [(f"i{c}_{k + 1}", ratio) for k, ratio in coupling.terms]
+    return [(name, float(x)) for name, x in found]
+
+
+def _changed(mechanism: Mechanism, found: Dependence) -> tuple[Dependence | None, Description]:
+    """The same of the scene with other lengths, and that; None where other columns are kept."""
+    base = mechanism.description
+    rng = np.random.default_rng(1)
+
+    def near(x: float) -> float:
+        return x * (1.0 + float(rng.uniform(-SIZE, SIZE)))
+
+    lengths = [near(link.l) for link in base.links]
+
+    def moved(at: Point) -> Point:
+        if at.link is not None and at.at == base.links[at.link].l:
+            return at._replace(at=complex(lengths[at.link]))
+        return at._replace(at=complex(near(at.at.real), near(at.at.imag)))
+
+    links = tuple(
+        link._replace(
+            l=length,
+            hangs_from=moved(link.hangs_from),
+            motor=link.motor and link.motor._replace(ratio=near(link.motor.ratio)),
+        )
+        for link, length in zip(base.links, lengths, strict=True)
+    )
+    closures = tuple(
+        x._replace(first=moved(x.first), second=moved(x.second)) for x in base.closures
+    )
+    couplings = tuple(
+        x._replace(terms=tuple((k, near(ratio)) for k, ratio in x.terms)) for x in base.couplings
+    )
+    changed = base._replace(links=links, closures=closures, couplings=couplings)
+    try:
+        other = structural(build(changed))
+    except RobodynError:
+        return None, changed
+    return (other if other.kept == found.kept else None), changed
+
+
+class _Factors:
+    """What factors may be in symbols, each in the scene and in that with other lengths.
+
+    A product of up to three lengths or ratios, or the square of where a joint or a pin is on its
+    link, over a product of up to two; or a sum or difference of two of these.
+    """
+
+    def __init__(self, scene: Sequence[Symbol], changed: Sequence[Symbol]) -> None:
+        pairs = zip(scene, changed, strict=True)
+        both = {name: np.array([x, y]) for (name, x), (_, y) in pairs if x and y}
+        above = {"": np.ones(2)} | _products(both, 3)
+        for name in [x for x in both if x.endswith("x") and f"{x[:-1]}y" in both]:
+            square = both[name] ** 2 + both[f"{name[:-1]}y"] ** 2
+            text = f"({name}^2 + {name[:-1]}y^2)"
+            above |= {text: square} | {f"{a} {text}": x * square for a, x in both.items()}
+        below = {"": np.ones(2)} | _products(both, 2)
+        ratios = np.array(list(above.values()))[:, None] / np.array(list(below.values()))
+        lengths = np.add.outer([len(x) for x in above], [len(x) for x in below]).ravel()
+        shortest = np.argsort(lengths, kind="stable")
+        values = ratios.reshape(-1, 2)[shortest]
+        _, first = np.unique(np.round(np.log(np.abs(values @ MIXED)), 11), return_index=True)
+        order = first[np.argsort(values[first] @ MIXED)]
+        self.values = values[order]  # (k, 2), each once
+        self.keys = self.values @ MIXED  # which rise
+        self.lengths, places = lengths[shortest][order], shortest[order]
+        self.texts = [divmod(place, len(below)) for place in places.tolist()]
+        self.above, self.below = list(above), list(below)
+
+    def told(self, beta: float, other: float | None) -> tuple[float, str]:
+        """The sign of a factor, and it in symbols, or as a number; nothing where it is 1."""
+        sign = 1.0 if beta > 0.0 else -1.0
+        if other is None:
+            return sign, "" if abs(abs(beta) - 1.0) <= SAME else f"{abs(beta):.12g}"
+        wanted = np.array([beta, other])
+        for way in (1.0, -1.0):
+            nearest, same = self._nearest(way * wanted[None], np.abs(wanted))
+            if same[0]:
+                return way, self._text(int(nearest[0]))
+        size = np.abs(self.values) + np.abs(wanted)
+        found = []  # of two terms: beta = way (A - second B)
+        for way, second in product((1.0, -1.0), repeat=2):
+            k, close = self._nearest(second * (self.values - way * wanted), size)
+            for i in np.flatnonzero(close).tolist():
+                length = int(self.lengths[i] + self.lengths[k[i]])
+                found.append((length, -way, i, int(k[i]), "+-"[second > 0.0]))
+        if not found:
+            return sign, f"{abs(beta):.12g}"
+        _, way, i, j, second_sign = min(found)
+        return -way, f"({self._text(i)} {second_sign} {self._text(j)})"
+
+    def _nearest(self, wanted: Array, size: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Which value is next to each of (m, 2), and whether it is the same in both scenes."""
+        keys = wanted @ MIXED
+        k = np.searchsorted(self.keys, keys).clip(1, len(self.keys) - 1)
+        k = k - (keys - self.keys[k - 1] < self.keys[k] - keys)
+        close = (np.abs(self.values[k] - wanted) <= SAME * size).all(axis=-1)
+        return k, close
+
+    def _text(self, k: int) -> str:
+        i, j = self.texts[k]
+        text, under = str(self.above[i]), self.below[j]
+        if under:
+            text = f"{text or 1}/{f'({under})' if ' ' in under else under}"
+        return text
+
+
+def _products(symbols: dict[str, Array], most: int) -> dict[str, Array]:
+    """Products of up to so many of them, as l1^2 l2."""
+    found = {}
+    for count in range(1, most + 1):
+        for names in combinations_with_replacement(symbols, count):
+            parts = [
+                name if (power := names.count(name)) == 1 else f"{name}^{power}"
+                for name in dict.fromkeys(names)
+            ]
+            found[" ".join(parts)] = np.prod([symbols[name] for name in names], axis=0)
+    return found

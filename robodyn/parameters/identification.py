@@ -1,0 +1,340 @@
+"""Parameters of a mechanism from its torques along a motion, by least squares.
+
+The rows Y pi = tau - known are reduced to a triangle R for each actuated joint, block by block, so
+that memory holds one block however long the motion is.  Joints are weighted by what the first fit
+leaves of their torques.  With r = R pi - s, what changes from the scene's pi0 is either
+
+    base parameters    linear: columns that others make, at all states or in this motion, keep the
+                       scene's numbers
+    named numbers      masses, centres of gravity, .. x, by Gauss and Newton: r(pi(x))
+
+With `physical`, where what was found is no body (m > 0, I > 0, no damping below 0), the numbers are
+sought between these bounds, by scipy's least_squares.
+
+The standard errors are those of independent noise of each joint's torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters import scene_numbers
+from robodyn.parameters.base_parameters import (
+    EXCITED,
+    base_parameters,
+    dependence,
+    excited,
+    structural,
+)
+from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import regressor
+from robodyn.scene.scene import Description
+
+Array = NDArray[np.float64]
+
+BLOCK = 1 << 14  # states whose Y is held at once
+QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
+PASSES = 50  # of Gauss and Newton
+SETTLED = 1e-13  # part of the numbers by which the last of these changes them
+TIGHT = 1e-14  # of scipy's tolerances
+HOLD = 1e-7  # weight of the scene's own numbers, beside the data's, where these tell nothing
+
+
+class Estimate(NamedTuple):
+    """A number that was found, its standard error, and what the scene has."""
+
+    name: str
+    value: float
+    error: float
+    scene: float
+    unit: str = ""
+
+
+class Identification(NamedTuple):
+    """What was found.
+
+    `kept` are combinations or numbers that the data do not tell, and which keep the scene's; the
+    `condition` is that of the columns that were fitted, each scaled to 1.  `rms` (a,) is what is
+    left of the actuated joints' torques, `rms_torque` what they are.
+    """
+
+    estimates: tuple[Estimate, ...]
+    kept: tuple[str, ...]
+    condition: float
+    rows: int
+    rms: Array
+    rms_torque: Array
+    description: Description  # the scene with the numbers that were found
+    pi: Array  # its parameters, in the order of `linear_parameters`
+    faults: tuple[str, ...]  # why that is no scene, if it is none
+
+
+def identify(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    tau: ArrayLike,
+    t: ArrayLike = 0.0,
+    of: Sequence[str] = (),
+    physical: bool = False,
+) -> Identification:
+    """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
+
+    Base parameters, or the numbers `of` these names, such as `links.forearm.m`.  Raises InputError
+    for arrays that do not fit, too few rows, and a motion that tells nothing.
+    """
+    states = [np.asarray(x, float) for x in (q, qd, qdd)]
+    torques = np.asarray(tau, float)
+    a = len(mechanism.actuated)
+    if torques.shape != (len(states[0]), a):
+        limit = f"must be ({len(states[0])}, {a}): a row a state, a column an actuated joint"
+        raise InputError("tau.shape", value=torques.shape, limit=limit)
+    data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
+    return _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
+
+
+def predicted(
+    mechanism: Mechanism, found: Identification, states: Sequence[Array], t: Array
+) -> Array:
+    """The torques (T, a) that the parameters found give along q, qd, qdd (T, n)."""
+    blocks = []
+    for begin in range(0, len(t), BLOCK):
+        q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
+        Y = regressor(mechanism, q, qd, qdd, now)
+        blocks.append(Y.Y @ found.pi + Y.known)
+    return np.concatenate(blocks)
+
+
+class _Data:
+    """The triangles of the rows Y (pi - pi0) = tau - tau0, joints weighted."""
+
+    def __init__(self, mechanism: Mechanism, states: Sequence[Array], tau: Array, t: Array) -> None:
+        self.mechanism, self.rows = mechanism, len(tau)
+        self.joints = len(mechanism.actuated)
+        parameters = linear_parameters(mechanism.description)
+        self.names = [x.name for x in parameters]
+        self.now = np.array([x.value for x in parameters])
+        p = len(parameters)
+        triangles: list[Array] = [np.zeros((0, p + 1))] * self.joints
+        for begin in range(0, len(tau), BLOCK):
+            q, qd, qdd, now = (x[begin : begin + BLOCK] for x in (*states, t))
+            found = regressor(mechanism, q, qd, qdd, now)
+            left = tau[begin : begin + BLOCK] - found.Y @ self.now - found.known
+            for i, triangle in enumerate(triangles):
+                rows = np.column_stack([found.Y[:, i], left[:, i]])
+                triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")  # type: ignore
+                triangles[i] = triangle
+        self.triangles = triangles
+        self.rms_torque = np.sqrt((tau**2).mean(axis=0)) if len(tau) else np.zeros(self.joints)
+        self.weights = np.ones(self.joints)
+        self._weigh()
+
+    def _weigh(self) -> None:
+        stacked = np.concatenate([x / w for x, w in zip(self.triangles, self.weights, strict=True)])
+        self.R, self.s = stacked[:, :-1], stacked[:, -1]
+
+    def enough(self, unknowns: int) -> None:
+        """Raise InputError where there are not more rows than unknowns."""
+        if (rows := self.rows * self.joints) <= unknowns:
+            limit = f"must be more: {unknowns} numbers are unknown, of {self.joints} torques a row"
+            raise InputError("rows", value=rows // max(self.joints, 1), limit=limit)
+
+    def left(self, change: Array) -> Array:
+        """The rms of each joint's torque that pi0 + change leaves."""
+        squares = [((x[:, :-1] @ change - x[:, -1]) ** 2).sum() for x in self.triangles]
+        return np.sqrt(np.array(squares) / max(self.rows, 1))
+
+    def weigh(self, change: Array) -> None:
+        """Weight the joints by what pi0 + change leaves of their torques."""
+        least = QUIET * self.rms_torque
+        self.weights = np.maximum(self.left(change), np.where(least > 0.0, least, 1.0))
+        self._weigh()
+
+    def errors(self, J: Array, change: Array) -> tuple[Array, float]:
+        """Standard errors of what the columns J (rows of R, k) are of, and their condition."""
+        size = np.linalg.norm(J, axis=0)
+        scaled = J / size
+        singular = np.linalg.svd(scaled, compute_uv=False)
+        free = self.rows * self.joints - J.shape[1]
+        square = ((self.R @ change - self.s) ** 2).sum() / max(free, 1)
+        inverse = np.linalg.inv(np.linalg.qr(scaled, mode="r"))
+        spread = np.sqrt((inverse**2).sum(axis=1) * square) / size
+        return spread, float(singular[0] / singular[-1])
+
+
+def _nothing(mechanism: Mechanism, names: Sequence[str]) -> InputError:
+    limit = f"the motion tells nothing of {', '.join(names)}"
+    return InputError("no excitation", where=mechanism.source, limit=limit)
+
+
+def _base(mechanism: Mechanism, data: _Data, physical: bool) -> Identification:
+    """Base parameters: of what others make, and of what the motion does not tell, nothing moves."""
+    kept, scene = structural(mechanism).kept, mechanism.description
+    data.enough(len(kept))
+    found = excited(mechanism, data.R)
+    if not found.kept:
+        raise _nothing(mechanism, [x.text for x in base_parameters(mechanism)])
+    columns = [kept[k] for k in found.kept]
+    change = np.zeros(len(data.names))
+
+    def solve() -> None:
+        change[columns] = np.linalg.lstsq(data.R[:, columns], data.s, rcond=None)[0]
+
+    for _ in range(2):
+        solve()
+        data.weigh(change)
+    solve()
+    made = scene_numbers.from_parameters(scene, data.names, data.now + change)
+    if physical and scene_numbers.checked(made)[1]:
+        sought = _Numbers(data, scene, list(scene_numbers.all_places(scene).values()))
+        made = sought.described(sought.bounded(sought.before, hold=True))
+        change = scene_numbers.values_of(made) - data.now
+    errors, condition = data.errors(data.R[:, columns], change)
+    structure, base = structural(mechanism), base_parameters(mechanism)
+    combined = change[kept] + structure.beta @ change[structure.dropped]
+    estimates = tuple(
+        Estimate(x.text, x.value + moved, error, x.value, x.unit)
+        for x, moved, error in zip(
+            (base[k] for k in found.kept),
+            combined[found.kept].tolist(),
+            errors.tolist(),
+            strict=True,
+        )
+    )
+    untold = tuple(base[k].text for k in found.dropped)
+    return _result(data, estimates, untold, condition, change, made)
+
+
+def _named(mechanism: Mechanism, data: _Data, of: Sequence[str], physical: bool) -> Identification:
+    """Numbers of the scene."""
+    scene = mechanism.description
+    where = [scene_numbers.place_of(scene, name) for name in of]
+    if len(set(where)) < len(of):
+        raise InputError(", ".join(of), limit="name one number twice")
+    data.enough(len(of))
+    slopes = scene_numbers.slopes(scene, where)
+    usual = np.abs(slopes).T @ structural(mechanism).size  # at random states
+    found = dependence(data.R @ slopes / np.where(usual > 0.0, usual, 1.0), of, EXCITED)
+    if not found.kept:
+        raise _nothing(mechanism, of)
+    sought = _Numbers(data, scene, [where[k] for k in found.kept])
+    x = sought.before
+    for _ in range(2):
+        x = sought.free(x)
+        data.weigh(sought.change(x))
+    x = sought.free(x)
+    if physical and (x < sought.least).any():
+        x = sought.bounded(x, hold=False)
+    change = sought.change(x)
+    errors, condition = data.errors(data.R @ sought.slopes(x), change)
+    estimates = tuple(
+        Estimate(of[k], value, error, before, scene_numbers.unit_of(scene, where[k]))
+        for k, value, error, before in zip(
+            found.kept, x.tolist(), errors.tolist(), sought.before.tolist(), strict=True
+        )
+    )
+    untold = tuple(of[k] for k in found.dropped)
+    return _result(data, estimates, untold, condition, change, sought.described(x))
+
+
+class _Numbers:
+    """Numbers x at places of a scene, and what fits the data best."""
+
+    def __init__(
+        self, data: _Data, scene: Description, where: Sequence[scene_numbers.Place]
+    ) -> None:
+        self.data, self.scene, self.where = data, scene, where
+        self.before = np.array([scene_numbers.number_at(scene, x) for x in where])
+        self.least = np.array([scene_numbers.least_of(scene, x) for x in where])
+
+    def described(self, x: Array) -> Description:
+        """The scene with them."""
+        return scene_numbers.with_numbers(self.scene, self.where, x)
+
+    def change(self, x: Array) -> Array:
+        """pi less the scene's."""
+        found: Array = scene_numbers.values_of(self.described(x)) - self.data.now
+        return found
+
+    def slopes(self, x: Array) -> Array:
+        """d pi by x."""
+        return scene_numbers.slopes(self.described(x), self.where)
+
+    def left(self, x: Array) -> Array:
+        """What is left of the torques."""
+        found: Array = self.data.R @ self.change(x) - self.data.s
+        return found
+
+    def free(self, x: Array) -> Array:
+        """Gauss and Newton's steps, each cut in halves until it makes what is left no greater."""
+        r = self.left(x)
+        for _ in range(PASSES):
+            J = self.data.R @ self.slopes(x)
+            size = np.linalg.norm(J, axis=0)
+            size[size == 0.0] = 1.0
+            step = np.linalg.lstsq(J / size, -r, rcond=None)[0] / size
+            part = 1.0
+            while part > SETTLED and np.linalg.norm(self.left(x + part * step)) > np.linalg.norm(r):
+                part /= 2.0
+            x = x + part * step
+            r = self.left(x)
+            if (np.abs(part * step) <= SETTLED * np.maximum(np.abs(x), SETTLED)).all():
+                break
+        return x
+
+    def bounded(self, x: Array, hold: bool) -> Array:
+        """Those of bodies that can be; with `hold` what the data do not tell stays near."""
+        from scipy.optimize import least_squares
+
+        data = self.data
+        size = np.sqrt(data.rows * ((data.rms_torque / data.weights) ** 2).sum())
+        usual = np.where(self.before == 0.0, 1.0, np.abs(self.before))
+        weight = (HOLD * size if hold else 0.0) / usual
+
+        def left(x: Array) -> Array:
+            return np.concatenate([self.left(x), weight * (x - self.before)])
+
+        def slopes(x: Array) -> Array:
+            return np.concatenate([data.R @ self.slopes(x), np.diag(weight)])
+
+        found = least_squares(
+            left,
+            np.maximum(x, self.least),
+            slopes,
+            bounds=(self.least, np.inf),
+            x_scale="jac",
+            ftol=TIGHT,
+            xtol=TIGHT,
+            gtol=TIGHT,
+        )
+        result: Array = found.x
+        return result
+
+
+def _result(
+    data: _Data,
+    estimates: tuple[Estimate, ...],
+    kept: tuple[str, ...],
+    condition: float,
+    change: Array,
+    described: Description,
+) -> Identification:
+    described, faults = scene_numbers.checked(described)
+    return Identification(
+        estimates,
+        kept,
+        condition,
+        data.rows,
+        data.left(change),
+        data.rms_torque,
+        described,
+        data.now + change,
+        faults,
+    )

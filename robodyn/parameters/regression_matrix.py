@@ -1,0 +1,139 @@
+"""Y(q, qd, qdd) with tau = Y pi + known: the regressor of inverse dynamics, open or closed.
+
+The torques are linear in the parameters pi (`linear_parameters.py`), so the columns of Y are the
+tangents of the formula of inverse dynamics, exact; what is left at pi = 0 is known.  Where no
+formula eliminates the pins' forces, the columns are loads that actuators and pins must balance.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.dense_dynamics import balanced, check_actuators
+from robodyn.dynamics.dynamics import PIVOT_CUT
+from robodyn.dynamics.placed import finite, n_wide
+from robodyn.dynamics.sticking import modes_of
+from robodyn.engines.expression import Graph, Value
+from robodyn.engines.formula_rows import FormulaRows
+from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
+from robodyn.engines.tangents import substituted, tangents
+from robodyn.errors import InputError, SingularError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import in_mode
+from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
+
+Array = NDArray[np.float64]
+RATES = ("qd", "qdd")
+BLOCK = 4096  # states whose pins are balanced at once
+
+
+class Regressor(NamedTuple):
+    """Y (..., a, p) of a actuated joints and p parameters, and the torques `known` (..., a)."""
+
+    Y: Array
+    known: Array
+    names: tuple[str, ...]  # (p,) of the parameters
+    values: Array  # (p,) what they are in the scene
+
+
+def regressor(
+    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
+) -> Regressor:
+    """Y and what is known, so that the actuated joints' torques are Y @ values + known.
+
+    q, qd, qdd are (..., n) and broadcast.  Raises as `inverse_dynamics` does.
+    """
+    given = {"q": q, "qd": qd, "qdd": qdd}
+    arrays = [finite(name, n_wide(mechanism, name, x)) for name, x in given.items()]
+    try:
+        states = dict(zip(given, np.broadcast_arrays(*arrays), strict=True))
+        shape = states["q"].shape[:-1]
+        times = np.broadcast_to(finite("t", np.asarray(t, float)), shape).ravel()
+    except ValueError:
+        shapes = ", ".join(str(array.shape) for array in arrays)
+        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+    check_actuators(mechanism, states["q"])
+    flat = {name: array.reshape(-1, mechanism.n) for name, array in states.items()}
+    parameters = linear_parameters(mechanism.description)
+    a, p = len(mechanism.actuated), len(parameters)
+    if mechanism.switches:
+        Y, known = np.empty((len(times), a * p)), np.empty((len(times), a))
+        for mode, which in modes_of(mechanism, "inverse", flat, times).items():
+            part = [x[which] for x in flat.values()]
+            Y[which], known[which] = _smooth(in_mode(mechanism, mode), part, times[which])
+    else:
+        Y, known = _smooth(mechanism, list(flat.values()), times)
+    names, values = (tuple(x.name for x in parameters), np.array([x.value for x in parameters]))
+    return Regressor(Y.reshape(*shape, a, p), known.reshape(*shape, a), names, values)
+
+
+def _smooth(mechanism: Mechanism, states: list[Array], times: Array) -> tuple[Array, Array]:
+    """Y (T, a p) and what is known (T, a) of a mechanism whose equations are the same."""
+    every = [*states, times[:, None]] if mechanism.timed else states
+    solved = _rows(mechanism, True)
+    if solved is None:
+        return _shared_out(mechanism, every)
+    (Y, known), doubtful = solved.run(every, 2, lambda: None)
+    if doubtful.size:
+        if not mechanism.rows:
+            state = ", ".join(f"{x:.9g}" for x in states[0][doubtful[0]])
+            limit = "the regressor is not finite: the ends of a spring coincide, or a table ends"
+            raise SingularError(f"q = {state}", where=mechanism.source, limit=limit)
+        Y[doubtful], known[doubtful] = _shared_out(mechanism, [x[doubtful] for x in every])
+    return Y, known
+
+
+def _shared_out(mechanism: Mechanism, every: list[Array]) -> tuple[Array, Array]:
+    """The same from loads: what the actuators give of a unit of load at each joint."""
+    rows, n = _rows(mechanism, False), mechanism.n
+    assert rows is not None
+    p, driven = len(linear_parameters(mechanism.description)), list(mechanism.actuated)
+    found = np.empty((len(every[0]), len(driven), p + 1))
+    for begin in range(0, len(found), BLOCK):
+        part = [x[begin : begin + BLOCK] for x in every]
+        (Y, known), _ = rows.run(part, 2, lambda: None)
+        loads = np.concatenate([Y.reshape(-1, n, p), known[:, :, None]], axis=-1)
+        unit = np.broadcast_to(np.eye(n), (len(part[0]), n, n))
+        shares = balanced(mechanism, part[0][:, None], unit).tau[..., driven]
+        found[begin : begin + BLOCK] = np.swapaxes(shares, -1, -2) @ loads
+    return found[..., :p].reshape(len(found), -1), found[..., p]
+
+
+@lru_cache(maxsize=64)
+def _rows(mechanism: Mechanism, solved: bool) -> FormulaRows | None:
+    """Y and what is known of the actuated torques, where they are `solved` for, else of loads.
+
+    None where there is no such formula.
+    """
+    if solved and (len(mechanism.passive) != len(mechanism.rows) or len(mechanism.rows) > 2):
+        return None
+    names = [x.name for x in linear_parameters(mechanism.description)]
+
+    def write(by_direction: bool) -> Formula:
+        graph = Graph()
+        named = with_parameters(mechanism, {name: graph.variable(name) for name in names})
+        state = Recorded(named, RATES, by_direction, graph=graph)
+        pivots: tuple[Value, ...] = ()
+        if solved:
+            formula = inverse_of(state)
+            tau, pivots = [formula.outputs[k] for k in mechanism.actuated], formula.pivots
+        else:
+            n = mechanism.n
+            series = state.series([0.0] * n, accelerated=True)
+            series.residuals(0)
+            tau = balance(state, series)
+        slopes = tangents(tau, names)
+        known = substituted(tau, dict.fromkeys(names, 0.0))
+        Y = [slope.get(name, 0.0) for slope in slopes for name in names]
+        return Formula(state.inputs + state.timed, (*Y, *known), pivots)
+
+    formula = cheapest(write)
+    if formula is None:
+        return None
+    count = len(mechanism.actuated) if solved else mechanism.n
+    widths = (count * len(names), count)
+    return FormulaRows(formula, lambda _: formula, widths, PIVOT_CUT)

@@ -1,0 +1,160 @@
+"""A scene's text with other numbers in it; comments, order and layout stay as they are.
+
+A number that the file leaves out (`payload`, `damping`, `gravity`) is added to its mapping.  What
+was written is read again: every number that was given must be there, and every other one as before.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from robodyn.errors import InputError
+from robodyn.scene import yaml_tree
+from robodyn.scene.description import from_text
+from robodyn.scene.scene import Table, signals_of
+from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.yaml_values import nearest
+from robodyn.tables.output_file import open_output
+
+Change = tuple[int, int, str]  # from, to, and what takes its place
+
+
+def write_scene(
+    source: str | Path, values: Mapping[str, float | Sequence[float]], out: str | None
+) -> None:
+    """Write the scene file `source` to `out`, all or nothing, with these numbers.
+
+    Raises as `rewritten`, and InputError where `out` cannot be created, or where the scene names
+    tables beside it and `out` is in another folder.
+    """
+    text = rewritten(yaml_tree.read_text(Path(source)), str(source), values)
+    signals = signals_of(from_text(text, str(source)))
+    table = next((x.file for _, x in signals if isinstance(x, Table)), None)
+    there = None if out in (None, "-") else Path(str(out)).parent
+    if table and there and there.resolve() != Path(source).parent.resolve():
+        limit = f"must be in the folder of {source}, which names {table} from there"
+        raise InputError("the scene", where=str(out), limit=limit)
+    with open_output(out) as stream:
+        stream.write(text.encode())
+
+
+def rewritten(text: str, source: str, values: Mapping[str, float | Sequence[float]]) -> str:
+    """The scene's text with these numbers, by name; a vector [x, y] is two of them.
+
+    Raises InputError for a name that is none, for one that the file shares by an alias, and for a
+    place that cannot be written; DescriptionError for numbers that no scene may have.
+    """
+    old = SceneValues(text, source)
+    for name in values:
+        if name not in old:
+            near = nearest(name, old.names)
+            raise InputError(name, where=source, limit=f"is no number of the scene{near}")
+    values = {old.own_name(name): value for name, value in values.items()}
+    if clash := old.clash(values):
+        raise InputError(" and ".join(clash), where=source, limit="are one number: give it once")
+    nodes = _Nodes(text, old.root)
+    changes = []
+    for name, value in values.items():
+        change = nodes.change(*old.place(name), _written(value))
+        if change is None:
+            limit = "is written by an alias, or in a way that cannot be changed: write it out"
+            raise InputError(name, where=source, limit=limit)
+        changes.append(change)
+    for begin, end, new in sorted(changes, key=lambda change: change[:2], reverse=True):
+        text = text[:begin] + new + text[end:]
+    _check(old, SceneValues(text, source), values)
+    return text
+
+
+def _written(value: float | Sequence[float]) -> str:
+    if isinstance(value, Sequence):
+        return f"[{', '.join(repr(float(x)) for x in value)}]"
+    return repr(float(value))
+
+
+class _Nodes:
+    """Where the values of a text stand: PyYAML's nodes, beside those of the strict reader."""
+
+    def __init__(self, text: str, root: yaml_tree.Node) -> None:
+        self.text = text
+        self._found: dict[int, yaml.Node] = {}
+        self._seen: Counter[int] = Counter()  # how often each is used: an alias is its anchor's
+        composed = yaml.compose(text, Loader=yaml.SafeLoader)
+        assert composed is not None
+        self._pair(root, composed)
+
+    def _pair(self, own: yaml_tree.Node, node: yaml.Node) -> None:
+        self._found[id(own)] = node
+        self._seen[id(node)] += 1
+        if isinstance(own, yaml_tree.Sequence):
+            for item, other in zip(own.items, node.value, strict=True):
+                self._pair(item, other)
+        elif isinstance(own, yaml_tree.Mapping):
+            for (_, value), (_, other) in zip(own.pairs, node.value, strict=True):
+                self._pair(value, other)
+
+    def change(
+        self,
+        around: yaml_tree.Mapping | yaml_tree.Sequence,
+        node: yaml_tree.Node | None,
+        at: str | int,
+        new: str,
+    ) -> Change | None:
+        """The change that puts `new` in this place; None where it is no place of its own."""
+        if node is None:
+            return self._addition(self._found[id(around)], f"{at}: {new}")
+        found = self._found[id(node)]
+        if self._seen[id(found)] > 1 or not _inline(found):
+            return None
+        begin: int = found.start_mark.index
+        return begin, found.end_mark.index, new
+
+    def _addition(self, mapping: Any, new: str) -> Change | None:
+        """The change that adds a pair after the last that ends on a line of its own."""
+        if self._seen[id(mapping)] > 1:
+            return None
+        if mapping.flow_style:
+            if not mapping.value:
+                end: int = mapping.end_mark.index - 1
+                return end, end, new
+            last = mapping.value[-1][1]
+            end = last.end_mark.index
+            return None if self._seen[id(last)] > 1 else (end, end, f", {new}")
+        first = mapping.value[0][0].start_mark
+        own = [x for _, x in mapping.value if self._seen[id(x)] == 1 and _inline(x)]
+        if not own:  # before the first, as "- name: .." may begin
+            return first.index, first.index, new + "\n" + " " * first.column
+        end = own[-1].end_mark.index
+        line = self.text.find("\n", end)
+        end = len(self.text) if line < 0 else line - (self.text[line - 1] == "\r")
+        newline = "\r\n" if "\r\n" in self.text else "\n"
+        return end, end, newline + " " * first.column + new
+
+
+def _inline(node: Any) -> bool:
+    """Whether it ends where its last character is, as a block does not."""
+    if isinstance(node, yaml.ScalarNode):
+        return node.style not in ("|", ">")
+    return bool(node.flow_style)
+
+
+def _check(
+    old: SceneValues, new: SceneValues, values: Mapping[str, float | Sequence[float]]
+) -> None:
+    """Raise InputError where a number of the new text is not what it should be."""
+    wanted = {name: old.number(name) for name in old.names}
+    for name, value in values.items():
+        if isinstance(value, Sequence):
+            wanted.pop(name, None)
+            wanted |= {f"{name}[{k}]": x for k, x in enumerate(value)}
+        else:
+            wanted = {x: y for x, y in wanted.items() if not x.startswith(f"{name}[")}
+            wanted[name] = value
+    for name, value in wanted.items():
+        if name not in new or new.number(name) != value:
+            raise InputError(name, where=old.source, limit="cannot be rewritten in this file")
