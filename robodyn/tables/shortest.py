@@ -35,6 +35,7 @@ _WIDTH = 1 + (_COUNT[:, None] >= [10, 100, 1000]).sum(axis=1)
 _WHOLE = FOUR.astype("<u8") >> (8 * (4 - _WIDTH)).astype("<u8")  # without the zeros before it
 HEADS = np.concatenate([_WHOLE << 8 | ord(","), _WHOLE << 16 | ord("-") << 8 | ord(",")])
 WIDTHS = np.concatenate([1 + _WIDTH, 2 + _WIDTH])
+np.empty(1 << 20)  # once so much was freed, glibc keeps what is freed for the next rows
 SPAN = 32  # bytes of a text of any float, with its comma, and more than it needs
 
 
