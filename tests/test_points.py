@@ -14,7 +14,8 @@ import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
 from robodyn.errors import DescriptionError, InputError
-from robodyn.kinematics.point_motion import link_turns, named_points, point_jacobian, unit_rates
+from robodyn.kinematics.named_points import named_points, point_values
+from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
@@ -184,8 +185,11 @@ def test_points_move_as_their_places_do(scene: Scene) -> None:
         e = np.array([math.cos(angle), math.sin(angle)])
         across = np.array([-e[1], e[0]])
         assert np.abs(ahead - [e, w * across, wd * across - w * w * e]).max() < 1e-12 * (1 + w * w)
-    J = point_jacobian(mech, [x.point for x in named_points(mech, of)], scene.q)
+    these = [x.point for x in named_points(mech, of)]
+    J = point_jacobian(mech, these, scene.q)
     assert relative_error(J @ scene.qd, moved[:, 1]) < 1e-13
+    alone = point_values(mech, these, *(x.tolist() for x in scene.states))  # in plain floats
+    assert relative_error(np.reshape(alone, moved.shape), moved) < 1e-13
 
 
 def test_the_jacobian_of_a_closed_mechanism_in_its_actuated_joints() -> None:

@@ -14,7 +14,8 @@ from mpmath import mp
 import robodyn as api
 from random_mechanisms import seeded_tree
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import named_points, point_jacobian
+from robodyn.kinematics.named_points import named_points
+from robodyn.kinematics.point_motion import point_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.trajectories.plane_paths import arc, length_until, spline_curve

@@ -24,7 +24,7 @@ def load_with(model: str, forces: Sequence[str] | None) -> Mechanism:
     mechanism = load(model)
     if not forces:
         return mechanism
-    from robodyn.kinematics.point_motion import named_point
+    from robodyn.kinematics.named_points import named_point
 
     loads = list(mechanism.description.loads)
     for text in forces:

@@ -12,7 +12,7 @@ from robodyn.cli.states import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import AssemblyError, InputError, RobodynError
-from robodyn.kinematics.point_motion import named_point
+from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import named_point
+from robodyn.kinematics.named_points import named_point
 from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from robodyn.dynamics.closed_form import point_motion, scaled_jacobian
 from robodyn.engines.singular_values import svd
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import NamedPoint, link_turns
+from robodyn.kinematics.named_points import NamedPoint
+from robodyn.kinematics.point_motion import link_turns
 from robodyn.loops.assembly import scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
 from robodyn.mechanics.mechanism import Mechanism, build
