@@ -121,6 +121,27 @@ def test_a_link_named_like_a_point_is_the_link() -> None:
     assert [x.own for x in named_points(mech, ["Q=tip2@1,2,tip2"])] == [(0, 1 + 2j), (0, 1.0)]
 
 
+def test_a_name_of_a_link_may_begin_and_end_with_spaces() -> None:
+    mech = mechanism("links: [{name: ' a ', m: 1, l: 1, r: 0, I: 0}]\n")
+    assert [x.own for x in named_points(mech, [" a ", "P= a ", "Q= a @1,2"])] == [
+        *[(0, 1.0)] * 2,
+        (0, 1 + 2j),
+    ]
+    assert named_points(mech, [" tip1 "])[0].name == "tip1"
+
+
+@pytest.mark.parametrize("of", [None, 5, [1], ["tip1", None]])
+def test_what_is_no_name(of: object) -> None:
+    with pytest.raises(InputError, match=r"of = .*must be the name of a point"):
+        rd.points(rd.load(ROOT / "robots/2r.yaml"), [0.0, 1.0], of=of)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("states", [("ab",), ([0, 1], "ab"), ([0, 1], [0, 1], [{}, 1])])
+def test_what_is_no_state(states: tuple) -> None:
+    with pytest.raises(InputError, match="must be numbers"):
+        rd.points(rd.load(ROOT / "robots/2r.yaml"), *states)
+
+
 @pytest.mark.parametrize(
     "text", ["", "tip", "tip0", "tip4", "Tip1", "elbow", "centre99999999", "P,"]
 )
@@ -403,6 +424,7 @@ def test_units_on_a_terminal(robodyn: Run) -> None:
         (("--q", 1, "--of", "a b=rocker"), "", ("--of", "must be a letter")),
         (("--q", 1, "--of", "crank=rocker"), "", ("--of", "is the name of a link")),
         (("--q", 1, "--of", "tip1", "--of", "tip1"), "", ("--of = tip1", "named twice")),
+        (("--q", 1, "--of", "P=tip1,P=tip3"), "", ("--of = P=tip3", "NAME=tip3")),
         (("--q", 1, "--ratio", "rocker"), "", ("--ratio = rocker", "rocker/crank")),
         (("--q", 1, "--ratio", "rocker/crnk"), "", ("--ratio", "did you mean crank?")),
         (("-",), "q1\n", ("stdin", "no rows")),

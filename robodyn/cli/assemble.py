@@ -17,13 +17,13 @@ from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.modes import beyond, end_word
+from robodyn.scene.point_names import PARTS
 from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 _RANGE = "How far each actuated joint can go from there, in place of the points."
 VECTORS = ("q", "qd", "qdd")
-PARTS = ("joint", "tip", "centre")
 COMPONENTS = ("x", "y", "vx", "vy")
 
 

@@ -29,14 +29,22 @@ class NamedPoint(NamedTuple):
 
 
 def named_points(
-    mechanism: Mechanism, texts: Sequence[str] = (), where: str = "of"
+    mechanism: Mechanism, texts: str | Sequence[str] = (), where: str = "of"
 ) -> list[NamedPoint]:
     """The points that are written as POINT or NAME=POINT; the scene's, else all tips, for none.
 
     A text may have several, with commas between them.  A place LINK@x,y without a name is point1,
     ..., by its place in the list.  Raises InputError, naming `where`, for a point that is not there
-    and for two of one name.
+    for two of one name and for what is no text.
     """
+    try:
+        texts = [texts] if isinstance(texts, str) else list(texts)
+        of_text = all(isinstance(text, str) for text in texts)
+    except TypeError:
+        of_text = False
+    if not of_text:
+        limit = "must be the name of a point, or several"
+        raise InputError(where, value=shown(repr(texts)), limit=limit)
     places = places_of(mechanism.description)
     texts = (
         [x for text in texts for x in _listed(places, text)]
@@ -47,7 +55,9 @@ def named_points(
     for k, text in enumerate(texts, start=1):
         name, point = _named(places, text, k, where)
         if name in found:
-            limit = f"{name} is named twice: name one anew, NAME={shown(text)}"
+            given, equals, written = text.partition("=")
+            place = written.strip() if equals and given.strip() == name else text
+            limit = f"{name} is named twice: name one anew, NAME={shown(place)}"
             raise InputError(where, value=shown(text), limit=limit)
         found[name] = point
     tree = Tree(mechanism.description.links)
@@ -78,7 +88,9 @@ def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
     """The name and the point of the k-th text."""
     given, equals, written = text.partition("=")
     known = _is_of_link(places, text) or not equals
-    name, written = ("", text.strip()) if known else (given.strip(), written.strip())
+    name, written = ("", text) if known else (given.strip(), written)
+    if not _is_of_link(places, written):  # of which the spaces around it may be a part
+        written = written.strip()
     try:
         point = places.point(written)
     except ValueError as error:

@@ -44,7 +44,7 @@ def points(
     `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; the scene's, else all tips,
     where it is empty.  Raises InputError for a point that is not there, and for shapes.
     """
-    named = named_points(mechanism, [of] if isinstance(of, str) else of)
+    named = named_points(mechanism, of)
     moved = point_motion(mechanism, [point for *_, point in named], q, qd, qdd)
     return PointMotion(tuple(name for name, *_ in named), *moved)
 
