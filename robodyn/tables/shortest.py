@@ -26,16 +26,25 @@ HALVES = 0.5 * GAPS * SCALES
 UPPER = ~((1 << 27) - 1)  # of the bits of a float, the half that a product keeps whole
 SCALES_UPPER = (SCALES.view(np.int64) & UPPER).view(float)
 
-# Little-endian groups of characters: the first is the lowest byte.
-_COUNT = np.arange(10_000)
-_DIGITS = _COUNT[:, None] // [1000, 100, 10, 1] % 10 + ord("0")
-FOUR = (_DIGITS << [0, 8, 16, 24]).sum(axis=1).astype("<u4")
+COUNT = 10_000  # of whole numbers of four digits
+
+
+def _groups() -> tuple[NDArray[np.uint32], NDArray[np.uint64], NDArray[np.int8]]:
+    """Four digits; a comma, a sign and digits; the characters of the latter, (2 COUNT,).
+
+    Groups are little-endian numbers: the first character is the lowest byte.
+    """
+    count = np.arange(COUNT)[:, None]
+    digits = count // [1000, 100, 10, 1] % 10 + ord("0")
+    four = (digits << [0, 8, 16, 24]).sum(axis=1).astype("<u4")
+    width = 1 + (count >= [10, 100, 1000]).sum(axis=1)
+    whole = four.astype("<u8") >> (8 * (4 - width)).astype("<u8")  # without the zeros before it
+    heads = np.concatenate([whole << 8 | ord(","), whole << 16 | ord("-") << 8 | ord(",")])
+    return four, heads, np.concatenate([1 + width, 2 + width]).astype(np.int8)
+
+
+FOUR, HEADS, WIDTHS = _groups()
 THREE = (FOUR[:1000] & 0xFFFFFF00 | ord(".")).astype("<u4")
-_WIDTH = 1 + (_COUNT[:, None] >= [10, 100, 1000]).sum(axis=1)
-_WHOLE = FOUR.astype("<u8") >> (8 * (4 - _WIDTH)).astype("<u8")  # without the zeros before it
-HEADS = np.concatenate([_WHOLE << 8 | ord(","), _WHOLE << 16 | ord("-") << 8 | ord(",")])
-WIDTHS = np.concatenate([1 + _WIDTH, 2 + _WIDTH])
-np.empty(1 << 20)  # once so much was freed, glibc keeps what is freed for the next rows
 SPAN = 32  # bytes of a text of any float, with its comma, and more than it needs
 
 
@@ -88,7 +97,7 @@ def _written(values: Array) -> bytes:
 
     integer = y.astype(np.int64)
     rest = (found.view(np.uint64) - integer.view(np.uint64) * TENS[of]) * SHIFTS[of]
-    head = integer - zero + len(_COUNT) * np.signbit(x)
+    head = integer - zero + COUNT * np.signbit(x)
     texts = np.zeros((len(x), 2, SPAN // 4), "<u4")  # what is before the point, and from it on
     texts.view("<u8")[:, 0, 0] = HEADS[head]
     high = rest // 10**8
