@@ -104,6 +104,7 @@ def test_points_by_their_names() -> None:
         ("centre3", (2, 0.2)),
         ("P", (1, 0.3 + 0.2j)),
     ]
+    assert [x.name for x in named_points(mech, ["crank,tip3,B=coupler@1,2"])][1:] == ["tip3", "B"]
     assert [x.name for x in named_points(mech)] == ["P", "Q", "E", "O"]
     assert [x.name for x in named_points(mechanism(PLAIN))] == ["tip1", "tip2", "tip3"]
 

@@ -80,7 +80,9 @@ def _is_of_link(places: Places, text: str) -> bool:
 
 def _listed(places: Places, text: str) -> list[str]:
     """The points of a text, at commas but for those after an @ and those of names of links."""
-    whole = not text or any(_is_of_link(places, x) for x in (text, text.partition("=")[2]))
+    name, _, written = text.partition("=")
+    whole = not text or _is_of_link(places, text)
+    whole |= "," not in name and _is_of_link(places, written)
     return [text] if whole else re.findall(r"[^,@]*@[^,]*,[^,]*|[^,]+|(?<=,)$", text)
 
 
