@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
 FEW = 50  # lines that loadtxt reads in less time
-HELD = 1 << 21  # bytes; more than a chunk's rows take at once
 LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 
 
@@ -90,7 +89,6 @@ class Reader:
 
     def __init__(self, stream: BinaryIO, source: str) -> None:
         self.source = source
-        bytearray(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
         arrivals = self._arrivals(stream)
         lines, numbers, quoted = next(arrivals, _Rows([], [], False))
         if not lines:

@@ -15,6 +15,7 @@ from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
+HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
 FEW = 2000  # numbers that are written by `repr` before all is ready for more
 
 
@@ -33,6 +34,7 @@ class Writer:
         self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
     ) -> None:
         self._stream = stream
+        bytearray(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
         new = [name for name in columns if name not in input_header]
         self._header = [*input_header, *new]
         self._places = [self._header.index(name) for name in columns]
