@@ -9,11 +9,14 @@ import math
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from conftest import Outcome
 
+from robodyn import cli
 from robodyn.tables.summaries import EXTREMES, Extremes
 from robodyn.tables.table_writer import WRITERS, Writer
 
@@ -115,11 +118,36 @@ def test_as_json_and_as_a_table(robodyn: Run, tmp_path: Path) -> None:
         "simulate robots/four-bar.yaml --q 60deg --time 0.5 --quiet",
         "accel robots/2r.yaml --q 1,2 --tau 3,4",
         "torque robots/2r.yaml --q 1,2 --power",
+        "points robots/2r.yaml --q 1,2 --qd 3,4",
+        "assemble robots/five-bar.yaml --q 2,1 --qd 3,4",
+        "assemble robots/five-bar.yaml --q 2,1 --range",
+        "equilibrium robots/2r.yaml --all",
     ],
 )
 def test_of_what_has_no_input(robodyn: Run, command: str) -> None:
     rows = robodyn(*command.split()).succeeds().rows
     assert_tells([dict(x) for x in robodyn(*command.split(), "--extremes").succeeds().rows], rows)
+
+
+def test_every_command_that_writes_rows_of_numbers_tells_them() -> None:
+    others = {"terms", "linearize", "check", "equations", "export", "plot", "draw", "animate"}
+    for name in set(cli.COMMANDS) - others - {"init", "schema"}:
+        group: Any = typer.main.get_command(cli._application([name]))
+        told = {text for parameter in group.commands[name].params for text in parameter.opts}
+        assert "--extremes" in told, name
+
+
+def test_a_text_is_no_value_of_a_computed_column() -> None:
+    out = io.BytesIO()
+    writer = Extremes(lambda names: Writer(out, names), ["method", "error", "none"])
+    for row in (["a", 2.0, None], ["b", "failed", None], ["c", 1.0, None]):
+        writer.write_row(row)
+    writer.close()
+    lines = [line.split(",") for line in out.getvalue().decode().splitlines()]
+    assert lines[1:] == [
+        ["error", "1.0", "", "", "2.0", "", "", "1.5", repr(math.sqrt(2.5))],
+        ["none", *[""] * 8],
+    ]
 
 
 def test_where_there_is_no_t_fields_are_empty(robodyn: Run) -> None:

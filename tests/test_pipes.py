@@ -367,8 +367,9 @@ def imported(*lines: str) -> set[str]:
     return names
 
 
-def test_torque_of_one_state_of_an_open_chain_imports_neither_numpy_nor_scipy() -> None:
-    names = imported("torque robots/2r.yaml --q 0.1,0.2 --qd 1,2 --qdd 0,0")
+@pytest.mark.parametrize("command", ["torque", "points"])
+def test_one_state_of_an_open_chain_imports_neither_numpy_nor_scipy(command: str) -> None:
+    names = imported(f"{command} robots/2r.yaml --q 0.1,0.2 --qd 1,2 --qdd 0,0")
     assert not names & {"numpy", "scipy", "rich", "matplotlib", "sympy"}
 
 

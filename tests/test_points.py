@@ -14,7 +14,8 @@ import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
 from robodyn.errors import DescriptionError, InputError
-from robodyn.kinematics.point_motion import link_turns, named_points, point_jacobian, unit_rates
+from robodyn.kinematics.named_points import named_points, values_of_points
+from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
     rate_ratios,
     ratio_named,
@@ -103,6 +104,7 @@ def test_points_by_their_names() -> None:
         ("centre3", (2, 0.2)),
         ("P", (1, 0.3 + 0.2j)),
     ]
+    assert [x.name for x in named_points(mech, ["crank,tip3,B=coupler@1,2"])][1:] == ["tip3", "B"]
     assert [x.name for x in named_points(mech)] == ["P", "Q", "E", "O"]
     assert [x.name for x in named_points(mechanism(PLAIN))] == ["tip1", "tip2", "tip3"]
 
@@ -118,6 +120,27 @@ def test_a_link_named_like_a_point_is_the_link() -> None:
     assert named_points(mech, ["b,c=d@0.5,-1"])[0][:2] == ("point1", (1, 0.5 - 1j))
     assert named_points(mech, ["P=b,c=d@0.5,-1"])[0][:2] == ("P", (1, 0.5 - 1j))
     assert [x.own for x in named_points(mech, ["Q=tip2@1,2,tip2"])] == [(0, 1 + 2j), (0, 1.0)]
+
+
+def test_a_name_of_a_link_may_begin_and_end_with_spaces() -> None:
+    mech = mechanism("links: [{name: ' a ', m: 1, l: 1, r: 0, I: 0}]\n")
+    assert [x.own for x in named_points(mech, [" a ", "P= a ", "Q= a @1,2"])] == [
+        *[(0, 1.0)] * 2,
+        (0, 1 + 2j),
+    ]
+    assert named_points(mech, [" tip1 "])[0].name == "tip1"
+
+
+@pytest.mark.parametrize("of", [None, 5, [1], ["tip1", None]])
+def test_what_is_no_name(of: object) -> None:
+    with pytest.raises(InputError, match=r"of = .*must be the name of a point"):
+        rd.points(rd.load(ROOT / "robots/2r.yaml"), [0.0, 1.0], of=of)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("states", [("ab",), ([0, 1], "ab"), ([0, 1], [0, 1], [{}, 1])])
+def test_what_is_no_state(states: tuple) -> None:
+    with pytest.raises(InputError, match="must be numbers"):
+        rd.points(rd.load(ROOT / "robots/2r.yaml"), *states)
 
 
 @pytest.mark.parametrize(
@@ -184,8 +207,11 @@ def test_points_move_as_their_places_do(scene: Scene) -> None:
         e = np.array([math.cos(angle), math.sin(angle)])
         across = np.array([-e[1], e[0]])
         assert np.abs(ahead - [e, w * across, wd * across - w * w * e]).max() < 1e-12 * (1 + w * w)
-    J = point_jacobian(mech, [x.point for x in named_points(mech, of)], scene.q)
+    these = [x.point for x in named_points(mech, of)]
+    J = point_jacobian(mech, these, scene.q)
     assert relative_error(J @ scene.qd, moved[:, 1]) < 1e-13
+    alone = values_of_points(mech, these, *(x.tolist() for x in scene.states))  # in plain floats
+    assert relative_error(np.reshape(alone, moved.shape), moved) < 1e-13
 
 
 def test_the_jacobian_of_a_closed_mechanism_in_its_actuated_joints() -> None:
@@ -399,6 +425,7 @@ def test_units_on_a_terminal(robodyn: Run) -> None:
         (("--q", 1, "--of", "a b=rocker"), "", ("--of", "must be a letter")),
         (("--q", 1, "--of", "crank=rocker"), "", ("--of", "is the name of a link")),
         (("--q", 1, "--of", "tip1", "--of", "tip1"), "", ("--of = tip1", "named twice")),
+        (("--q", 1, "--of", "P=tip1,P=tip3"), "", ("--of = P=tip3", "NAME=tip3")),
         (("--q", 1, "--ratio", "rocker"), "", ("--ratio = rocker", "rocker/crank")),
         (("--q", 1, "--ratio", "rocker/crnk"), "", ("--ratio", "did you mean crank?")),
         (("-",), "q1\n", ("stdin", "no rows")),

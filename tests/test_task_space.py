@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, Outcome
+from conftest import ROOT, Outcome, relative_error
 from mpmath import mp
 
 import robodyn as api
 from random_mechanisms import seeded_tree
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import named_points, point_jacobian
+from robodyn.kinematics.named_points import named_points
+from robodyn.kinematics.point_motion import point_jacobian
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.description import from_text
 from robodyn.trajectories.plane_paths import arc, length_until, spline_curve
@@ -541,6 +542,7 @@ def test_length_until_a_part_of_a_path() -> None:
         (("--of", "tip2", "--arc", "0.5,0.6"), "--arc = 0.5,0.6: must be CENTRE:ANGLE"),
         (("--of", "tip2", "--arc", "0.5,0.6:x"), "--arc = x: is not a number"),
         (("--of", "tip2", "--arc", "0.5,0.6:0"), "the angle must not be 0"),
+        (("--of", "tip2", "--arc", "0.5,0.6:1e300"), "the angle must be at most 1e+09 rad"),
         (("--of", "tip2,tip1", "--to-xy", "1,0"), "--of = tip2,tip1: names 2 points; give one"),
         (("--of", "tip2"), "--of: goes with --to-xy, --arc or --path"),
         (("--to", "0,1", "--max-speed", "1"), "--max-speed: goes with --to-xy, --arc or --path"),
@@ -566,6 +568,7 @@ def test_bad_options(robodyn: Run, options: tuple[str, ...], told: str) -> None:
         ("x,y\n1,0\n", "points = 1: a path needs two points or more"),
         ("x,y\n1,0\n0.5,0.5\n0.5,0.5\n", "points 2 and 3: are the same"),
         ("x,y\n1,0\n1,0\n", "points 1 and 2: are the same"),
+        ("x,y,angle\n1,0,1\n1,0,2\n", "points 1 and 2: are at one place, with other angles"),
         ("x,y\n0.8,0.6\n0.8,0.8\n0.8,0.6\n", "the path turns back at (0.8, 0.8)"),
         ("x,y\n0.3,0.6\n0.6,0.9\n0.4,0.7\n0.7,1\n", "the path turns back at (0.6"),
         ("t,x,y\n0,1,0\n0,0.5,0.5\n", "times = 0, 0: must be finite and increase"),
@@ -601,12 +604,32 @@ def test_too_few_freedoms_and_no_pose(robodyn: Run) -> None:
         ({"xy": [1, 0], "of": "tip3", "near": [0, 0]}, "points.shape"),
         ({"xy": [1, 0], "of": "nix"}, "names no point"),
         ({"xy": [1, 0], "of": "tip3,tip2"}, "names 2 points; give one"),
+        ({"xy": "ab", "of": "tip3"}, "xy = 'ab': must be numbers"),
+        ({"xy": [1, 0], "of": "tip3", "near": "x"}, "near = 'x': must be numbers"),
+        ({"xy": [1, 0], "of": None}, "must be the name of a point"),
         ({"xy": [1, 0], "of": "tip2", "angle": 0}, "2 freedoms; x, y and the angle need 3"),
     ],
 )
 def test_bad_arguments(arguments: dict, told: str) -> None:
     with pytest.raises(InputError, match=told):
         api.inverse_kinematics(scene("3r"), **arguments)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e3, 1e6])
+def test_a_path_does_not_depend_on_the_size_of_the_scene(
+    robodyn: Run, tmp_path: Path, size: float
+) -> None:
+    turned = []
+    for k, unit in enumerate((1.0, size)):
+        arm, path = tmp_path / f"arm{k}.yaml", tmp_path / f"path{k}.csv"
+        links = [f"{{name: {name}, m: 1, l: {unit!r}, r: 0, I: 0.1}}" for name in "ab"]
+        arm.write_text(f"links: [{', '.join(links)}]\n")
+        rows = unit * np.array([[1.0, 0.1], [1.0, 0.5], [0.7, 0.6]])
+        path.write_text("x,y\n" + "".join(f"{x!r},{y!r}\n" for x, y in rows.tolist()))
+        given = ("--of", "b", "--path", path, "--time", "2", "--points", "41")
+        rows = robodyn("trajectory", arm, "--from", "0,90deg", *given).succeeds().rows
+        turned.append([[float(row[x]) for x in ("q1", "q2", "qd1", "qd2")] for row in rows])
+    assert relative_error(turned[1], turned[0]) < 1e-9
 
 
 def test_redundant_hand_takes_the_short_way_to_its_angle() -> None:

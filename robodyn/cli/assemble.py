@@ -9,21 +9,21 @@ from typing import Annotated, Any
 import numpy as np
 from typer import Option
 
-from robodyn.cli.options import Format, Model, Out, OutputFormat, Q, Qd, Qdd, Text
-from robodyn.cli.output import Grid, default_format, note, row_writer, write_structure
+from robodyn.cli.options import Model, Q, Qd, Qdd
+from robodyn.cli.output import Grid, RowOptions, default_format, note, write_structure
 from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
+from robodyn.scene.point_names import PARTS
 from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
 _RANGE = "How far each actuated joint can go from there, in place of the points."
 VECTORS = ("q", "qd", "qdd")
-PARTS = ("joint", "tip", "centre")
 COMPONENTS = ("x", "y", "vx", "vy")
 
 
@@ -33,8 +33,7 @@ def assemble(
     qd: Qd = None,
     qdd: Qdd = None,
     range: Annotated[bool, Option("--range", help=_RANGE)] = False,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """Close the loops: all angles, rates and points.
 
@@ -78,32 +77,31 @@ def assemble(
         note(f"Note: this is a singular configuration, a {kind}: both branches meet here")
     if range:
         reached = [branch for branch in found if branch[0] not in barred]
-        _write_ranges(mechanism, reached, dict(ways), format, out)
+        _write_ranges(mechanism, reached, dict(ways), rows)
         return
     branches = [_content(mechanism, *item) for item in found]
-    chosen = default_format(format, out)
-    if chosen == "csv":
-        rows = [_row(branch) for branch in branches]
-        with row_writer(chosen, out, list(rows[0])) as writer:
-            for row in rows:
+    chosen = default_format(rows.format, rows.out)
+    if chosen == "csv" or rows.extremes:
+        flat = [_row(branch) for branch in branches]
+        with rows.writer(list(flat[0])) as writer:
+            for row in flat:
                 writer.write_row(list(row.values()))
     else:
         content = {"branches": branches}
         slides = mechanism.slides
         tables = [table for branch in branches for table in _tables(branch, slides)]
-        write_structure(chosen, out, content, lambda: tables)
+        write_structure(chosen, rows.out, content, lambda: tables)
 
 
 def _write_ranges(
     mechanism: Mechanism,
     found: list[tuple[str, list[np.ndarray]]],
     ways: Mapping[str, tuple[str, ...] | None],
-    format: Format | None,
-    out: Text,
+    rows: RowOptions,
 ) -> None:
     """Where each actuated joint can go, one a row, from each way to assemble."""
     columns = ["branch", "joint", "low", "low_end", "high", "high_end"]
-    with row_writer(default_format(format, out), out, columns) as writer:
+    with rows.writer(columns) as writer:
         for name, (q, *_) in found:
             for joint, low, high, low_end, high_end in joint_ranges(mechanism, q, ways[name]):
                 ends: list[float | str] = [name, f"q{joint + 1}"]

@@ -10,8 +10,8 @@ from typer import Option
 
 from robodyn.cli.figures import check_directory, check_plot, work_precision
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Out, OutputFormat, Q, Qd, Text
-from robodyn.cli.output import default_format, note, row_writer
+from robodyn.cli.options import Model, Q, Qd, Text
+from robodyn.cli.output import RowOptions, default_format, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
@@ -37,9 +37,8 @@ def bench(
     tau: Annotated[Text, Option("--tau", metavar="TORQUES", help="As in simulate.")] = None,
     repeats: Annotated[int, Option("--repeats", metavar="N", help=_REPEATS)] = 3,
     evaluators: Annotated[bool, Option("--evaluators", help=_EVALUATORS)] = False,
-    format: OutputFormat = None,
     plot: Annotated[Text, output_file("--plot", help=_PLOT)] = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """Speed against error of every method on one motion.
 
@@ -62,16 +61,16 @@ def bench(
         raise InputError("--time", value=duration, limit="must be > 0 and finite")
     if plot is not None:
         check_plot(plot)
-    if out is not None:
-        check_directory(out)
+    if rows.out is not None:
+        check_directory(rows.out)
     if evaluators:
         from robodyn.dynamics.evaluators import COLUMNS as names
         from robodyn.dynamics.evaluators import measure_evaluators
 
-        rows = measure_evaluators(mechanism)
-        first = next(rows)  # what cannot be measured writes no header
-        with row_writer(format, out, names) as writer:
-            for row in chain([first], rows):
+        measured = measure_evaluators(mechanism)
+        first = next(measured)  # what cannot be measured writes no header
+        with rows.writer(names) as writer:
+            for row in chain([first], measured):
                 writer.write_row(row)
         return
     torques = Actuation((0.0,) * mechanism.n)
@@ -82,8 +81,9 @@ def bench(
         result = benchmark(
             mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
         )
-    short = default_format(format, out) == "table"  # two digits for people
-    with row_writer(format, out, COLUMNS) as writer:
+    # two digits for people
+    short = default_format(rows.format, rows.out) == "table" and not rows.extremes
+    with rows.writer(COLUMNS) as writer:
         for x in result.measurements:
             values: list[float | str] = [x.method, x.tolerance, x.error, x.error_end]
             values += [x.drift, x.gap, float(x.evaluations), float(x.steps)]

@@ -7,8 +7,8 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.options import Degrees, Model, Out, OutputFormat, Q, Tau, named_options
-from robodyn.cli.output import note, row_writer
+from robodyn.cli.options import Model, Q, Tau, named_options
+from robodyn.cli.output import RowOptions, note
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -26,9 +26,7 @@ def equilibrium(
     tau: Tau = None,
     hold: Annotated[list[str] | None, Option("--hold", metavar="LINK", help=_HOLD)] = None,
     all: Annotated[bool, Option("--all", help=_ALL)] = False,
-    degrees: Degrees = False,
-    format: OutputFormat = None,
-    out: Out = None,
+    rows: RowOptions = RowOptions(),
 ) -> None:
     """Where the mechanism rests: near a pose, or everywhere.
 
@@ -57,8 +55,7 @@ def equilibrium(
     held = [k for k, name in enumerate(mechanism.link_names) if name in (hold or ())]
     columns = [*(f"q{k + 1}" for k in range(mechanism.n)), *(f"tau{k + 1}" for k in held)]
     columns += ["PE", "stable"]
-    units = scene_units(mechanism)
-    with row_writer(format, out, columns, units=units, degrees=degrees) as writer:
+    with rows.writer(columns, units=scene_units(mechanism)) as writer:
         for rest in rests:
             values = [*rest.q.tolist(), *rest.tau[held].tolist(), rest.potential_energy]
             writer.write_row([*values, WORDS[rest.stable]])

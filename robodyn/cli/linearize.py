@@ -82,16 +82,16 @@ def linearize(
     with remarks(), named_options(["weights_x", "weights_u"]):
         found = linear_model(mechanism, pose, rates, torques)
         content = _content(mechanism, found)
+        if lqr:  # before the notes: weights may be wrong
+            from robodyn.rest.regulator import lqr as gain_of
+
+            content["gain"] = gain_of(found, *weights).tolist()
         held = ", ".join(f"tau{k + 1} = {found.tau[k]:.9g}" for k in mechanism.actuated)
         if tau is None and held:
             far = " as far as it can" if found.remark else ""
             note(f"Note: with the torque that holds it{far}, {held}")
         if found.remark:
             note(f"Note: {found.remark}")
-        if lqr:
-            from robodyn.rest.regulator import lqr as gain_of
-
-            content["gain"] = gain_of(found, *weights).tolist()
     if gain_out is not None:
         kept = {key: content[key] for key in GAIN_KEYS}
         with open_output(gain_out) as file:

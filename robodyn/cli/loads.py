@@ -25,7 +25,7 @@ def load_with(model: Model, forces: Sequence[str] | None) -> Mechanism:
     mechanism = model.load()
     if not forces:
         return mechanism
-    from robodyn.kinematics.point_motion import named_point
+    from robodyn.kinematics.named_points import named_point
 
     loads = list(mechanism.description.loads)
     for text in forces:

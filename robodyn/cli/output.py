@@ -138,7 +138,7 @@ class TableView(Writer):
     units = TURNING
 
     def _begin(self) -> None:
-        self._rows: list[tuple[str, ...]] = []
+        self._rows: list[Sequence[str]] = []
         self._tables = 0
 
     def close(self) -> None:
@@ -153,8 +153,8 @@ class TableView(Writer):
     def title(self, name: str) -> str:
         return with_unit(name, self.units)
 
-    def _texts(self, values: Array) -> list[list[str]]:
-        return [[f"{x:.6g}" for x in column] for column in values.T.tolist()]
+    def _texts(self, values: Array) -> Iterable[Sequence[str]]:
+        return [[f"{x:.6g}" for x in row] for row in values.tolist()]
 
     def _text(self, value: float | str | None) -> str:
         if value is None:
@@ -165,7 +165,7 @@ class TableView(Writer):
         value = finite(text := unquoted(field))
         return text if value is None else f"{value:.6g}"
 
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
+    def _write_rows(self, rows: Iterable[Sequence[str]]) -> None:
         for row in rows:
             self._rows.append(row)
             if len(self._rows) >= PAGE:

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from typer import Option
 
 from robodyn.cli.options import Model, Q, Qd, Qdd, States
 from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate
-from robodyn.dynamics.state_columns import (
-    link_columns,
-    link_values,
-    point_columns,
-    point_values,
-    transmission_columns,
-    transmission_values,
-)
+from robodyn.cli.states import Quantity, evaluate, option_source, overflow
 from robodyn.errors import InputError
-from robodyn.kinematics.point_motion import (
+from robodyn.kinematics.named_points import (
     NamedPoint,
     named_points,
-    point_jacobian,
-    unit_rates,
-)
-from robodyn.kinematics.transmission import (
-    rate_ratios,
-    ratio_named,
+    point_columns,
+    values_of_points,
 )
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.column_units import scene_units
+
+if TYPE_CHECKING:
+    import numpy as np
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
@@ -74,6 +66,32 @@ def points(
     named = named_points(mechanism, of or (), "--of")
     places = [point.point for point in named]
     columns = point_columns(named)
+    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    more = jacobian or links or transmission or ratio or rows.differentiate
+    if states is None and not (more or mechanism.rows or mechanism.passive):
+        motion = [option_source(mechanism, quantity).values for quantity in quantities]
+        try:
+            row = values_of_points(mechanism, places, *motion)
+        except ValueError:
+            raise overflow() from None
+        if not all(map(math.isfinite, row)):
+            raise overflow()
+        with rows.writer(columns, units=scene_units(mechanism)) as writer:
+            writer.write_row(row)
+        return
+
+    import numpy as np
+
+    from robodyn.dynamics.state_columns import (
+        link_columns,
+        link_values,
+        point_values,
+        transmission_columns,
+        transmission_values,
+    )
+    from robodyn.kinematics.point_motion import point_jacobian, unit_rates
+    from robodyn.kinematics.transmission import rate_ratios, ratio_named
+
     if jacobian:
         driven = [k + 1 for k in mechanism.actuated]
         columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
@@ -100,7 +118,6 @@ def points(
             parts.append(rate_ratios(mechanism, ratios, q, qd))
         return np.concatenate(parts, axis=-1)
 
-    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     evaluate(mechanism, states, quantities, columns, compute, rows, adds=True)
 
 

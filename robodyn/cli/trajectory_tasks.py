@@ -12,11 +12,11 @@ from robodyn.cli.states import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import AssemblyError, InputError, RobodynError
-from robodyn.kinematics.point_motion import named_point
+from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
-from robodyn.trajectories.continuation import Watch
+from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
 from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
 from robodyn.trajectories.motion_limits import with_motors
@@ -133,6 +133,9 @@ def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array)
         angle = value_from(turn, "rad", "--arc", "0.3,0.2:90deg")
         if not (math.isfinite(angle) and angle != 0.0):
             raise InputError("--arc", value=shown(given.arc), limit="the angle must not be 0")
+        if abs(angle) > FURTHEST:
+            limit = f"the angle must be at most {FURTHEST:g} rad"
+            raise InputError("--arc", value=shown(given.arc), limit=limit)
         if np.linalg.norm(begin - centre) <= ALIKE * (1.0 + np.linalg.norm(begin)):
             limit = f"the centre is where {task.of.name} begins"
             raise InputError("--arc", value=shown(given.arc), limit=limit)
@@ -177,6 +180,9 @@ def _read(file: str) -> _File:
     points = values[:, :-1] if timed else values
     same = np.flatnonzero(~np.diff(points[:, :2], axis=0).any(axis=1))
     if len(same) and not timed:
+        turns = np.diff(points, axis=0)[same[0]].any()
         limit = "are the same: leave one out, or give times (t)"
+        if turns:
+            limit = "are at one place, with other angles: such a turn needs times (t)"
         raise InputError(f"points {same[0] + 1} and {same[0] + 2}", where=source, limit=limit)
     return _File(points, values[:, -1] if timed else None, source)

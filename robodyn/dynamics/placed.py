@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -27,12 +28,19 @@ def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
 
 def n_wide(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:
     """`values` as floats (..., n); InputError unless they are n wide."""
-    array = np.asarray(values, dtype=float)
-    n = mechanism.n
+    array, n = numbers(name, values), mechanism.n
     if array.ndim == 0 or array.shape[-1] != n:
         limit = f"must have {n} values along the last axis, one a joint"
         raise InputError(f"{name}.shape", value=array.shape, limit=limit)
     return array
+
+
+def numbers(name: str, values: ArrayLike) -> Array:
+    """`values` as floats; InputError where they are none."""
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(name, value=shown(repr(values)), limit="must be numbers") from None
 
 
 def finite(name: str, array: Array) -> Array:

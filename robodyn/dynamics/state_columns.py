@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
-from robodyn.kinematics.point_motion import NamedPoint, link_turns
+from robodyn.kinematics.named_points import NamedPoint, point_columns
+from robodyn.kinematics.point_motion import link_turns
 from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -63,11 +64,6 @@ def reaction_values(
     loops = dynamics.loop_forces(mechanism, forces, q)
     shake = reaction_forces.shaking_force(mechanism, q, qd, qdd, t)
     return np.concatenate([joints.reshape(len(shake), -1), held, loops, shake], axis=-1)
-
-
-def point_columns(named: Sequence[NamedPoint]) -> list[str]:
-    """Where each point is, its velocity and its acceleration."""
-    return [f"{point.name}_{x}" for point in named for x in ("x", "y", "vx", "vy", "ax", "ay")]
 
 
 def point_values(

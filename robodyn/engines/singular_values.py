@@ -27,3 +27,15 @@ def svd(a: Array, full: bool = False) -> tuple[Array, Array, Array]:
             np.array(x).reshape(*a.shape[:-2], *x[0].shape) for x in zip(*parts, strict=True)
         )
     return U, s, Vt
+
+
+def damped(matrix: Array, right: Array, damping: Array | float, least: float = 0.0) -> Array:
+    """x (..., n) of least |matrix x - right|^2 + damping |x|^2: a step of Levenberg and Marquardt.
+
+    Singular values up to `least` count as zero, along which x is none; right is (..., r).
+    """
+    U, s, Vt = svd(matrix)
+    kept = s > least
+    parts = np.where(kept, s, 0.0) / np.where(kept, s * s + np.asarray(damping)[..., None], 1.0)
+    parts = parts * (np.swapaxes(U, -1, -2) @ right[..., None])[..., 0]
+    return np.asarray((np.swapaxes(Vt, -1, -2) @ parts[..., None])[..., 0])

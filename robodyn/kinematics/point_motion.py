@@ -1,4 +1,4 @@
-"""Points of a mechanism by name, how they move, and how its links turn.
+"""How points of a mechanism move, and how its links turn.
 
 A point is p = const + c X (`placed.py`), so p' = c X' and dp/dq = c dX/dx J; in the minimal
 coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each of these at 1.
@@ -7,7 +7,6 @@ coordinates, the actuated joints, dp = dp/dq N with N the joints' rates for each
 from __future__ import annotations
 
 import cmath
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,26 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import point_motion, points_of
 from robodyn.dynamics.placed import absolute_rates, as_states, columns, frame_rates, placed
-from robodyn.errors import InputError
+from robodyn.kinematics.named_points import named_points
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.scene.point_names import Places, places_of
-from robodyn.scene.scene import Point
-from robodyn.scene.yaml_values import nearest
-from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
-
-WAYS = "a link (its tip), tip2, centre1, joint3, LINK@x,y or a point of the scene"
-
-
-class NamedPoint(NamedTuple):
-    """A point of a link by its name: in the frame of the link, and in terms of X."""
-
-    name: str
-    own: Point
-    point: PlanarPoint
 
 
 class PointMotion(NamedTuple):
@@ -45,70 +30,6 @@ class PointMotion(NamedTuple):
     position: Array
     velocity: Array
     acceleration: Array
-
-
-def named_points(
-    mechanism: Mechanism, texts: Sequence[str] = (), where: str = "of"
-) -> list[NamedPoint]:
-    """The points that are written as POINT or NAME=POINT; the scene's, else all tips, for none.
-
-    A text may have several, with commas between them.  A place LINK@x,y without a name is point1,
-    ..., by its place in the list.  Raises InputError, naming `where`, for a point that is not there
-    and for two of one name.
-    """
-    places = places_of(mechanism.description)
-    texts = (
-        [x for text in texts for x in _listed(places, text)]
-        or list(places.points)
-        or [f"tip{k + 1}" for k in range(mechanism.n)]
-    )
-    found: dict[str, Point] = {}
-    for k, text in enumerate(texts, start=1):
-        name, point = _named(places, text, k, where)
-        if name in found:
-            limit = f"{name} is named twice: name one anew, NAME={shown(text)}"
-            raise InputError(where, value=shown(text), limit=limit)
-        found[name] = point
-    tree = Tree(mechanism.description.links)
-    return [NamedPoint(name, point, tree.point(point)) for name, point in found.items()]
-
-
-def named_point(mechanism: Mechanism, text: str, where: str = "of") -> NamedPoint:
-    """The one point that is written as POINT or NAME=POINT; InputError for none and for several."""
-    found = named_points(mechanism, [text], where)
-    if len(found) > 1:
-        raise InputError(where, value=shown(text), limit=f"names {len(found)} points; give one")
-    return found[0]
-
-
-def _is_of_link(places: Places, text: str) -> bool:
-    """Whether this is a link, or a place of one; names of links may have commas and = in them."""
-    link, _, offset = text.rpartition("@")
-    return text in places.links or (link in places.links and offset.count(",") == 1)
-
-
-def _listed(places: Places, text: str) -> list[str]:
-    """The points of a text, at commas but for those after an @ and those of names of links."""
-    whole = not text or any(_is_of_link(places, x) for x in (text, text.partition("=")[2]))
-    return [text] if whole else re.findall(r"[^,@]*@[^,]*,[^,]*|[^,]+|(?<=,)$", text)
-
-
-def _named(places: Places, text: str, k: int, where: str) -> tuple[str, Point]:
-    """The name and the point of the k-th text."""
-    given, equals, written = text.partition("=")
-    known = _is_of_link(places, text) or not equals
-    name, written = ("", text.strip()) if known else (given.strip(), written.strip())
-    try:
-        point = places.point(written)
-    except ValueError as error:
-        raise InputError(where, value=shown(text), limit=str(error)) from None
-    if point is None:
-        word = written.rpartition("@")[0] or written
-        limit = f"names no point{nearest(word, [*places.points, *places.links])} ({WAYS})"
-        raise InputError(where, value=shown(text), limit=limit)
-    if name and (limit := places.not_free(name)):
-        raise InputError(where, value=shown(text), limit=f"{name} {limit}")
-    return name or (f"point{k}" if "@" in written else written), point
 
 
 def points(
@@ -123,7 +44,7 @@ def points(
     `of` has names of points, `coupler@0.5,0.2` or `P=coupler@0.5,0.2`; the scene's, else all tips,
     where it is empty.  Raises InputError for a point that is not there, and for shapes.
     """
-    named = named_points(mechanism, [of] if isinstance(of, str) else of)
+    named = named_points(mechanism, of)
     moved = point_motion(mechanism, [point for *_, point in named], q, qd, qdd)
     return PointMotion(tuple(name for name, *_ in named), *moved)
 

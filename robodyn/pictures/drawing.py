@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.placed import Placed, placed
 from robodyn.errors import AssemblyError, RobodynError
-from robodyn.kinematics.point_motion import NamedPoint
+from robodyn.kinematics.named_points import NamedPoint
 from robodyn.loops.assembly import assembly_plan, attempt
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism

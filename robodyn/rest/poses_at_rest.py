@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.closed_form import closure_gap, potential_energy
 from robodyn.dynamics.sticking import held_forces
+from robodyn.engines.singular_values import damped
 from robodyn.errors import AssemblyError, InputError, RobodynError, SingularError
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
@@ -246,10 +247,7 @@ def _steps(
 
 def _newton(at: Balance, size: float, damping: float) -> Array:
     """K^-1 r where nothing is damped, and where K is singular the least such step."""
-    U, s, Vt = np.linalg.svd(at.stiffness)
-    kept = s > LEVEL * size
-    parts = np.where(kept, s, 0.0) / np.where(kept, s * s + damping * damping, 1.0)
-    return np.asarray(Vt.T @ (parts * (U.T @ at.force)))
+    return damped(at.stiffness, at.force, damping * damping, LEVEL * size)
 
 
 def _downhill(at: Balance, size: float) -> Array:

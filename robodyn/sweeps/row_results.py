@@ -17,7 +17,7 @@ from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
 from robodyn.dynamics.state_columns import Solved, column_names, columns_of
 from robodyn.errors import InputError
-from robodyn.kinematics.point_motion import named_points
+from robodyn.kinematics.named_points import named_points
 from robodyn.loops import loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.yaml_values import nearest

@@ -24,7 +24,7 @@ class SummaryWriter(Writer):
 
     `make` makes the writer of that, from its columns; it is called when all rows are there, so that
     a failure leaves nothing written.  A column of the input with a field that is no finite number
-    is none of numbers.
+    is none of numbers.  A computed text is no value, and a column of such texts is left out.
     """
 
     needs_rows = True
@@ -38,6 +38,7 @@ class SummaryWriter(Writer):
         super().__init__(io.BytesIO(), columns, input_header)  # which stays empty
         self._make, self._width = make, len(input_header)
         self._passing = [k for k in range(self._width) if k not in self._places]
+        self._worded: set[int] = set()  # computed columns with a text
 
     @abstractmethod
     def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
@@ -48,7 +49,11 @@ class SummaryWriter(Writer):
         """Take rows (n, columns), NaN in columns that are not of numbers."""
 
     def write_row(self, values: Sequence[float | str | None]) -> None:
-        self.write_columns(np.array([values], float))
+        words = {k for k, value in enumerate(values) if isinstance(value, str)}
+        self._worded |= words
+        self.write_columns(
+            np.array([[None if k in words else x for k, x in enumerate(values)]], float)
+        )
 
     def _begin(self) -> None:
         """Nothing is written yet."""
@@ -141,6 +146,8 @@ class Extremes(SummaryWriter):
                 continue
             row: list[float | str | None] = [name]
             if not self._count[k]:
+                if k in self._worded:
+                    continue
                 rows.append([name, *(None for _ in EXTREMES[1:])])
                 continue
             for value, at_t, at_q1 in self._ends[:, :, k].tolist():

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-READ_BYTES = 1 << 18  # asked of the stream at once; more is no faster
+READ_BYTES = 1 << 17  # asked of the stream at once; more is no faster
 FEW = 50  # lines that loadtxt reads in less time
 LONGEST_ROW = 1 << 20  # bytes; keeps memory bounded where a line or a quote never ends
 

@@ -15,6 +15,9 @@ from robodyn.tables.csv_fields import finite, quoted, split_fields, unquoted
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
+HELD = 1 << 21  # bytes; more than what is read or written at once takes in any one piece
+FEW = 2000  # numbers that are written by `repr` before all is ready for more
+
 
 class Writer:
     """A table written to a binary stream as CSV, flushed after every call.
@@ -31,10 +34,11 @@ class Writer:
         self, stream: BinaryIO, columns: Sequence[str], input_header: Sequence[str] = ()
     ) -> None:
         self._stream = stream
+        bytearray(HELD)  # once so much was freed, glibc keeps what is freed for the rows to come
         new = [name for name in columns if name not in input_header]
         self._header = [*input_header, *new]
         self._places = [self._header.index(name) for name in columns]
-        self._appends_only = not self.converts and len(new) == len(columns)
+        self._appends_only = not self.converts and 0 < len(new) == len(columns)
         self._begin()
 
     def write_row(self, values: Sequence[float | str | None]) -> None:
@@ -46,15 +50,17 @@ class Writer:
 
     def write_columns(self, values: Array) -> None:
         """Write n rows that are computed columns alone, (n, k)."""
-        self._write_rows(zip(*self._texts(values), strict=True))
+        if self.converts:
+            self._write_rows(self._texts(values))
+        else:
+            self._write_rows(zip(self._lines(values), strict=True))
 
     def write_rows(self, lines: Sequence[str], values: Array) -> None:
         """Write n rows of the input, each with its computed columns, (n, k)."""
-        texts = self._texts(values)
         if self._appends_only:  # then nobody needs to know the line's fields
-            self._write_rows(zip(lines, *texts, strict=True))
+            self._write_rows(zip(lines, self._lines(values), strict=True))
         else:
-            self._write_rows(self._merged(lines, texts))
+            self._write_rows(self._merged(lines, self._texts(values)))
 
     def close(self) -> None:
         """End the table; the stream stays open."""
@@ -68,18 +74,28 @@ class Writer:
         """How the name of a column is told."""
         return name
 
-    def _merged(self, lines: Sequence[str], texts: list[list[str]]) -> Iterator[tuple[str, ...]]:
-        for line, *computed in zip(lines, *texts, strict=True):
+    def _merged(
+        self, lines: Sequence[str], texts: Iterable[Sequence[str]]
+    ) -> Iterator[tuple[str, ...]]:
+        for line, computed in zip(lines, texts, strict=True):
             fields = [self._field(field) for field in split_fields(line)]
             for place, text in zip(self._places, computed, strict=True):
                 fields[place : place + 1] = [text]  # the new ones' places are past the end
             yield tuple(fields)
 
-    def _texts(self, values: Array) -> list[list[str]]:
-        """The computed values (n, k) as text, column by column."""
+    def _lines(self, values: Array) -> list[str]:
+        """The computed values (n, k) as text, row by row, with commas between them."""
         if values.ndim != 2 or values.shape[1] != len(self._places):
             raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
-        return [list(map(repr, column)) for column in values.T.tolist()]
+        if values.size < FEW:
+            return [",".join(map(repr, row)) for row in values.tolist()]
+        from robodyn.tables.shortest import shortest
+
+        return shortest(values).split("\n")[:-1]
+
+    def _texts(self, values: Array) -> Iterable[Sequence[str]]:
+        """The same, each row by its fields."""
+        return [line.split(",") if line else () for line in self._lines(values)]
 
     def _text(self, value: float | str | None) -> str:
         """How a computed value is written."""
@@ -97,7 +113,7 @@ class Writer:
     def _begin(self) -> None:
         self._write_rows([tuple(map(quoted, self._header))])
 
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
+    def _write_rows(self, rows: Iterable[Sequence[str]]) -> None:
         if text := "\n".join(map(",".join, rows)):
             self._write(text + "\n")
 
@@ -122,8 +138,8 @@ class JsonWriter(Writer):
         if self._separator:
             self._write("\n")
 
-    def _texts(self, values: Array) -> list[list[str]]:
-        return [[_NULL.get(text, text) for text in column] for column in super()._texts(values)]
+    def _texts(self, values: Array) -> Iterable[Sequence[str]]:
+        return [[_NULL.get(text, text) for text in row] for row in super()._texts(values)]
 
     def _text(self, value: float | str | None) -> str:
         text = super()._text(value)
@@ -142,8 +158,8 @@ class JsonWriter(Writer):
         self._separator = ""
         self._write("[\n")
 
-    def _write_rows(self, rows: Iterable[tuple[str, ...]]) -> None:
-        if text := ",\n".join([self._template % row for row in rows]):
+    def _write_rows(self, rows: Iterable[Sequence[str]]) -> None:
+        if text := ",\n".join([self._template % tuple(row) for row in rows]):
             self._write(self._separator + text)
             self._separator = ",\n"
 

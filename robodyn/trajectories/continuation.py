@@ -14,7 +14,7 @@ one another the sign changes by a leap: the step is shortened until it follows i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -39,6 +39,7 @@ FIRST_STEP = 1 / 64  # of a piece
 LEAST_NODES = 7  # of a piece: steps grow from that by a factor of 1.7 at most
 LEAST_STEP = 1e-11  # in u, below which the path has ended
 MOST_NODES = 500_000
+LARGE = 10.0  # m of a scene; in larger ones displacements are told in tenths of its size
 FURTHEST = 1e9  # rad, beyond which a float's angle is known to 1e-7 at best
 JUDGED = 300  # nodes after which it is foreseen how many a path takes
 RETURNED = 1e-6  # rad, by which joints that stand as at the start may miss it
@@ -137,6 +138,8 @@ class _Follower:
         self.mechanism, self.path, self.watch = mechanism, path, watch
         self._actuated, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._square = len(self._passive) == len(mechanism.rows)
+        self._units = np.maximum(1.0, mechanism.arrays.units / LARGE)
+        self._unit = float(self._units[self._actuated].max(initial=1.0))
         self._crossings: list[tuple[float, float]] = []
         self._returns: list[float] = path.returns().tolist()
         self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
@@ -170,17 +173,17 @@ class _Follower:
                     continue
                 easy, following = found
                 taken.append((node, following, piece))
-                fastest = float(np.abs(following.q1).max())
+                fastest = self._largest(following.q1)
                 longest = 0.9 * TRAVEL / fastest if fastest > 0.0 else np.inf
                 h = min(1.7 * step if easy else step, max(longest, 0.1 * step))
-                moved += float(np.abs(following.q - node.q)[self._actuated].max())
+                moved += self._largest(following.q - node.q, self._actuated)
                 self._check_number(len(taken) + 1, following.u, piece, moved)
                 node = following
                 self.watch(node.u)
             u, q = node.u, node.q
             whole = 2 * np.pi * np.round((q - first) / (2 * np.pi))
             whole[list(self.mechanism.slides)] = 0.0
-            if u in self._returns and np.abs(q - first - whole).max() < RETURNED:
+            if u in self._returns and self._largest(q - first - whole) < RETURNED:
                 rise = whole
                 break
         begins, ends, pieces = zip(*taken, strict=True)
@@ -197,17 +200,17 @@ class _Follower:
 
     def _check_travel(self) -> None:
         """Raise TravelError for a path that is known to be too long before it is followed."""
-        travel, pieces = self.path.travel, len(self.path.breaks) - 1
+        travel, pieces = self.path.travel / self._unit, len(self.path.breaks) - 1
         if travel > FURTHEST:
             limit = f"must be at most {FURTHEST:g} rad: angles are not exact enough beyond"
-            raise TravelError(self.mechanism, f"{travel:.6g} rad", limit)
+            raise TravelError(self.mechanism, f"{self.path.travel:.6g} rad", limit)
         if pieces > MOST_NODES // LEAST_NODES:
             limit = f"must be at most {MOST_NODES // LEAST_NODES:,} from point to point"
             raise TravelError(self.mechanism, f"{pieces} pieces", limit)
         if self._returns:
             return
         if travel <= MOST_NODES * TRAVEL:
-            moves = travels(self.path, self.path.breaks) / TRAVEL
+            moves = travels(self.path, self.path.breaks) / (self._unit * TRAVEL)
             self._least_nodes = np.append(0.0, np.cumsum(np.maximum(moves, LEAST_NODES)))
         if max(travel / TRAVEL, self._least_nodes[-1]) > MOST_NODES:
             raise self._too_many()
@@ -239,16 +242,16 @@ class _Follower:
         held = self._held(there, piece)
         guess = node.q + h * node.q1 + 0.5 * h**2 * node.q2
         guess[self._actuated] = held[0]
-        if np.abs(guess - node.q).max() > TRAVEL:
+        if self._largest(guess - node.q) > TRAVEL:
             return None
         (q,), closed = corrected(self.mechanism, guess[None])
-        miss = float(np.abs(q - guess).max())
-        if not closed[0] or miss > CORRECTION or np.abs(q - node.q).max() > TRAVEL:
+        miss = self._largest(q - guess)
+        if not closed[0] or miss > CORRECTION or self._largest(q - node.q) > TRAVEL:
             return None
         found = self._node(there, q, piece, held)
         if found is None:
             return None
-        bend = h * float(np.abs(found.q1 - node.q1 - h * node.q2)[self._passive].max(initial=0.0))
+        bend = h * self._largest(found.q1 - node.q1 - h * node.q2, self._passive)
         if bend > 3 * CORRECTION:
             return None
         if node.sign * found.sign < 0.0 and not self._crosses(node, found, piece):
@@ -289,11 +292,15 @@ class _Follower:
             columns = scaled_jacobian(self.mechanism, found[0])[:, self._passive]
             before = self._sign(columns) == one.sign
             low, high = ((middle, found[0]), high) if before else (low, (middle, found[0]))
-        if np.abs(high[1] - low[1]).max() > TOGETHER or self._misses(low[1]):
+        if self._largest(high[1] - low[1]) > TOGETHER or self._misses(low[1]):
             return False
-        fastest = max(float(np.abs(node.q1).max()) for node in (one, other))
+        fastest = max(self._largest(node.q1) for node in (one, other))
         self._crossings.append((0.5 * (low[0] + high[0]), fastest))
         return True
+
+    def _largest(self, way: Array, joints: Sequence[int] | slice = slice(None)) -> float:
+        """How far, or fast, the joint goes that moves most, rad."""
+        return float(np.abs(way / self._units)[joints].max(initial=0.0))
 
     def _misses(self, q: Array) -> bool:
         """Whether q is near a singular configuration that is no change point."""

@@ -7,8 +7,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import named_point
+from robodyn.kinematics.named_points import named_point
 from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
@@ -41,13 +42,13 @@ def inverse_kinematics(
     Raises InputError for arguments that do not fit, AssemblyError where a place is out of reach.
     """
     named = named_point(mechanism, of, "of")
-    places = np.asarray(xy, float)
+    places = numbers("xy", xy)
     if places.ndim == 0 or places.shape[-1] != 2 or not np.isfinite(places).all():
         raise InputError("xy", value=places.shape, limit="must be (..., 2), finite: x and y, m")
     shape = places.shape[:-1]
     if angle is not None:
         try:
-            turned = np.broadcast_to(np.asarray(angle, float), shape)[..., None]
+            turned = np.broadcast_to(numbers("angle", angle), shape)[..., None]
         except ValueError:
             turned = np.array([np.nan])
         if not np.isfinite(turned).all():
@@ -57,7 +58,7 @@ def inverse_kinematics(
     pose = (
         None
         if near is None
-        else pose_of(task, all_joints(mechanism, np.asarray(near, float)[None])[0])
+        else pose_of(task, all_joints(mechanism, numbers("near", near)[None])[0])
     )
     q = along_branch(task, places.reshape(-1, places.shape[-1]), pose)
     return q.reshape(*shape, mechanism.n)

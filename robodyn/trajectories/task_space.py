@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import point_motion, scaled_jacobian
-from robodyn.engines.singular_values import svd
+from robodyn.dynamics.placed import matvec
+from robodyn.engines.singular_values import damped, svd
 from robodyn.errors import AssemblyError, InputError
-from robodyn.kinematics.point_motion import NamedPoint, link_turns
+from robodyn.kinematics.named_points import NamedPoint
+from robodyn.kinematics.point_motion import link_turns
 from robodyn.loops.assembly import scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
 from robodyn.mechanics.mechanism import Mechanism, build
@@ -218,12 +220,9 @@ def _missed(task: Task, q: Array, places: Array) -> float:
             _, s, Vt = svd(scaled_jacobian(guided, here)[..., free], full=True)
             N = np.swapaxes(Vt[:, s.shape[1] :], -1, -2)
             G = N[:, xy] * guided.arrays.units[xy, None]
-            square = np.swapaxes(G, -1, -2) @ G
-            scale = np.trace(square, axis1=1, axis2=2) * damping + 1e-300
-            square = square + scale[:, None, None] * np.eye(N.shape[2])
-            way = np.linalg.solve(square, np.swapaxes(G, -1, -2) @ pull[..., None])
+            way = damped(G, pull, damping * (G * G).sum(axis=(1, 2)))
             trial = here.copy()
-            trial[:, free] += (N @ way)[..., 0] * guided.arrays.units[free]
+            trial[:, free] += matvec(N, way) * guided.arrays.units[free]
             trial = close_positions(guided, trial, held)
             better = np.linalg.norm(place[:2] - trial[:, xy], axis=1) < far
             here = np.where(better[:, None], trial, here)
