@@ -24,6 +24,7 @@ def float_source(
     symbol: Callable[[str], str] = str,
     longest: float = math.inf,
     readable: bool = False,
+    beside: bool = False,
 ) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
@@ -31,7 +32,7 @@ def float_source(
     those of nodes by their index: such a node always gets its own, or with "" none.  Statements
     keep to `longest` characters where names do; inputs are called as `symbol` says.  Where it is to
     be `readable`, local names count from 1, brackets that do no more than order a sum or a product
-    are left out, and x (1/y) is x/y.
+    are left out, and x (1/y) is x/y.  `beside`: numbers are x + dx i, and the x compare.
     """
     uses = _uses(outputs)
     text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
@@ -53,6 +54,8 @@ def float_source(
             return symbol(str(args[0])), 9
         if op == "choose":
             x, y, a, b = (written(arg, 1) for arg in args)
+            if beside:
+                x, y = (f"({each}).real" for each in (x, y))
             return f"{a} if {x} < {y} else {b}", 0
         if op == "keep":
             kept = args[0]

@@ -14,7 +14,7 @@ import ast
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,8 @@ from robodyn.loops.closing import regular_rank
 from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.program import Program
+from robodyn.taylor.variations import Number
 
 Array = NDArray[np.float64]
 
@@ -73,9 +75,7 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if method == "taylor":
-        limit = "the Taylor series does not carry sensitivities: take --method DOP853"
-    elif mechanism.switches:
+    if mechanism.switches:
         limit = "is of smooth motions: the scene has dry friction or stops"
     elif actuation.control is not None:
         limit = "is not for controllers: take --tau, --tau-from or --volt"
@@ -90,6 +90,11 @@ def with_sensitivities(
     for name in names:
         sizes.append(1.0 if _is_start(mechanism, name) else size_of(mechanism, name))
         starts.append(sizes[-1] * _start(mechanism, name, q, qd))
+    if method == "taylor":
+        by = tuple(_number(mechanism, name) for name in names)
+        flat = tuple((np.concatenate(starts) / np.repeat(sizes, 2 * n)).tolist())
+        carried = replace(actuation, states=len(flat), start=flat, alone=actuation, by=by)
+        return Sensitivities(tuple(names), np.ones(len(names)), carried, n)
     formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes))
     if formula is None:
         raise InputError("sensitivity", where=where, limit="its equation divides by zero")
@@ -124,6 +129,22 @@ def _is_start(mechanism: Mechanism, name: str) -> bool:
         limit = "is where assembly begins; name a start value, q1 or qd1"
         raise InputError(name, where=mechanism.source, limit=limit)
     return match is not None
+
+
+@lru_cache(maxsize=256)
+def _number(mechanism: Mechanism, name: str) -> Number:
+    """What the Taylor series is differentiated by."""
+    if _is_start(mechanism, name):
+        return Number(mechanism, lambda program: (program.numbers, [0.0] * len(program.numbers)))
+    named = with_variable(mechanism, name, Graph().variable(CHANGE))
+
+    def numbers(program: Program) -> tuple[list[float], list[float]]:
+        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(program.numbers, [CHANGE])]
+        both = substituted([*program.numbers, *slopes], {CHANGE: 0.0})
+        values = [float(x) for x in both]  # type: ignore[arg-type]  # nothing varies any more
+        return values[: len(slopes)], values[len(slopes) :]
+
+    return Number(named, numbers)
 
 
 def _formula(

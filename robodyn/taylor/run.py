@@ -35,6 +35,7 @@ from robodyn.taylor.watched_steps import with_events
 
 if TYPE_CHECKING:
     from robodyn.simulation.right_hand_side import RightHandSide
+    from robodyn.taylor.variations import Variations
 
 Array = NDArray[np.float64]
 
@@ -138,6 +139,12 @@ def taylor_run(
     `engine` is python, compiled, or auto: compiled where as many steps of the mechanism as WORTH
     were made in this process, or are to be expected.  `engines` keeps them for the next phase.
     """
+    variations: Variations | None = None
+    if actuation.by and actuation.alone is not None:
+        from robodyn.taylor.variations import variations_of
+
+        variations, y = variations_of(mechanism, actuation, y, max(rtol, atol), order)
+        actuation = actuation.alone
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
     closing = float_closing(mechanism) if projects else None
@@ -201,6 +208,9 @@ def taylor_run(
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         before, made = t, 0.0
         if crosses or stuck:
+            if variations is not None:
+                limit = "the Taylor series does not lead on there: take --method DOP853"
+                raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
             regular, least = 2.0 * suspect, LEAD if stuck else 1
             t, y = _lead(
                 side(), t, y, bound, recorder, closing, regular, least, rtol, atol, actuation
@@ -242,11 +252,16 @@ def taylor_run(
             stop: Stop | None = None
             if recorder.events is not None and len(chunk.t):
                 chunk, within, stop = with_events(recorder.events, mechanism, chunk, t, y, runner)
+            told = chunk
+            if variations is not None:
+                told, within = variations.along(t, y, chunk, type(runner).__name__, within)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
-            recorder.chunk(chunk, t_end, within)
+            recorder.chunk(told, t_end, within)
             if stop is not None:
+                if variations is not None:
+                    stop = stop._replace(y=variations.joined(stop.y[None], variations.s[None])[0])
                 recorder.stop(stop)
             ahead = min(2 * ahead, most_ahead)
             status = chunk.status
