@@ -209,7 +209,9 @@ def taylor_run(
         before, made = t, 0.0
         if crosses or stuck:
             if variations is not None:
-                limit = "the Taylor series does not lead on there: take --method DOP853"
+                limit = "is of motions that pass no change point"
+                if stuck:
+                    limit = "no Taylor series leads on there: take --method DOP853"
                 raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
             regular, least = 2.0 * suspect, LEAD if stuck else 1
             t, y = _lead(
