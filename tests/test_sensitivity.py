@@ -11,7 +11,8 @@ import pytest
 from conftest import ROOT, Outcome, relative_error
 
 import robodyn as rd
-from robodyn.errors import InputError
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import table as torque_table
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.scene_values import numbers_of
 
@@ -34,7 +35,8 @@ def differences(
         else:
             mech = build(values.replaced({name: values.number(name) + change}))
         q = rd.assemble(mech, start[0])
-        run = rd.simulate(mech, q, rd.loop_velocities(mech, q, start[1]), END, tau, **TIGHT)
+        qd = rd.loop_velocities(mech, q, start[1]) if mech.rows else start[1]
+        run = rd.simulate(mech, q, qd, END, tau, **TIGHT)
         return np.hstack([run.q, run.qd])
 
     h = 1e-3  # of order 4
@@ -42,17 +44,42 @@ def differences(
     return (8.0 * near - far) / (6.0 * h)
 
 
-def check(path: Path, names: Sequence[str], driven, rates, tau=None) -> None:
+WAYS = [  # method, engine, and whether the rows of the series go one by one
+    ("DOP853", "auto", False),
+    ("taylor", "python", False),
+    ("taylor", "compiled", False),
+    ("taylor", "python", True),
+]
+
+
+def check(path: Path, names: Sequence[str], driven, rates, tau=None, ways=WAYS) -> None:
+    """Of each way against differences, and against one another to the last digits but few."""
     mech = rd.load(path)
     q = rd.assemble(mech, driven)
-    run = rd.simulate(
-        mech, q, rd.loop_velocities(mech, q, rates), END, tau, sensitivity=names, **TIGHT
-    )
-    assert run.sensitivity is not None
-    assert run.sensitivity.shape == (3, 2 * mech.n, len(names))
-    for k, name in enumerate(names):
-        expected = differences(path, name, driven, rates, tau)
-        assert relative_error(run.sensitivity[..., k], expected) < 1e-6, name
+    start = q, rd.loop_velocities(mech, q, rates) if mech.rows else rates
+    expected = np.stack([differences(path, name, driven, rates, tau) for name in names], -1)
+    size = np.abs(expected).max(axis=(0, 1)) + 1e-9
+    first = None
+    for method, engine, one_by_one in ways:
+        with pytest.MonkeyPatch.context() as patch:
+            if one_by_one:
+                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+            given = {"method": method, "engine": engine, **TIGHT}
+            run = rd.simulate(mech, *start, END, tau, sensitivity=names, **given)
+            plain = rd.simulate(mech, *start, END, tau, **given)
+        found = run.sensitivity
+        assert found is not None
+        assert found.shape == (3, 2 * mech.n, len(names))
+        assert (np.abs(found - expected) < 1e-6 * size).all(), (method, engine)
+        if method == "taylor":  # the motion is that without them, bit for bit
+            assert run.report.evaluator == ("interpreted" if one_by_one else EVALUATORS[engine])
+            assert np.array_equal(run.q, plain.q)
+            assert np.array_equal(run.qd, plain.qd)
+        first = found if first is None else first
+        assert (np.abs(found - first) < 1e-9 * size).all(), (method, engine)
+
+
+EVALUATORS = {"python": "straight", "compiled": "compiled"}
 
 
 @pytest.mark.parametrize("tau", [None, "2*sin(3*t)", "0.2*cos(q1)*t - 0.01*qd1**3", [0.3]])
@@ -73,6 +100,79 @@ def test_a_four_bar() -> None:
 def test_a_slider_crank_and_gears() -> None:
     check(ROOT / "robots/slider-crank.yaml", ["q1", "links[1].l"], [0.8], [1.5])
     check(ROOT / "robots/geared-five-bar.yaml", ["q1", "links[1].l"], [0.8], [0.5])
+
+
+BLOCK = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: block, m: 0.3, l: 0, r: 0.01, I: 0.0005}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+closures:
+  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0.01], along: [1, 0]},
+     aligned: 20deg}
+actuated: [crank]
+"""
+BOOM = """
+gravity: 9.81
+links:
+  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05, friction: {torque: 0.5, speed: 0.2}}
+  - {name: boom, joint: prismatic, axis: [3, 0.5], m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03,
+     damping: 3}
+springs:
+  - {joint: boom, stiffness: 90, length: 0.1}
+  - {between: [{link: boom, at: [0.5, 0]}, [1, 1]], stiffness: 40, length: 0.3, damping: 2}
+"""
+
+
+def test_directions_and_angles_that_are_kept(scene: Scene) -> None:
+    names = ["closures[0].aligned", "closures[0].on.along[1]", "closures[0].on.through[1]"]
+    check(scene(BLOCK), names, [0.4], [3.0])
+    names = ["links.boom.axis[0]", "links.boom.axis[1]", "springs[1].length", "links.arm.I"]
+    check(scene(BOOM), [*names, "links.arm.friction.torque", "qd2"], [0.3, 0.1], [1.0, 0.2])
+
+
+def test_torques_that_bend_and_jump() -> None:
+    """At times that are told, or where an expression of time switches."""
+    path = ROOT / "robots/2r.yaml"
+    names = ["links.forearm.m", "q1", "qd2"]
+    check(path, names, [0.5, 0.8], [0.3, -0.4], "2 if t < 0.31 else -1, 0.5*q1*(t > 0.5)", WAYS[1:])
+    mech = rd.load(path)
+    table = torque_table(mech, [0.0, 0.25, 0.7], [[1.0, 0.0], [-2.0, 1.0], [3.0, 0.5]])
+    check(path, names, [0.5, 0.8], [0.3, -0.4], table)
+
+
+def test_backwards_events_and_rows_in_steps() -> None:
+    mech, names = rd.load(ROOT / "robots/four-bar.yaml"), ["q1", "links.coupler.m"]
+    q = rd.assemble(mech, [1.0])
+    start = q, rd.loop_velocities(mech, q, [2.0])
+    t = np.linspace(0.0, -0.5, 301)
+    given = {"rtol": 1e-11, "atol": 1e-11, "sensitivity": names}
+    runs = [
+        rd.simulate(mech, *start, -0.5, None, method=method, engine=engine, t_eval=t, **given)
+        for method, engine, one_by_one in WAYS
+        if not one_by_one
+    ]
+    for run in runs[1:]:
+        assert relative_error(run.sensitivity, runs[0].sensitivity) < 1e-8
+    ended = [
+        rd.simulate(mech, *start, 2.0, method=method, engine=engine, until="qd1 < 1", **given)
+        for method, engine, one_by_one in WAYS
+        if not one_by_one
+    ]
+    for run in ended[1:]:
+        assert run.sensitivity is not None
+        assert run.sensitivity.shape == (len(run.t), 2 * mech.n, 2)
+        assert relative_error(run.sensitivity[-1], ended[0].sensitivity[-1]) < 1e-7
+
+
+def test_a_change_point_is_named() -> None:
+    mech = rd.load(ROOT / "robots/parallelogram.yaml")
+    q = rd.assemble(mech, [0.7])
+    start = q, rd.loop_velocities(mech, q, [0.5])
+    for method in ("taylor", "DOP853"):
+        with pytest.raises(RobodynError, match="pass no change point"):
+            rd.simulate(mech, *start, 0.5, method=method, sensitivity=["q1"])
 
 
 def test_a_mass_on_a_spring(scene: Scene) -> None:
@@ -128,7 +228,6 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q3"), "q3: must be one of q1..q2"),
         ((*arm, "q1,q1"), "--sensitivity: needs names, each once"),
         ((*arm, ""), "is no number of the scene"),
-        ((*arm, "q1", "--method", "taylor"), "--sensitivity: the Taylor series"),
         ((*arm, "q1", *hold), "--sensitivity: is not for controllers"),
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),

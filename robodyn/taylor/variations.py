@@ -155,6 +155,7 @@ class Variations:
             motion = MotionProgram(mechanism, self.actuation, False, held)
             values, slopes = numbers(motion.program)
             motion.mechanism, motion.program.numbers = self.mechanism, values
+            motion.program.arms = dict.fromkeys(motion.program.arms, 1.0)  # no step is chosen
             key = motion.program.shape, tuple(values)
             group = found.setdefault(key, Group([], motion, values, []))
             group.places.append(place)
