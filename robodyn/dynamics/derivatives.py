@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
-from robodyn.dynamics.dynamics import PIVOT_CUT
-from robodyn.dynamics.placed import absolute_rates, finite, n_wide
+from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
+from robodyn.dynamics.placed import absolute_rates, finite
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
 from robodyn.engines.derivative_formulas import (
@@ -25,7 +25,6 @@ from robodyn.engines.derivative_formulas import (
     residual_derivatives_formula,
 )
 from robodyn.engines.formula_rows import FormulaRows
-from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 
@@ -96,14 +95,8 @@ def _each(
     mechanism: Mechanism, kind: str, t: ArrayLike, numbers: Sequence[str], **given: ArrayLike
 ) -> list[Array]:
     """The result and its derivatives."""
-    arrays = [n_wide(mechanism, name, value) for name, value in given.items()]
-    try:
-        states = dict(zip(given, np.broadcast_arrays(*arrays), strict=True))
-        shape = states["q"].shape
-        times = np.broadcast_to(finite("t", np.asarray(t, float)), shape[:-1]).ravel()
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in arrays)
-        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+    states = together(mechanism, given)
+    shape, times = states["q"].shape, times_of(t, states["q"]).ravel()
     n = mechanism.n
     flat = {name: finite(name, array).reshape(-1, n) for name, array in states.items()}
     solve = _forward if kind == "forward" else _inverse
