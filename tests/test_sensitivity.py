@@ -11,6 +11,7 @@ import pytest
 from conftest import ROOT, Outcome, relative_error
 
 import robodyn as rd
+from robodyn.control.state_feedback import StateFeedback
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import table as torque_table
 from robodyn.mechanics.mechanism import build
@@ -19,6 +20,19 @@ from robodyn.scene.scene_values import numbers_of
 Scene = Callable[[str], Path]
 TIGHT = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.3, 0.7]}
 END = 0.7
+
+
+class Law:
+    """A controller that keeps to a pose, of any mechanism with the numbers of one file."""
+
+    def __init__(self, path: Path, pose: Sequence[float], control: str, **given: object) -> None:
+        self.reference = rd.ReferenceTable.set_point(pose, 2.0)
+        self.believed = rd.load(path) if control == "pd+g" else None
+        self.control, self.given = control, given
+
+    def __call__(self, mech: rd.Mechanism) -> object:
+        given = {"control_model": self.believed, **self.given}
+        return rd.controller(mech, self.reference, self.control, **given)
 
 
 def differences(
@@ -36,7 +50,8 @@ def differences(
             mech = build(values.replaced({name: values.number(name) + change}))
         q = rd.assemble(mech, start[0])
         qd = rd.loop_velocities(mech, q, start[1]) if mech.rows else start[1]
-        run = rd.simulate(mech, q, qd, END, tau, **TIGHT)
+        torques = tau(mech) if isinstance(tau, Law) else tau
+        run = rd.simulate(mech, q, qd, END, torques, **TIGHT)
         return np.hstack([run.q, run.qd])
 
     h = 1e-3  # of order 4
@@ -60,6 +75,7 @@ def check(path: Path, names: Sequence[str], driven, rates, tau=None, ways=WAYS) 
     expected = np.stack([differences(path, name, driven, rates, tau) for name in names], -1)
     size = np.abs(expected).max(axis=(0, 1)) + 1e-9
     first = None
+    tau = tau(mech) if isinstance(tau, Law) else tau
     for method, engine, one_by_one in ways:
         with pytest.MonkeyPatch.context() as patch:
             if one_by_one:
@@ -140,6 +156,37 @@ def test_torques_that_bend_and_jump() -> None:
     mech = rd.load(path)
     table = torque_table(mech, [0.0, 0.25, 0.7], [[1.0, 0.0], [-2.0, 1.0], [3.0, 0.5]])
     check(path, names, [0.5, 0.8], [0.3, -0.4], table)
+
+
+GAIN = StateFeedback((0, 1), [0.3, 0.6], [1.0, 0.5], [[40.0, 3, 8, 1], [2, 30, 1, 5]])
+PD = {"kp": [40, 20], "kd": [8, 4]}
+
+
+@pytest.mark.parametrize(
+    ("control", "given"),
+    [
+        ("pd", PD),
+        ("pd", {**PD, "tau_max": [9.0, 2.5]}),
+        ("pd", {**PD, "control_rate": 50}),
+        ("pid", {**PD, "ki": [60, 30]}),
+        ("pid", {**PD, "ki": [60, 30], "tau_max": [9.0, 2.5]}),
+        ("pid", {**PD, "ki": [60, 30], "control_rate": 50}),
+        ("pd+g", PD),
+        ("state-feedback", {"gain": GAIN}),
+    ],
+)
+def test_controllers(control: str, given: dict) -> None:
+    """Where a torque is cut off, and where it is held between samples, too."""
+    path = ROOT / "robots/2r.yaml"
+    law = Law(path, [0.3, 0.6], control, **given)
+    check(path, ["links.forearm.m", "q1", "qd2"], [0.5, 0.8], [0.3, -0.4], law, WAYS[:1])
+
+
+def test_a_controlled_loop() -> None:
+    path = ROOT / "robots/four-bar.yaml"
+    for control in ("pd", "pd+g"):
+        law = Law(path, [1.4], control, kp=60, kd=9)
+        check(path, ["links.coupler.m", "q1"], [1.0], [2.0], law, WAYS[:1])
 
 
 def test_backwards_events_and_rows_in_steps() -> None:
@@ -228,7 +275,8 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q3"), "q3: must be one of q1..q2"),
         ((*arm, "q1,q1"), "--sensitivity: needs names, each once"),
         ((*arm, ""), "is no number of the scene"),
-        ((*arm, "q1", *hold), "--sensitivity: is not for controllers"),
+        ((*arm, "q1", *hold, "--method", "taylor", "--control-rate", "9"), "of controllers is not"),
+        ((*arm, "q1", *hold[:3], "computed-torque", *hold[4:]), "is not known for this law"),
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),
         ((*bar, "q2"), "q2: joint coupler follows"),

@@ -35,6 +35,7 @@ from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Program
+from robodyn.simulation.fed_back import Fed
 from robodyn.taylor.variations import Number
 
 Array = NDArray[np.float64]
@@ -51,6 +52,7 @@ class Sensitivities:
     sizes: Array  # (k,)
     actuation: Actuation
     n: int
+    own: int = 0  # states of the torques themselves, which come before
 
     @property
     def columns(self) -> list[str]:
@@ -59,9 +61,9 @@ class Sensitivities:
         return [f"{x}/{name}" for name in self.names for x in state]
 
     def of(self, y: Array) -> Array:
-        """d(q, qd)/d(each name) (T, 2n, k) in states y (T, 2n + 2n k)."""
-        first, count = 2 * self.n, len(self.names)
-        s = y[:, first : first * (count + 1)].reshape(-1, count, first)
+        """d(q, qd)/d(each name) (T, 2n, k) in states y (T, 2n + own + 2n k or more)."""
+        wide, count, first = 2 * self.n, len(self.names), 2 * self.n + self.own
+        s = y[:, first : first + wide * count].reshape(-1, count, wide)
         return np.swapaxes(s / self.sizes[:, None], 1, 2)
 
 
@@ -77,8 +79,10 @@ def with_sensitivities(
     limit = ""
     if mechanism.switches:
         limit = "is of smooth motions: the scene has dry friction or stops"
-    elif actuation.control is not None:
-        limit = "is not for controllers: take --tau, --tau-from or --volt"
+    elif actuation.control is not None and method == "taylor":
+        limit = "of controllers is not by the Taylor series: take --method DOP853"
+    elif actuation.control is not None and actuation.control.slopes is None:
+        limit = "is not known for this law: computed torque asks for accelerations"
     elif not elimination_is_safe(mechanism) or (
         mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
     ):
@@ -98,26 +102,26 @@ def with_sensitivities(
     formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes))
     if formula is None:
         raise InputError("sensitivity", where=where, limit="its equation divides by zero")
-    z = [range(2 * n * k, 2 * n * (k + 1)) for k in range(len(names))]
+    first, count = actuation.states, len(names)
+    z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
-    lines = [
-        *actuation.lines,
-        *moved,
-        f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})",
-    ]
+    lines, fed = [*actuation.lines], Fed(actuation, n, count)
     if actuation.constants is not None:
-        lines[:0] = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
-    scope = {**actuation.scope, "_slopes": compile_floats(formula, "slopes")}
+        lines = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
+    lines += [*fed.lines(mechanism), *moved]
+    lines.append(f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})")
+    start = [0.0] * first + np.concatenate(starts).tolist() + [0.0] * (first * count)
     carried = replace(
         actuation,
         lines=tuple(lines),
-        scope=scope,
-        states=2 * n * len(names),
-        start=tuple(np.concatenate(starts).tolist()),
+        scope={**actuation.scope, **fed.scope, "_slopes": compile_floats(formula, "slopes")},
+        states=len(start),
+        start=tuple(start),
         alone=actuation,
+        control=fed.control,
     )
-    return Sensitivities(tuple(names), np.array(sizes), carried, n)
+    return Sensitivities(tuple(names), np.array(sizes), carried, n, first)
 
 
 def _is_start(mechanism: Mechanism, name: str) -> bool:
@@ -158,7 +162,8 @@ def _formula(
     assert isinstance(factors, Factors)
     u = {f"u{i}": x for i, x in enumerate(factors.solve([-x for x in r]))}
     torques = _torques(mechanism, actuation, graph)
-    z = [f"z{i}" for i in range(2 * n * len(names))]
+    z = [f"z{actuation.states + i}" for i in range(2 * n * len(names))]
+    fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = z[2 * n * k : 2 * n * (k + 1)]
@@ -173,18 +178,22 @@ def _formula(
             named = with_variable(mechanism, name, graph.variable(CHANGE))
             residual = residuals(Recorded(named, KINDS[1:], way, graph=graph))[3]
             by[CHANGE] = {CHANGE: size}
-        by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
+        if actuation.control is None:
+            by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
+        else:
+            by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
+            fed += [f"f{k}_{j}" for j in mechanism.actuated]
         slopes = [slope.get(CHANGE, 0.0) for slope in tangents(residual, by)]
         right = [-x for x in substituted(slopes, {CHANGE: 0.0, **u})]
         outputs += relative(mechanism, factors.solve(right)[:n])
     constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
-    return Formula((*state.inputs, *z, "t"), tuple(substituted(outputs, constants)), ())
+    return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, constants)), ())
 
 
 def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[Value]:
     """Those of the torques (n) that depend on the state, as nodes; 0 for the others."""
     found: list[Value] = [0.0] * mechanism.n
-    if actuation.constants is not None or actuation.linear:
+    if actuation.constants is not None or actuation.linear or actuation.control is not None:
         return found
     scope: dict[str, object] = {f"_{name}": partial(expression.call, name) for name in SLOPES}
     scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
