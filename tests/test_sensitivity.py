@@ -189,6 +189,27 @@ def test_a_controlled_loop() -> None:
         check(path, ["links.coupler.m", "q1"], [1.0], [2.0], law, WAYS[:1])
 
 
+ENDS = """
+gravity: 9.81
+links:
+  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05,
+     limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}}
+  - {name: rod, m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03}
+"""
+STICKS = ENDS.replace(
+    "limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}",
+    "friction: {torque: 4.5, static: 4.5}",
+)
+
+
+def test_compliant_ends_and_dry_friction(scene: Scene) -> None:
+    """By modes: where their accelerations jump so do d(qd)/dp, by when that happens."""
+    limits = [f"links.arm.limits.{x}" for x in ("min", "stiffness", "damping")]
+    names = ["q1", "qd2", "links.rod.m", *limits]
+    check(scene(ENDS), names, [0.6, 0.1], [-1.0, 0.2], None, WAYS[:1])
+    check(scene(STICKS), ["q1", "qd2", "links.rod.m"], [0.6, 0.1], [3.0, 0.2], None, WAYS[:1])
+
+
 def test_backwards_events_and_rows_in_steps() -> None:
     mech, names = rd.load(ROOT / "robots/four-bar.yaml"), ["q1", "links.coupler.m"]
     q = rd.assemble(mech, [1.0])
@@ -280,7 +301,8 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),
         ((*bar, "q2"), "q2: joint coupler follows"),
-        (("simulate", dry, "--q", "0", "--sensitivity", "q1"), "is of smooth motions"),
+        (("simulate", dry, "--q", "0", "--method", "taylor", "--sensitivity", "q1"), "DOP853"),
+        (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.torque"), "dry friction"),
     ):
         given = robodyn(*line)
         assert given.code == 2

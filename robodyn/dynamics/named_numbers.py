@@ -21,6 +21,7 @@ from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import substituted, tangents
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene import yaml_tree
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues, numbers_of
@@ -48,8 +49,8 @@ def number_formula(mechanism: Mechanism, name: str) -> Formula:
     return Formula(inputs, tuple(outputs), ())
 
 
-def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
-    """The mechanism whose number is what it is plus x."""
+def with_variable(mechanism: Mechanism, name: str, x: Value, mode: Mode | None = None) -> Mechanism:
+    """The mechanism whose number is what it is plus x; in a mode, where one is given."""
     values = _values(mechanism, name)
     base = values.base
     size, (whole, half) = _changed(values, name)
@@ -74,7 +75,13 @@ def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
     }
     made = with_kept(constants(scene), kept)
     couplings = tuple(row for row in mechanism.rows if row.closure is None)
-    return replace(made, rows=(*made.rows, *couplings), dry=(), limits=())
+    rows = (*made.rows, *couplings)
+    if mode is None:
+        return replace(made, rows=rows, dry=(), limits=())
+    if made.dry != mechanism.dry:
+        limit = "no derivative is known by it: it changes dry friction"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return in_mode(replace(made, rows=rows), mode)
 
 
 def _turned(row: ClosureRow, by: Any) -> ClosureRow:

@@ -15,6 +15,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,14 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest
 from robodyn.engines.frames import relative
-from robodyn.engines.straightline import compile_floats
+from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import SLOPES, Tangents, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
 from robodyn.taylor.variations import Number
@@ -77,8 +79,8 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if mechanism.switches:
-        limit = "is of smooth motions: the scene has dry friction or stops"
+    if mechanism.switches and (method == "taylor" or actuation.control is not None):
+        limit = "of dry friction and stops is by --method DOP853, and without a controller"
     elif actuation.control is not None and method == "taylor":
         limit = "of controllers is not by the Taylor series: take --method DOP853"
     elif actuation.control is not None and actuation.control.slopes is None:
@@ -99,10 +101,26 @@ def with_sensitivities(
         flat = tuple((np.concatenate(starts) / np.repeat(sizes, 2 * n)).tolist())
         carried = replace(actuation, states=len(flat), start=flat, alone=actuation, by=by)
         return Sensitivities(tuple(names), np.ones(len(names)), carried, n)
-    formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes))
-    if formula is None:
-        raise InputError("sensitivity", where=where, limit="its equation divides by zero")
+
+    def make(mode: Mode | None) -> tuple[Formula, FloatFunction]:
+        formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes, mode))
+        if formula is None:
+            raise InputError("sensitivity", where=where, limit="its equation divides by zero")
+        return formula, compile_floats(formula, "slopes")
+
+    formula, slopes = make(Mode() if mechanism.switches else None)
     first, count = actuation.states, len(names)
+    modes = None
+    if mechanism.switches:
+        from robodyn.simulation.sensitivity_jumps import Modes
+
+        modes = Modes(
+            mechanism,
+            lambda mode: make(mode)[1],
+            partial(_end_slopes, mechanism, names, sizes),
+            count,
+            2 * n + first,
+        )
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
@@ -115,7 +133,8 @@ def with_sensitivities(
     carried = replace(
         actuation,
         lines=tuple(lines),
-        scope={**actuation.scope, **fed.scope, "_slopes": compile_floats(formula, "slopes")},
+        scope={**actuation.scope, **fed.scope, "_slopes": modes or slopes},
+        modes=modes,
         states=len(start),
         start=tuple(start),
         alone=actuation,
@@ -152,11 +171,17 @@ def _number(mechanism: Mechanism, name: str) -> Number:
 
 
 def _formula(
-    mechanism: Mechanism, actuation: Actuation, way: bool, names: Sequence[str], sizes: list[float]
+    mechanism: Mechanism,
+    actuation: Actuation,
+    way: bool,
+    names: Sequence[str],
+    sizes: list[float],
+    mode: Mode | None,
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
     graph, n = Graph(), mechanism.n
-    state = Recorded(mechanism, KINDS[1:], way, graph=graph)
+    moving = mechanism if mode is None else in_mode(mechanism, mode)
+    state = Recorded(moving, KINDS[1:], way, graph=graph)
     series, r, _, R = residuals(state)
     factors = series.factorise()
     assert isinstance(factors, Factors)
@@ -175,7 +200,7 @@ def _formula(
             if ".motor." in name and any(tangents(torques, list(by))):
                 limit = "no derivative is known by it where torques depend on q or qd"
                 raise InputError(name, where=mechanism.source, limit=limit)
-            named = with_variable(mechanism, name, graph.variable(CHANGE))
+            named = with_variable(mechanism, name, graph.variable(CHANGE), mode)
             residual = residuals(Recorded(named, KINDS[1:], way, graph=graph))[3]
             by[CHANGE] = {CHANGE: size}
         if actuation.control is None:
@@ -211,6 +236,22 @@ def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[V
             what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
             limit = "has no derivative: of q and qd take arithmetic and smooth functions"
             raise InputError(what, where=mechanism.source, limit=limit) from None
+    return found
+
+
+def _end_slopes(
+    mechanism: Mechanism, names: Sequence[str], sizes: Sequence[float], joint: int, side: int
+) -> Array:
+    """How far an end of a joint moves with each of the names, times its size."""
+    slopes: list[Value] = []
+    for name in names:
+        known: Tangents = {}
+        if not _is_start(mechanism, name):
+            named = with_variable(mechanism, name, Graph().variable(CHANGE), Mode())
+            stops: Any = named.description.links[joint].limits
+            known = tangents([dict(stops.ends)[side]], [CHANGE])[0]
+        slopes += substituted([known.get(CHANGE, 0.0)], {CHANGE: 0.0})
+    found: Array = np.array(slopes, float) * sizes
     return found
 
 
