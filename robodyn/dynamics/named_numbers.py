@@ -32,15 +32,15 @@ SAME = 1e-9  # relative, by which what is no multiple of a change is told
 
 
 @lru_cache(maxsize=256)
-def number_formula(mechanism: Mechanism, name: str) -> Formula:
+def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) -> Formula:
     """dR (N) by the number called `name`, at q, qd, tau and unknowns u (N); see `residuals`.
 
-    Raises InputError for a name that is none, and for a number that no derivative is known by: of
-    an end of a joint, of dry friction.
+    In a mode, where one is given.  Raises InputError for a name that is none, and for a number that
+    no derivative is known by: of dry friction.
     """
     graph = Graph()
     x = graph.variable(name)
-    named = with_variable(mechanism, name, x)
+    named = with_variable(mechanism, name, x, mode)
     state = Recorded(named, KINDS[1:], True, graph=graph)
     _, _, K, R = residuals(state)
     slopes = [slope.get(name, 0.0) for slope in tangents(R, [name])]
