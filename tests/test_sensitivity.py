@@ -210,6 +210,21 @@ def test_compliant_ends_and_dry_friction(scene: Scene) -> None:
     check(scene(STICKS), ["q1", "qd2", "links.rod.m"], [0.6, 0.1], [3.0, 0.2], None, WAYS[:1])
 
 
+def test_hard_stops(scene: Scene) -> None:
+    """The arm is thrown back, twice, or comes to rest on its end."""
+    names = ["q1", "qd2", "links.rod.m", "links.rod.I", "links.arm.limits.min"]
+    for e in (0.6, 0.0):
+        given = ENDS.replace("stiffness: 300, damping: 2", f"restitution: {e}")
+        rest = ["links.arm.limits.restitution"] if e else []
+        check(scene(given), [*names, *rest], [0.6, 0.1], [-1.0, 0.2], None, WAYS[:1])
+
+
+def test_what_jumps_as_it_starts_is_named(scene: Scene) -> None:
+    path = scene(STICKS.replace("static: 4.5", "static: 4.8"))
+    with pytest.raises(RobodynError, match="static friction above that of slipping"):
+        rd.simulate(rd.load(path), [0.6, 0.1], [3.0, 0.2], 1.0, sensitivity=["q1"])
+
+
 def test_backwards_events_and_rows_in_steps() -> None:
     mech, names = rd.load(ROOT / "robots/four-bar.yaml"), ["q1", "links.coupler.m"]
     q = rd.assemble(mech, [1.0])

@@ -118,6 +118,7 @@ def with_sensitivities(
             mechanism,
             lambda mode: make(mode)[1],
             partial(_end_slopes, mechanism, names, sizes),
+            lambda joint, e: _thrown_back(mechanism, tuple(names), tuple(sizes), joint, e),
             count,
             2 * n + first,
         )
@@ -237,6 +238,45 @@ def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[V
             limit = "has no derivative: of q and qd take arithmetic and smooth functions"
             raise InputError(what, where=mechanism.source, limit=limit) from None
     return found
+
+
+@lru_cache(maxsize=64)
+def _thrown_back(
+    mechanism: Mechanism, names: tuple[str, ...], sizes: tuple[float, ...], joint: int, e: float
+) -> FloatFunction:
+    """(q, qd) after an impact, and what becomes of all s, from both; see `sensitivity_jumps`."""
+    graph, n = Graph(), mechanism.n
+    given = dict(mechanism.limits)[joint].restitution or 0.0
+    keeps = abs(given - e) < 1e-9 and given > 0.0  # else it comes to rest at once
+
+    def after(moving: Mechanism) -> list[Value]:
+        state = Recorded(moving, KINDS[1:], True, graph=graph)
+        series, _, _, R = residuals(state)
+        factors = series.factorise()
+        assert isinstance(factors, Factors)
+        by: dict[str, Tangents] = {f"tau{joint}": {CHANGE: 1.0}}
+        column = [-slope.get(CHANGE, 0.0) for slope in tangents(R, by)]
+        back = relative(moving, factors.solve(column)[:n])
+        q, qd = state.relative["q"], state.relative["qd"]
+        stop: Any = moving.description.links[joint].limits
+        part = (1.0 + (stop.restitution if keeps else e)) * qd[joint] / back[joint]
+        return [*q, *(v - part * r for v, r in zip(qd, back, strict=True))]
+
+    state = [f"{name}{i}" for name in ("q", "qd") for i in range(n)]
+    outputs, inputs = after(in_mode(mechanism, Mode())), list(state)
+    for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
+        own = [f"s{k}_{i}" for i in range(2 * n)]
+        inputs += own
+        by: dict[str, Tangents] = {
+            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
+        }
+        named = in_mode(mechanism, Mode())
+        if not _is_start(mechanism, name):
+            named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
+            by[CHANGE] = {CHANGE: size}
+        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(after(named), by)]
+        outputs += substituted(slopes, {CHANGE: 0.0})
+    return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
 
 
 def _end_slopes(

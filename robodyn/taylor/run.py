@@ -29,6 +29,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_order
+from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
 from robodyn.taylor.watched_steps import with_events
@@ -271,7 +272,7 @@ def taylor_run(
             if status is not Status.FULL:
                 recent.clear()
             elif sum(len(some.t) for some in recent) >= STEPS:
-                if _held_by_stability(recent, t_end, recorder, rtol, atol):
+                if held_by_stability(recent, t_end, recorder, rtol, atol):
                     return Outcome.STIFF
                 recent.clear()
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
@@ -313,28 +314,6 @@ def _check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array)
     if not all(map(math.isfinite, torques)):
         limit = "the torque is not finite there"
         raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-
-
-def _held_by_stability(
-    recent: list[Chunk], t_end: float, recorder: Recorder, rtol: float, atol: float
-) -> bool:
-    """Whether a run that would take too many steps takes them along what one cubic describes."""
-    t, y = np.concatenate([x.t for x in recent]), np.concatenate([x.y for x in recent])
-    t, y, n = t[-STEPS:], y[-STEPS:], recorder.mechanism.n
-    x = (t - t[0])[:, None]
-    span = float(x[-1, 0])
-    left = recorder.max_evaluations - recorder.report.evaluations
-    if (t_end - t[-1]) / span * STEPS <= left:
-        return False
-    q, qd = y[:, :n], y[:, n : 2 * n]
-    fast = float(np.abs(qd).max())
-    if abs(span) * fast > 0.1 * STEPS:  # turns of links hold it as well
-        return False
-    slope = (q[-1] - q[0]) / span
-    a, b = qd[0] - slope, qd[-1] - slope
-    u = x / span
-    cubic = q[0] + x * slope + span * u * (1.0 - u) * (a * (1.0 - u) - b * u)
-    return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
 @np.errstate(all="ignore")  # as of a run by it alone
