@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome, relative_error
+from engine_cases import KINDS, plain_scene
 
 import robodyn as rd
 from robodyn.control.state_feedback import StateFeedback
+from robodyn.dynamics.named_numbers import with_variable
+from robodyn.engines.expression import Graph
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import table as torque_table
 from robodyn.mechanics.mechanism import build
@@ -325,3 +328,33 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
     mech = rd.load(ROOT / "robots/2r.yaml")
     with pytest.raises(InputError, match="has no derivative"):
         rd.simulate(mech, [0, 0], [0, 0], 1.0, lambda t, q, qd: [q[0], 0.0], sensitivity=["q1"])
+
+
+@pytest.mark.parametrize("kind", KINDS[::2])
+def test_random_scenes(kind: str, scene: Scene) -> None:
+    """Springs, couplings, slots, motors, loads: the series against a tight run by DOP853."""
+    drawn = plain_scene(kind, 2)
+    path = scene(drawn.text)
+    mech, values = rd.load(path), numbers_of(drawn.text, str(path))
+    rates = drawn.qd[list(mech.actuated)]
+    start = drawn.q, rd.loop_velocities(mech, drawn.q, rates) if mech.rows else drawn.qd
+    names = [f"q{mech.actuated[0] + 1}"]
+    for name in values.names:
+        try:
+            with_variable(mech, name, Graph().variable("p"))
+        except InputError:
+            continue
+        names.append(name)
+    names = [*names[:1], *names[1 :: max(1, len(names) // 3)]]
+    end, torques = 0.05, ["0.1*sin(3*t)"] * len(mech.actuated)
+    tight = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.5 * end, end], "sensitivity": names}
+    runs = []
+    for method, engine, one_by_one in WAYS:
+        with pytest.MonkeyPatch.context() as patch:
+            if one_by_one:
+                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+            given = {"method": method, "engine": engine, **tight}
+            runs.append(rd.simulate(mech, *start, end, ",".join(torques), **given).sensitivity)
+    size = np.abs(runs[0]).max(axis=(0, 1)) + 1e-9
+    for run in runs[1:]:
+        assert (np.abs(run - runs[0]) < 1e-8 * size).all(), names
