@@ -9,15 +9,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome, relative_error
+from engine_cases import KINDS, plain_scene
 
 import robodyn as rd
-from robodyn.errors import InputError
+from robodyn.control.state_feedback import StateFeedback
+from robodyn.dynamics.named_numbers import with_variable
+from robodyn.engines.expression import Graph
+from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import table as torque_table
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.scene_values import numbers_of
 
 Scene = Callable[[str], Path]
 TIGHT = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.3, 0.7]}
 END = 0.7
+
+
+class Law:
+    """A controller that keeps to a pose, of any mechanism with the numbers of one file."""
+
+    def __init__(self, path: Path, pose: Sequence[float], control: str, **given: object) -> None:
+        self.reference = rd.ReferenceTable.set_point(pose, 2.0)
+        self.believed = rd.load(path) if control == "pd+g" else None
+        self.control, self.given = control, given
+
+    def __call__(self, mech: rd.Mechanism) -> object:
+        given = {"control_model": self.believed, **self.given}
+        return rd.controller(mech, self.reference, self.control, **given)
 
 
 def differences(
@@ -34,7 +52,9 @@ def differences(
         else:
             mech = build(values.replaced({name: values.number(name) + change}))
         q = rd.assemble(mech, start[0])
-        run = rd.simulate(mech, q, rd.loop_velocities(mech, q, start[1]), END, tau, **TIGHT)
+        qd = rd.loop_velocities(mech, q, start[1]) if mech.rows else start[1]
+        torques = tau(mech) if isinstance(tau, Law) else tau
+        run = rd.simulate(mech, q, qd, END, torques, **TIGHT)
         return np.hstack([run.q, run.qd])
 
     h = 1e-3  # of order 4
@@ -42,17 +62,43 @@ def differences(
     return (8.0 * near - far) / (6.0 * h)
 
 
-def check(path: Path, names: Sequence[str], driven, rates, tau=None) -> None:
+WAYS = [  # method, engine, and whether the rows of the series go one by one
+    ("DOP853", "auto", False),
+    ("taylor", "python", False),
+    ("taylor", "compiled", False),
+    ("taylor", "python", True),
+]
+
+
+def check(path: Path, names: Sequence[str], driven, rates, tau=None, ways=WAYS) -> None:
+    """Of each way against differences, and against one another to the last digits but few."""
     mech = rd.load(path)
     q = rd.assemble(mech, driven)
-    run = rd.simulate(
-        mech, q, rd.loop_velocities(mech, q, rates), END, tau, sensitivity=names, **TIGHT
-    )
-    assert run.sensitivity is not None
-    assert run.sensitivity.shape == (3, 2 * mech.n, len(names))
-    for k, name in enumerate(names):
-        expected = differences(path, name, driven, rates, tau)
-        assert relative_error(run.sensitivity[..., k], expected) < 1e-6, name
+    start = q, rd.loop_velocities(mech, q, rates) if mech.rows else rates
+    expected = np.stack([differences(path, name, driven, rates, tau) for name in names], -1)
+    size = np.abs(expected).max(axis=(0, 1)) + 1e-9
+    first = None
+    tau = tau(mech) if isinstance(tau, Law) else tau
+    for method, engine, one_by_one in ways:
+        with pytest.MonkeyPatch.context() as patch:
+            if one_by_one:
+                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+            given = {"method": method, "engine": engine, **TIGHT}
+            run = rd.simulate(mech, *start, END, tau, sensitivity=names, **given)
+            plain = rd.simulate(mech, *start, END, tau, **given)
+        found = run.sensitivity
+        assert found is not None
+        assert found.shape == (3, 2 * mech.n, len(names))
+        assert (np.abs(found - expected) < 1e-6 * size).all(), (method, engine)
+        if method == "taylor":  # the motion is that without them, bit for bit
+            assert run.report.evaluator == ("interpreted" if one_by_one else EVALUATORS[engine])
+            assert np.array_equal(run.q, plain.q)
+            assert np.array_equal(run.qd, plain.qd)
+        first = found if first is None else first
+        assert (np.abs(found - first) < 1e-9 * size).all(), (method, engine)
+
+
+EVALUATORS = {"python": "straight", "compiled": "compiled"}
 
 
 @pytest.mark.parametrize("tau", [None, "2*sin(3*t)", "0.2*cos(q1)*t - 0.01*qd1**3", [0.3]])
@@ -73,6 +119,146 @@ def test_a_four_bar() -> None:
 def test_a_slider_crank_and_gears() -> None:
     check(ROOT / "robots/slider-crank.yaml", ["q1", "links[1].l"], [0.8], [1.5])
     check(ROOT / "robots/geared-five-bar.yaml", ["q1", "links[1].l"], [0.8], [0.5])
+
+
+BLOCK = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: block, m: 0.3, l: 0, r: 0.01, I: 0.0005}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+closures:
+  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0.01], along: [1, 0]},
+     aligned: 20deg}
+actuated: [crank]
+"""
+BOOM = """
+gravity: 9.81
+links:
+  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05, friction: {torque: 0.5, speed: 0.2}}
+  - {name: boom, joint: prismatic, axis: [3, 0.5], m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03,
+     damping: 3}
+springs:
+  - {joint: boom, stiffness: 90, length: 0.1}
+  - {between: [{link: boom, at: [0.5, 0]}, [1, 1]], stiffness: 40, length: 0.3, damping: 2}
+"""
+
+
+def test_directions_and_angles_that_are_kept(scene: Scene) -> None:
+    names = ["closures[0].aligned", "closures[0].on.along[1]", "closures[0].on.through[1]"]
+    check(scene(BLOCK), names, [0.4], [3.0])
+    names = ["links.boom.axis[0]", "links.boom.axis[1]", "springs[1].length", "links.arm.I"]
+    check(scene(BOOM), [*names, "links.arm.friction.torque", "qd2"], [0.3, 0.1], [1.0, 0.2])
+
+
+def test_torques_that_bend_and_jump() -> None:
+    """At times that are told, or where an expression of time switches."""
+    path = ROOT / "robots/2r.yaml"
+    names = ["links.forearm.m", "q1", "qd2"]
+    check(path, names, [0.5, 0.8], [0.3, -0.4], "2 if t < 0.31 else -1, 0.5*q1*(t > 0.5)", WAYS[1:])
+    mech = rd.load(path)
+    table = torque_table(mech, [0.0, 0.25, 0.7], [[1.0, 0.0], [-2.0, 1.0], [3.0, 0.5]])
+    check(path, names, [0.5, 0.8], [0.3, -0.4], table)
+
+
+GAIN = StateFeedback((0, 1), [0.3, 0.6], [1.0, 0.5], [[40.0, 3, 8, 1], [2, 30, 1, 5]])
+PD = {"kp": [40, 20], "kd": [8, 4]}
+
+
+@pytest.mark.parametrize(
+    ("control", "given"),
+    [
+        ("pd", PD),
+        ("pd", {**PD, "tau_max": [9.0, 2.5]}),
+        ("pd", {**PD, "control_rate": 50}),
+        ("pid", {**PD, "ki": [60, 30]}),
+        ("pid", {**PD, "ki": [60, 30], "tau_max": [9.0, 2.5]}),
+        ("pid", {**PD, "ki": [60, 30], "control_rate": 50}),
+        ("pd+g", PD),
+        ("state-feedback", {"gain": GAIN}),
+    ],
+)
+def test_controllers(control: str, given: dict) -> None:
+    """Where a torque is cut off, and where it is held between samples, too."""
+    path = ROOT / "robots/2r.yaml"
+    law = Law(path, [0.3, 0.6], control, **given)
+    check(path, ["links.forearm.m", "q1", "qd2"], [0.5, 0.8], [0.3, -0.4], law, WAYS[:1])
+
+
+def test_a_controlled_loop() -> None:
+    path = ROOT / "robots/four-bar.yaml"
+    for control in ("pd", "pd+g"):
+        law = Law(path, [1.4], control, kp=60, kd=9)
+        check(path, ["links.coupler.m", "q1"], [1.0], [2.0], law, WAYS[:1])
+
+
+ENDS = """
+gravity: 9.81
+links:
+  - {name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05,
+     limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}}
+  - {name: rod, m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03}
+"""
+STICKS = ENDS.replace(
+    "limits: {min: -0.5, max: 2, stiffness: 300, damping: 2}",
+    "friction: {torque: 4.5, static: 4.5}",
+)
+
+
+def test_compliant_ends_and_dry_friction(scene: Scene) -> None:
+    """By modes: where their accelerations jump so do d(qd)/dp, by when that happens."""
+    limits = [f"links.arm.limits.{x}" for x in ("min", "stiffness", "damping")]
+    names = ["q1", "qd2", "links.rod.m", *limits]
+    check(scene(ENDS), names, [0.6, 0.1], [-1.0, 0.2], None, WAYS[:1])
+    check(scene(STICKS), ["q1", "qd2", "links.rod.m"], [0.6, 0.1], [3.0, 0.2], None, WAYS[:1])
+
+
+def test_hard_stops(scene: Scene) -> None:
+    """The arm is thrown back, twice, or comes to rest on its end."""
+    names = ["q1", "qd2", "links.rod.m", "links.rod.I", "links.arm.limits.min"]
+    for e in (0.6, 0.0):
+        given = ENDS.replace("stiffness: 300, damping: 2", f"restitution: {e}")
+        rest = ["links.arm.limits.restitution"] if e else []
+        check(scene(given), [*names, *rest], [0.6, 0.1], [-1.0, 0.2], None, WAYS[:1])
+
+
+def test_what_jumps_as_it_starts_is_named(scene: Scene) -> None:
+    path = scene(STICKS.replace("static: 4.5", "static: 4.8"))
+    with pytest.raises(RobodynError, match="static friction above that of slipping"):
+        rd.simulate(rd.load(path), [0.6, 0.1], [3.0, 0.2], 1.0, sensitivity=["q1"])
+
+
+def test_backwards_events_and_rows_in_steps() -> None:
+    mech, names = rd.load(ROOT / "robots/four-bar.yaml"), ["q1", "links.coupler.m"]
+    q = rd.assemble(mech, [1.0])
+    start = q, rd.loop_velocities(mech, q, [2.0])
+    t = np.linspace(0.0, -0.5, 301)
+    given = {"rtol": 1e-11, "atol": 1e-11, "sensitivity": names}
+    runs = [
+        rd.simulate(mech, *start, -0.5, None, method=method, engine=engine, t_eval=t, **given)
+        for method, engine, one_by_one in WAYS
+        if not one_by_one
+    ]
+    for run in runs[1:]:
+        assert relative_error(run.sensitivity, runs[0].sensitivity) < 1e-8
+    ended = [
+        rd.simulate(mech, *start, 2.0, method=method, engine=engine, until="qd1 < 1", **given)
+        for method, engine, one_by_one in WAYS
+        if not one_by_one
+    ]
+    for run in ended[1:]:
+        assert run.sensitivity is not None
+        assert run.sensitivity.shape == (len(run.t), 2 * mech.n, 2)
+        assert relative_error(run.sensitivity[-1], ended[0].sensitivity[-1]) < 1e-7
+
+
+def test_a_change_point_is_named() -> None:
+    mech = rd.load(ROOT / "robots/parallelogram.yaml")
+    q = rd.assemble(mech, [0.7])
+    start = q, rd.loop_velocities(mech, q, [0.5])
+    for method in ("taylor", "DOP853"):
+        with pytest.raises(RobodynError, match="pass no change point"):
+            rd.simulate(mech, *start, 0.5, method=method, sensitivity=["q1"])
 
 
 def test_a_mass_on_a_spring(scene: Scene) -> None:
@@ -128,12 +314,13 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q3"), "q3: must be one of q1..q2"),
         ((*arm, "q1,q1"), "--sensitivity: needs names, each once"),
         ((*arm, ""), "is no number of the scene"),
-        ((*arm, "q1", "--method", "taylor"), "--sensitivity: the Taylor series"),
-        ((*arm, "q1", *hold), "--sensitivity: is not for controllers"),
+        ((*arm, "q1", *hold, "--method", "taylor", "--control-rate", "9"), "of controllers is not"),
+        ((*arm, "q1", *hold[:3], "computed-torque", *hold[4:]), "is not known for this law"),
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),
         ((*bar, "q2"), "q2: joint coupler follows"),
-        (("simulate", dry, "--q", "0", "--sensitivity", "q1"), "is of smooth motions"),
+        (("simulate", dry, "--q", "0", "--method", "taylor", "--sensitivity", "q1"), "DOP853"),
+        (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.torque"), "dry friction"),
     ):
         given = robodyn(*line)
         assert given.code == 2
@@ -141,3 +328,33 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
     mech = rd.load(ROOT / "robots/2r.yaml")
     with pytest.raises(InputError, match="has no derivative"):
         rd.simulate(mech, [0, 0], [0, 0], 1.0, lambda t, q, qd: [q[0], 0.0], sensitivity=["q1"])
+
+
+@pytest.mark.parametrize("kind", KINDS[::2])
+def test_random_scenes(kind: str, scene: Scene) -> None:
+    """Springs, couplings, slots, motors, loads: the series against a tight run by DOP853."""
+    drawn = plain_scene(kind, 2)
+    path = scene(drawn.text)
+    mech, values = rd.load(path), numbers_of(drawn.text, str(path))
+    rates = drawn.qd[list(mech.actuated)]
+    start = drawn.q, rd.loop_velocities(mech, drawn.q, rates) if mech.rows else drawn.qd
+    names = [f"q{mech.actuated[0] + 1}"]
+    for name in values.names:
+        try:
+            with_variable(mech, name, Graph().variable("p"))
+        except InputError:
+            continue
+        names.append(name)
+    names = [*names[:1], *names[1 :: max(1, len(names) // 3)]]
+    end, torques = 0.05, ["0.1*sin(3*t)"] * len(mech.actuated)
+    tight = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.5 * end, end], "sensitivity": names}
+    runs = []
+    for method, engine, one_by_one in WAYS:
+        with pytest.MonkeyPatch.context() as patch:
+            if one_by_one:
+                patch.setattr("robodyn.taylor.run.STRAIGHT", -1)
+            given = {"method": method, "engine": engine, **tight}
+            runs.append(rd.simulate(mech, *start, end, ",".join(torques), **given).sensitivity)
+    size = np.abs(runs[0]).max(axis=(0, 1)) + 1e-9
+    for run in runs[1:]:
+        assert (np.abs(run - runs[0]) < 1e-8 * size).all(), names

@@ -77,7 +77,7 @@ def simulate(
 
     --sensitivity adds for each NAME, links.forearm.m or a start value q1 or qd1, the columns
     dq1/NAME.., dqd1/NAME..: d(state)/d(NAME), as exact as q and qd are, relatively.  What else
-    actuated joints start with is held, the passive ones follow.
+    actuated joints start with is held, the passive ones follow, and a controller believes the same.
 
     An event happens when a comparison becomes true, or a function of t, q1.., qd1.. passes zero;
     what holds at the start is none.  Its time is found to rounding.

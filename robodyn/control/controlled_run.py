@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]
 
+# d(what a law gives)/d(what it asks but t) (joints + states, 2n + states), of t and that
+Slopes = Callable[[float, Sequence[float]], Array]
+
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 
 
@@ -57,6 +60,7 @@ class Tracked:
     """
 
     restarts = False
+    slopes: Slopes | None = None
 
     def __init__(
         self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int
@@ -206,10 +210,14 @@ class Sampled(Tracked):
             self.z = [z + zd / self.rate for z, zd in zip(self.z, found[joints:], strict=True)]
             self.times.append(t)
 
+    def sample(self, t: float) -> int:
+        """The last sample at t."""
+        return max(bisect_right(self.times, t * ROUNDED) - 1, 0)
+
     def at(self, t: float) -> Sequence[float]:
         """The torques held at t."""
         joints = self.reference.joints
-        k = max(bisect_right(self.times, t * ROUNDED) - 1, 0) * joints
+        k = self.sample(t) * joints
         return self.values[k : k + joints]
 
     def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:

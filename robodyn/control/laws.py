@@ -35,6 +35,7 @@ from collections.abc import Mapping, Sequence
 
 from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques
+from robodyn.control.law_slopes import law_slopes
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
 from robodyn.engines.straightline import define
@@ -110,6 +111,7 @@ def controller(
         lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
     torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
+    slopes = law_slopes(mechanism, model, control, gains, limits, gain, torques)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
@@ -121,6 +123,7 @@ def controller(
             raise InputError("control_rate", value=f"{rate:g}", limit=limit)
         kinks = tuple(k / rate for k in range(max(0, math.floor(samples)) + 2))
         held = Sampled(mechanism, reference, torques, states, rate)
+        held.slopes = slopes
         code = (f"{targets}= _held(t)", *zeros)
         return Actuation(None, code, {"_held": held.at}, kinks, True, span, held)
     state = ", ".join(_each("q", n) + _each("qd", n) + _each("z", states))
@@ -129,6 +132,7 @@ def controller(
     jumps = reference.stops or (control == "computed-torque" and reference.jumps)
     kinks = tuple(reference.times if jumps else reference.kinks)
     acting = Continuous(mechanism, reference, torques, states, pieces, jumps)
+    acting.slopes = slopes
     asked = {"_control": torques}
     return Actuation(None, code, asked, kinks, False, span, acting, states=states)
 

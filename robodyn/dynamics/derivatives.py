@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
-from robodyn.dynamics.dynamics import PIVOT_CUT
-from robodyn.dynamics.placed import absolute_rates, finite, n_wide
+from robodyn.dynamics.dynamics import PIVOT_CUT, times_of, together
+from robodyn.dynamics.placed import absolute_rates, finite
 from robodyn.dynamics.sticking import modes_of
 from robodyn.engines import formulas, straightline
 from robodyn.engines.derivative_formulas import (
@@ -25,11 +25,11 @@ from robodyn.engines.derivative_formulas import (
     residual_derivatives_formula,
 )
 from robodyn.engines.formula_rows import FormulaRows
-from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import in_mode
+from robodyn.mechanics.modes import Mode, in_mode
 
 Array = NDArray[np.float64]
+Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each
 
 
 class ForwardDerivatives(NamedTuple):
@@ -96,24 +96,20 @@ def _each(
     mechanism: Mechanism, kind: str, t: ArrayLike, numbers: Sequence[str], **given: ArrayLike
 ) -> list[Array]:
     """The result and its derivatives."""
-    arrays = [n_wide(mechanism, name, value) for name, value in given.items()]
-    try:
-        states = dict(zip(given, np.broadcast_arrays(*arrays), strict=True))
-        shape = states["q"].shape
-        times = np.broadcast_to(finite("t", np.asarray(t, float)), shape[:-1]).ravel()
-    except ValueError:
-        shapes = ", ".join(str(array.shape) for array in arrays)
-        raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
+    states = together(mechanism, given)
+    shape, times = states["q"].shape, times_of(t, states["q"]).ravel()
     n = mechanism.n
     flat = {name: finite(name, array).reshape(-1, n) for name, array in states.items()}
     solve = _forward if kind == "forward" else _inverse
     if not mechanism.switches:
-        found = solve(mechanism, list(flat.values()), times, numbers)
+        by = [_by_number(mechanism, name) for name in numbers]
+        found = solve(mechanism, list(flat.values()), times, by)
     else:
         found = [np.empty((len(times), n * m)) for m in (1, n, n, n, len(numbers))]
         for mode, which in modes_of(mechanism, kind, flat, times).items():
             moving = in_mode(mechanism, mode)
-            part = solve(moving, [x[which] for x in flat.values()], times[which], numbers)
+            by = [_by_number(mechanism, name, mode) for name in numbers]
+            part = solve(moving, [x[which] for x in flat.values()], times[which], by)
             for array, values in zip(found, part, strict=True):
                 array[which] = values
     widths = [(n,), *((n, n),) * 3, (n, len(numbers))]
@@ -121,7 +117,7 @@ def _each(
 
 
 def _forward(
-    mechanism: Mechanism, states: list[Array], t: Array, numbers: Sequence[str] = ()
+    mechanism: Mechanism, states: list[Array], t: Array, numbers: Numbers = ()
 ) -> list[Array]:
     """qdd (T, n) at q, qd, tau, and its derivatives, each (T, n m) by m things."""
     rows, n = _generated(mechanism), mechanism.n
@@ -147,7 +143,7 @@ def _forward(
 
 
 def _inverse(
-    mechanism: Mechanism, states: list[Array], t: Array, numbers: Sequence[str] = ()
+    mechanism: Mechanism, states: list[Array], t: Array, numbers: Numbers = ()
 ) -> list[Array]:
     """tau (T, n) at q, qd, qdd, and its derivatives, each (T, n m) by m things."""
     n, driven = mechanism.n, list(mechanism.actuated)
@@ -190,10 +186,12 @@ def _compiled(mechanism: Mechanism) -> straightline.FloatFunction:
 
 
 @lru_cache(maxsize=256)
-def _by_number(mechanism: Mechanism, name: str) -> straightline.FloatFunction:
+def _by_number(
+    mechanism: Mechanism, name: str, mode: Mode | None = None
+) -> straightline.FloatFunction:
     from robodyn.dynamics.named_numbers import number_formula
 
-    return straightline.compile_floats(number_formula(mechanism, name), "residuals")
+    return straightline.compile_floats(number_formula(mechanism, name, mode), "residuals")
 
 
 def _residuals(
@@ -204,7 +202,7 @@ def _residuals(
     qdd: Array,
     multipliers: Array,
     t: Array,
-    numbers: Sequence[str],
+    numbers: Numbers,
 ) -> tuple[Array, Array]:
     """K (T, N, N), and dR by q, qd, tau and numbers (T, N, 3n + k), of states (T, n)."""
     n, size = mechanism.n, mechanism.n + len(mechanism.rows)
@@ -214,7 +212,6 @@ def _residuals(
     function = _compiled(mechanism)
     found = np.array([function(*row) for row in states])
     K, dR = found[:, : size * size], found[:, size * size :].reshape(-1, size, 3 * n)
-    others = [_by_number(mechanism, name) for name in numbers]
-    more = [[function(*row) for row in states] for function in others]
+    more = [[function(*row) for row in states] for function in numbers]
     parts = [np.reshape(x, (-1, size, 1)) for x in more]
     return K.reshape(-1, size, size), np.concatenate([dR, *parts], axis=-1)

@@ -13,6 +13,7 @@ the constrained system is not, and where closures depend on one another.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import TypeVar
 
@@ -91,18 +92,22 @@ def forward_dynamics_and_forces(
     return Accelerations(*_batch(mechanism, "forward", 2, t, q=q, qd=qd, tau=tau))
 
 
-def _batch(
-    mechanism: Mechanism, kind: str, wanted: int, t: ArrayLike, **given: ArrayLike
-) -> tuple[Array, Array, str]:
-    """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
+def together(mechanism: Mechanism, given: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Values (..., n) of joints, broadcast to one another; InputError where they do not fit."""
     each = [n_wide(mechanism, name, value) for name, value in given.items()]
     try:
-        states = dict(zip(given, np.broadcast_arrays(*each), strict=True))
+        return dict(zip(given, np.broadcast_arrays(*each), strict=True))
     except ValueError:
         shapes = ", ".join(str(array.shape) for array in each)
         raise InputError("shapes", value=shapes, limit="must broadcast to one another") from None
 
-    times = _times(t, states["q"]) if mechanism.timed else np.zeros(())
+
+def _batch(
+    mechanism: Mechanism, kind: str, wanted: int, t: ArrayLike, **given: ArrayLike
+) -> tuple[Array, Array, str]:
+    """Joint values (..., n), multipliers (..., r) where two arrays are `wanted`, and a remark."""
+    states = together(mechanism, given)
+    times = times_of(t, states["q"]) if mechanism.timed else np.zeros(())
     if mechanism.switches:
         from robodyn.dynamics.switching import by_modes  # which asks for accelerations itself
 
@@ -152,7 +157,7 @@ def _smooth(
     return joints, forces, remark
 
 
-def _times(t: ArrayLike, q: Array) -> Array:
+def times_of(t: ArrayLike, q: Array) -> Array:
     """The times of states q (..., n), (...)."""
     try:
         times = np.broadcast_to(finite("t", np.asarray(t, float)), q.shape[:-1])

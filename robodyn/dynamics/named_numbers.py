@@ -8,17 +8,20 @@ left.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+from robodyn.engines import expression
 from robodyn.engines.derivative_formulas import KINDS, residuals
-from robodyn.engines.expression import Graph, Value
+from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import substituted, tangents
 from robodyn.errors import DescriptionError, InputError
-from robodyn.mechanics.mechanism import Mechanism, constants, with_kept
+from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.scene.scene import Description
 from robodyn.scene.scene_values import SceneValues
 
@@ -27,15 +30,15 @@ SAME = 1e-9  # relative, by which what is no multiple of a change is told
 
 
 @lru_cache(maxsize=256)
-def number_formula(mechanism: Mechanism, name: str) -> Formula:
+def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) -> Formula:
     """dR (N) by the number called `name`, at q, qd, tau and unknowns u (N); see `residuals`.
 
-    Raises InputError for a name that is none, and for a number that no derivative is known by: of a
-    direction, an angle that is kept, an end of a joint, dry friction.
+    In a mode, where one is given.  Raises InputError for a name that is none, and for a number that
+    no derivative is known by: of dry friction.
     """
     graph = Graph()
     x = graph.variable(name)
-    named = with_variable(mechanism, name, x)
+    named = with_variable(mechanism, name, x, mode)
     state = Recorded(named, KINDS[1:], True, graph=graph)
     _, _, K, R = residuals(state)
     slopes = [slope.get(name, 0.0) for slope in tangents(R, [name])]
@@ -44,23 +47,48 @@ def number_formula(mechanism: Mechanism, name: str) -> Formula:
     return Formula(inputs, tuple(outputs), ())
 
 
-def with_variable(mechanism: Mechanism, name: str, x: Value) -> Mechanism:
-    """The mechanism whose number is what it is plus x."""
+def with_variable(mechanism: Mechanism, name: str, x: Value, mode: Mode | None = None) -> Mechanism:
+    """The mechanism whose number is what it is plus x; in a mode, where one is given."""
     values = named_values(mechanism, name)
     base = values.base
     size, (whole, half) = _changed(values, name)
-    plain = base._replace(closures=tuple(c._replace(aligned=None) for c in base.closures))
+    all_three = base, whole, half
+    plain, *others = (
+        each._replace(closures=tuple(c._replace(aligned=None) for c in each.closures))
+        for each in all_three
+    )
     try:
-        if [c.aligned for c in whole.closures] != [c.aligned for c in base.closures]:
-            raise _NoMultipleError
-        scene = _seeded(plain, whole, half, size, x)
+        scene = _seeded(plain, others[0], others[1], size, x)
+        turned = [
+            None if a is None else _seeded(0.0, b - a, c - a, size, x)
+            for a, b, c in zip(*([c.aligned for c in x.closures] for x in all_three), strict=True)
+        ]
     except _NoMultipleError:
-        limit = "no derivative is known by it: it changes a direction, a mode or a limit"
+        limit = "no derivative is known by it: it changes a mode or a limit"
         raise InputError(name, where=mechanism.source, limit=limit) from None
-    kept = {row.closure: row for row in mechanism.rows if row.arm and row.closure is not None}
+    kept = {
+        row.closure: _turned(row, turned[row.closure])
+        for row in mechanism.rows
+        if row.arm and row.closure is not None
+    }
     made = with_kept(constants(scene), kept)
     couplings = tuple(row for row in mechanism.rows if row.closure is None)
-    return replace(made, rows=(*made.rows, *couplings), dry=(), limits=())
+    rows = (*made.rows, *couplings)
+    if mode is None:
+        return replace(made, rows=rows, dry=(), limits=())
+    if made.dry != mechanism.dry:
+        limit = "no derivative is known by it: it changes dry friction"
+        raise InputError(name, where=mechanism.source, limit=limit)
+    return in_mode(replace(made, rows=rows), mode)
+
+
+def _turned(row: ClosureRow, by: Any) -> ClosureRow:
+    """The row of an angle that is kept, when that grows by a formula."""
+    if not isinstance(by, Expression):
+        return row
+    turn = Planar(expression.cos(by), -expression.sin(by))
+    ground, P = row.ground, tuple((d, turn * c) for d, c in row.P)
+    return row._replace(ground=turn * ground if ground else ground, P=P)  # type: ignore[arg-type]
 
 
 def size_of(mechanism: Mechanism, name: str) -> float:
@@ -112,10 +140,13 @@ def _seeded(base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
         parts = [_seeded(a, b, c, size, x) for a, b, c in zip(base, whole, half, strict=True)]
         return type(base)(*parts) if hasattr(base, "_fields") else tuple(parts)
     if isinstance(base, complex):
-        return Planar(
-            _seeded(base.real, whole.real, half.real, size, x),
-            _seeded(base.imag, whole.imag, half.imag, size, x),
-        )
+        try:
+            return Planar(
+                _seeded(base.real, whole.real, half.real, size, x),
+                _seeded(base.imag, whole.imag, half.imag, size, x),
+            )
+        except _NoMultipleError:
+            return _direction(base, whole, half, size, x)
     if base == whole:
         return base
     if not isinstance(base, float):
@@ -125,3 +156,18 @@ def _seeded(base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
         raise _NoMultipleError
     near = round(slope, 9)
     return base + (near if abs(slope - near) < SAME else slope) * x
+
+
+def _direction(base: complex, whole: complex, half: complex, size: float, x: Value) -> Planar:
+    """A unit vector d/|d| where x is added to a component of d."""
+    for way in (1.0 + 0j, 1j):
+        across = (whole.conjugate() * base).imag
+        part = -across / (size * (whole.conjugate() * way).imag or math.nan)  # 1/|d|
+        ends = base + size * part * way, base + 0.5 * size * part * way
+        if all(
+            abs(z - abs(z) * u) < SAME * abs(z) for z, u in zip(ends, (whole, half), strict=True)
+        ):
+            re, im = (a + part * b * x for a, b in ((base.real, way.real), (base.imag, way.imag)))
+            length = expression.call("sqrt", re * re + im * im)
+            return Planar(re / length, im / length)
+    raise _NoMultipleError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class FormulaRows:
         if self.seen * self.cost >= WORTH:
             function = self.machine(wanted)
             if function is not None:
-                outputs = [np.empty((total, width)) for width in self.widths[:wanted]]
+                outputs = _side_by_side(total, self.widths[:wanted])
                 doubtful = function(states, outputs)
                 if doubtful.size:
                     check()
@@ -90,3 +90,10 @@ class FormulaRows:
             return outputs[:wanted], np.zeros(0, np.int64)
         sound = (quality > self.least).all(axis=-1) & np.isfinite(first).all(axis=-1)
         return outputs[:wanted], np.flatnonzero(~sound)
+
+
+def _side_by_side(total: int, widths: Sequence[int]) -> list[Array]:
+    """Arrays (total, width) in one piece of memory: the system gives a large one in large pages."""
+    room = np.empty(total * sum(widths))
+    ends = [total * x for x in accumulate(widths, initial=0)]
+    return [room[a:b].reshape(total, -1) for a, b in pairwise(ends)]

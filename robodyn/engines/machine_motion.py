@@ -63,8 +63,13 @@ class Loaded(NamedTuple):
 
     def block(self) -> NDArray[np.float64]:
         """A block of zeros, whose vectors cross no line of the cache."""
-        room = np.zeros(self.items * self.lanes + ALIGNED)
-        return room[-(room.ctypes.data // 8) % ALIGNED :][: self.items * self.lanes]
+        return aligned(self.items * self.lanes)
+
+
+def aligned(size: int) -> NDArray[np.float64]:
+    """Zeros from the beginning of a line of the cache on."""
+    room = np.zeros(size + ALIGNED)
+    return room[-(room.ctypes.data // 8) % ALIGNED :][:size]
 
 
 _made: dict[tuple[str, int, str], Loaded | None] = {}

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+from robodyn.engines.arithmetic import Planar
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.expansion import Coefficients, ends, integral, longest_formula
 from robodyn.engines.expression import Graph, Value
@@ -187,7 +188,7 @@ def _repeated(k: Kernel, place: Word, lanes: int) -> Word:
     return k.op(k.numbers, shuffled)
 
 
-def _write_polynomials(module: Module, columns: int) -> None:
+def write_polynomials(module: Module, columns: int) -> None:
     """polynomials(series, values, slopes, rows, numbers, x): of so many columns, side by side."""
     wide = Module(max(WIDE, 4 * module.lanes))  # several columns, as each waits for its terms
     wide.functions = module.functions
@@ -210,8 +211,11 @@ def _write_polynomials(module: Module, columns: int) -> None:
 # -- the series ------------------------------------------------------------------------------------
 
 
-def write_expand(scene: Scene, module: Module) -> None:
-    """`expand(block)`: the series at the state, the longest step, and the rates that are wanted."""
+def write_expand(scene: Scene, module: Module, chooses: bool = True) -> None:
+    """`expand(block)`: the series at the state, and the rates that are wanted.
+
+    Where it `chooses` the longest step, too.
+    """
     loop = scene.loop
     all_runs, places, _ = scene.runs
     sums = _write_sums(module, "sums", all_runs, len(loop.columns), -loop.first)
@@ -247,18 +251,19 @@ def write_expand(scene: Scene, module: Module) -> None:
         words = segment.write([value for *_, value in grown])
         for (column, offset, _), word in zip(grown, words, strict=True):
             k.store(word, k.at(rows[offset], column, k.numbers))
-    _longest(scene, k, block)
+    if chooses:
+        _longest(scene, k, block)
     if scene.rate_series or scene.link >= 0:
         _rates(scene, k, block)
     k.done()
 
 
 def _coefficients(graph: Graph, column: int, orders: range) -> list[Value]:
-    """As variables of a graph that `_segment` reads."""
+    """As variables of a graph that `read_segment` reads."""
     return [graph.variable(f"{column}_{m}") for m in orders]
 
 
-def _segment(scene: Scene, k: Kernel, block: Word) -> Segment:
+def read_segment(scene: Scene, k: Kernel, block: Word) -> Segment:
     """For graphs of coefficients, of items, and of what stands in tables, as in "value 3"."""
 
     def read(name: str) -> Word:
@@ -280,7 +285,7 @@ def _longest(scene: Scene, k: Kernel, block: Word) -> None:
     w = [graph.variable(f"{i + 1}_1") for i in turns]
     slides = scene.mechanism.slides
     h = longest_formula(graph, Coefficients(rho, theta, [], []), w, True, slides)
-    scene.put(k, block, "longest", _segment(scene, k, block).write([h])[0])
+    scene.put(k, block, "longest", read_segment(scene, k, block).write([h])[0])
 
 
 def _rates(scene: Scene, k: Kernel, block: Word) -> None:
@@ -308,22 +313,24 @@ def _rates(scene: Scene, k: Kernel, block: Word) -> None:
             k.store(found, k.at(scene.at(k, block, name, place), m, k.numbers))
 
 
+def value_and_slope(graph: Graph, n: int) -> list[tuple[Planar, Planar]]:
+    """What `polynomials` leaves of the turns of n coordinates, as `ends` takes it."""
+
+    def pair(name: str, i: int) -> Planar:
+        return graph.variable(f"{name} {i}"), graph.variable(f"{name} {i + 1}")
+
+    return [(pair("value", i), pair("slope", i)) for i in range(0, 2 * n, 2)]
+
+
 def write_evaluate(scene: Scene, module: Module) -> None:
     """`evaluate(block)`: the state at x after the start."""
-    _write_polynomials(module, len(scene.loop.columns))
+    write_polynomials(module, len(scene.loop.columns))
     k, block = scene.kernel(module, "evaluate")
     n, graph = scene.mechanism.n, Graph()
     places = [scene.at(k, block, name) for name in ("rows", "value", "slope")]
     rest = k.whole(scene.order + 2), k.whole(2 * n * k.lanes), scene.at(k, block, "x")
     k.line(f"call void @polynomials({', '.join(map(str, (*places, *rest)))})")
-    value, slope = (
-        [
-            (graph.variable(f"{name} {i}"), graph.variable(f"{name} {i + 1}"))
-            for i in range(0, 2 * n, 2)
-        ]
-        for name in ("value", "slope")
-    )
-    turns = list(zip(value, slope, strict=True))
+    turns = value_and_slope(graph, n)
     power: Value = 0.0
     if scene.loop.power:
         column = 2 * n + scene.loop.watched
@@ -331,6 +338,6 @@ def write_evaluate(scene: Scene, module: Module) -> None:
         power = integral(series, graph.variable("x"))
     steady = [graph.variable(f"u{j}") if x else 0.0 for j, x in enumerate(scene.loop.start.steady)]
     outputs = ends(scene.mechanism, turns, power, steady, scene.work, graph.variable)
-    for name, word in zip(scene.state, _segment(scene, k, block).write(outputs), strict=True):
+    for name, word in zip(scene.state, read_segment(scene, k, block).write(outputs), strict=True):
         scene.put(k, block, f"to_{name}", word)
     k.done()

@@ -56,7 +56,8 @@ class Scene:
     Without `closes` closures are not kept by projection.  With `rate_series` the series of the
     joints' rates are among the items, from rate0_0 on, joint by joint, and that of `link` from
     link0_0 on.
-    `kept` are items of an observer's own, with what they are at first.
+    `kept` are items of an observer's own, with what they are at first; `motion` has the rows, where
+    these are not those of the mechanism.
     """
 
     def __init__(
@@ -71,11 +72,12 @@ class Scene:
         rate_series: bool = False,
         link: int = -1,
         kept: Mapping[str, float] | None = None,
+        motion: MotionProgram | None = None,
     ) -> None:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
         self.work, self.closes = work, closes and bool(mechanism.rows)
         self.rate_series, self.link = rate_series, link
-        self.motion = MotionProgram(mechanism, actuation, work, held)
+        self.motion = motion or MotionProgram(mechanism, actuation, work, held)
         program = self.motion.program
         self.linear = actuation.constants is None and actuation.linear
         self.bends = program.named["bends"]
@@ -150,22 +152,25 @@ class Scene:
     def whole(self) -> dict[str, int]:
         """Where all items stand, and where the tables of the code's own begin."""
         whole = dict(self.place)
+        place = len(whole)
+        for name, size in {**self.tables, "end": 0}.items():
+            place += -place % ALIGNED
+            whole[name] = place
+            place += size
+        return whole
+
+    @property
+    def tables(self) -> dict[str, int]:
+        """The sizes of the code's own tables."""
         turns, orders = 2 * self.mechanism.n + WIDE, self.order + 1
-        sizes = {
+        return {
             "rows": (orders + 2) * len(self.loop.columns) + WIDE,
             "sums": self.runs[2] + WIDE,
             "value": turns,
             "slope": turns,
             "rate0_0": self.mechanism.n * orders if self.rate_series else 0,
             "link0_0": orders if self.link >= 0 else 0,
-            "end": 0,
         }
-        place = len(whole)
-        for name, size in sizes.items():
-            place += -place % ALIGNED
-            whole[name] = place
-            place += size
-        return whole
 
     @property
     def items(self) -> int:

@@ -25,6 +25,7 @@ def float_source(
     longest: float = math.inf,
     readable: bool = False,
     conditional: str = "{2} if {0} < {1} else {3}",
+    beside: bool = False,
 ) -> tuple[list[str], list[str]]:
     """Python statements on floats, and the expression of each output.
 
@@ -32,7 +33,7 @@ def float_source(
     those of nodes by their index: such a node always gets its own, or with "" none.  Statements
     keep to `longest` characters where names do; inputs are called as `symbol` says.  Where it is to
     be `readable`, local names count from 1, brackets that do no more than order a sum or a product
-    are left out, and x (1/y) is x/y.
+    are left out, and x (1/y) is x/y.  `beside`: numbers are x + dx i, and the x compare.
     """
     uses = _uses(outputs)
     text: dict[int, tuple[str, int]] = {}  # node -> its text and precedence
@@ -53,7 +54,10 @@ def float_source(
         if op in INPUTS:
             return symbol(str(args[0])), 9
         if op == "choose":
-            return conditional.format(*(written(arg, 1) for arg in args)), 0
+            x, y, *values = (written(arg, 1) for arg in args)
+            if beside:
+                x, y = (f"({each}).real" for each in (x, y))
+            return conditional.format(x, y, *values), 0
         if op == "keep":
             kept = args[0]
             assert isinstance(kept, Expression)

@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -56,6 +56,8 @@ class Actuation:
     states: int = 0
     start: tuple[float, ...] = ()  # of its states, where that is not zero
     alone: Actuation | None = None  # the torques without the sensitivities that they carry
+    modes: Any = None  # how these go from mode to mode
+    by: tuple[Any, ...] = ()  # the numbers of these, where the Taylor series carries them
 
     @property
     def told(self) -> Steps | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
@@ -35,7 +35,12 @@ class Steps(Protocol):
 
 
 class Control(Steps, Protocol):
-    """What a controller is told of the run besides, and what it tells."""
+    """What a controller is told of the run besides, and what it tells.
+
+    `slopes` are those of its law by the state; None where they are not known.
+    """
+
+    slopes: Callable[[float, Sequence[float]], NDArray[np.float64]] | None
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""

@@ -31,6 +31,7 @@ from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
 from robodyn.engines import straightline
 from robodyn.engines.row_values import TableLeftError
+from robodyn.errors import RobodynError
 from robodyn.loops.change_points import SUSPECT, Singular, lead_across, nearest_singular
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing, loop_terms
@@ -140,6 +141,9 @@ def right_hand_side(
             if quality > SUSPECT:
                 return solved(t, closed)
         near = nearest_singular(mechanism, q)
+        if near is not None and near.crosses and actuation.alone is not None:
+            limit = "is of motions that pass no change point"
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
         if near is not None:
             led = across(t, y, near) if near.crosses else solved(t, y)
             if led is not None:

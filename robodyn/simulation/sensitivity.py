@@ -14,7 +14,8 @@ import ast
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,17 @@ from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest
 from robodyn.engines.frames import relative
-from robodyn.engines.straightline import compile_floats
+from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import SLOPES, Tangents, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.mechanics.program import Program
+from robodyn.simulation.fed_back import Fed
+from robodyn.taylor.variations import Number
 
 Array = NDArray[np.float64]
 
@@ -49,6 +54,7 @@ class Sensitivities:
     sizes: Array  # (k,)
     actuation: Actuation
     n: int
+    own: int = 0  # states of the torques themselves, which come before
 
     @property
     def columns(self) -> list[str]:
@@ -57,9 +63,9 @@ class Sensitivities:
         return [f"{x}/{name}" for name in self.names for x in state]
 
     def of(self, y: Array) -> Array:
-        """d(q, qd)/d(each name) (T, 2n, k) in states y (T, 2n + 2n k)."""
-        first, count = 2 * self.n, len(self.names)
-        s = y[:, first : first * (count + 1)].reshape(-1, count, first)
+        """d(q, qd)/d(each name) (T, 2n, k) in states y (T, 2n + own + 2n k or more)."""
+        wide, count, first = 2 * self.n, len(self.names), 2 * self.n + self.own
+        s = y[:, first : first + wide * count].reshape(-1, count, wide)
         return np.swapaxes(s / self.sizes[:, None], 1, 2)
 
 
@@ -73,12 +79,12 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if method == "taylor":
-        limit = "the Taylor series does not carry sensitivities: take --method DOP853"
-    elif mechanism.switches:
-        limit = "is of smooth motions: the scene has dry friction or stops"
-    elif actuation.control is not None:
-        limit = "is not for controllers: take --tau, --tau-from or --volt"
+    if mechanism.switches and (method == "taylor" or actuation.control is not None):
+        limit = "of dry friction and stops is by --method DOP853, and without a controller"
+    elif actuation.control is not None and method == "taylor":
+        limit = "of controllers is not by the Taylor series: take --method DOP853"
+    elif actuation.control is not None and actuation.control.slopes is None:
+        limit = "is not known for this law: computed torque asks for accelerations"
     elif not elimination_is_safe(mechanism) or (
         mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
     ):
@@ -90,29 +96,52 @@ def with_sensitivities(
     for name in names:
         sizes.append(1.0 if _is_start(mechanism, name) else size_of(mechanism, name))
         starts.append(sizes[-1] * _start(mechanism, name, q, qd))
-    formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes))
-    if formula is None:
-        raise InputError("sensitivity", where=where, limit="its equation divides by zero")
-    z = [range(2 * n * k, 2 * n * (k + 1)) for k in range(len(names))]
+    if method == "taylor":
+        by = tuple(_number(mechanism, name) for name in names)
+        flat = tuple((np.concatenate(starts) / np.repeat(sizes, 2 * n)).tolist())
+        carried = replace(actuation, states=len(flat), start=flat, alone=actuation, by=by)
+        return Sensitivities(tuple(names), np.ones(len(names)), carried, n)
+
+    def make(mode: Mode | None) -> tuple[Formula, FloatFunction]:
+        formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes, mode))
+        if formula is None:
+            raise InputError("sensitivity", where=where, limit="its equation divides by zero")
+        return formula, compile_floats(formula, "slopes")
+
+    formula, slopes = make(Mode() if mechanism.switches else None)
+    first, count = actuation.states, len(names)
+    modes = None
+    if mechanism.switches:
+        from robodyn.simulation.sensitivity_jumps import Modes
+
+        modes = Modes(
+            mechanism,
+            lambda mode: make(mode)[1],
+            partial(_end_slopes, mechanism, names, sizes),
+            lambda joint, e: _thrown_back(mechanism, tuple(names), tuple(sizes), joint, e),
+            count,
+            2 * n + first,
+        )
+    z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
-    lines = [
-        *actuation.lines,
-        *moved,
-        f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})",
-    ]
+    lines, fed = [*actuation.lines], Fed(actuation, n, count)
     if actuation.constants is not None:
-        lines[:0] = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
-    scope = {**actuation.scope, "_slopes": compile_floats(formula, "slopes")}
+        lines = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
+    lines += [*fed.lines(mechanism), *moved]
+    lines.append(f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})")
+    start = [0.0] * first + np.concatenate(starts).tolist() + [0.0] * (first * count)
     carried = replace(
         actuation,
         lines=tuple(lines),
-        scope=scope,
-        states=2 * n * len(names),
-        start=tuple(np.concatenate(starts).tolist()),
+        scope={**actuation.scope, **fed.scope, "_slopes": modes or slopes},
+        modes=modes,
+        states=len(start),
+        start=tuple(start),
         alone=actuation,
+        control=fed.control,
     )
-    return Sensitivities(tuple(names), np.array(sizes), carried, n)
+    return Sensitivities(tuple(names), np.array(sizes), carried, n, first)
 
 
 def _is_start(mechanism: Mechanism, name: str) -> bool:
@@ -126,18 +155,41 @@ def _is_start(mechanism: Mechanism, name: str) -> bool:
     return match is not None
 
 
+@lru_cache(maxsize=256)
+def _number(mechanism: Mechanism, name: str) -> Number:
+    """What the Taylor series is differentiated by."""
+    if _is_start(mechanism, name):
+        return Number(mechanism, lambda program: (program.numbers, [0.0] * len(program.numbers)))
+    named = with_variable(mechanism, name, Graph().variable(CHANGE))
+
+    def numbers(program: Program) -> tuple[list[float], list[float]]:
+        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(program.numbers, [CHANGE])]
+        both = substituted([*program.numbers, *slopes], {CHANGE: 0.0})
+        values = [float(x) for x in both]  # type: ignore[arg-type]  # nothing varies any more
+        return values[: len(slopes)], values[len(slopes) :]
+
+    return Number(named, numbers)
+
+
 def _formula(
-    mechanism: Mechanism, actuation: Actuation, way: bool, names: Sequence[str], sizes: list[float]
+    mechanism: Mechanism,
+    actuation: Actuation,
+    way: bool,
+    names: Sequence[str],
+    sizes: list[float],
+    mode: Mode | None,
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
     graph, n = Graph(), mechanism.n
-    state = Recorded(mechanism, KINDS[1:], way, graph=graph)
+    moving = mechanism if mode is None else in_mode(mechanism, mode)
+    state = Recorded(moving, KINDS[1:], way, graph=graph)
     series, r, _, R = residuals(state)
     factors = series.factorise()
     assert isinstance(factors, Factors)
     u = {f"u{i}": x for i, x in enumerate(factors.solve([-x for x in r]))}
     torques = _torques(mechanism, actuation, graph)
-    z = [f"z{i}" for i in range(2 * n * len(names))]
+    z = [f"z{actuation.states + i}" for i in range(2 * n * len(names))]
+    fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
         own = z[2 * n * k : 2 * n * (k + 1)]
@@ -149,21 +201,25 @@ def _formula(
             if ".motor." in name and any(tangents(torques, list(by))):
                 limit = "no derivative is known by it where torques depend on q or qd"
                 raise InputError(name, where=mechanism.source, limit=limit)
-            named = with_variable(mechanism, name, graph.variable(CHANGE))
+            named = with_variable(mechanism, name, graph.variable(CHANGE), mode)
             residual = residuals(Recorded(named, KINDS[1:], way, graph=graph))[3]
             by[CHANGE] = {CHANGE: size}
-        by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
+        if actuation.control is None:
+            by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
+        else:
+            by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
+            fed += [f"f{k}_{j}" for j in mechanism.actuated]
         slopes = [slope.get(CHANGE, 0.0) for slope in tangents(residual, by)]
         right = [-x for x in substituted(slopes, {CHANGE: 0.0, **u})]
         outputs += relative(mechanism, factors.solve(right)[:n])
     constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
-    return Formula((*state.inputs, *z, "t"), tuple(substituted(outputs, constants)), ())
+    return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, constants)), ())
 
 
 def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[Value]:
     """Those of the torques (n) that depend on the state, as nodes; 0 for the others."""
     found: list[Value] = [0.0] * mechanism.n
-    if actuation.constants is not None or actuation.linear:
+    if actuation.constants is not None or actuation.linear or actuation.control is not None:
         return found
     scope: dict[str, object] = {f"_{name}": partial(expression.call, name) for name in SLOPES}
     scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
@@ -181,6 +237,61 @@ def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[V
             what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
             limit = "has no derivative: of q and qd take arithmetic and smooth functions"
             raise InputError(what, where=mechanism.source, limit=limit) from None
+    return found
+
+
+@lru_cache(maxsize=64)
+def _thrown_back(
+    mechanism: Mechanism, names: tuple[str, ...], sizes: tuple[float, ...], joint: int, e: float
+) -> FloatFunction:
+    """(q, qd) after an impact, and what becomes of all s, from both; see `sensitivity_jumps`."""
+    graph, n = Graph(), mechanism.n
+    given = dict(mechanism.limits)[joint].restitution or 0.0
+    keeps = abs(given - e) < 1e-9 and given > 0.0  # else it comes to rest at once
+
+    def after(moving: Mechanism) -> list[Value]:
+        state = Recorded(moving, KINDS[1:], True, graph=graph)
+        series, _, _, R = residuals(state)
+        factors = series.factorise()
+        assert isinstance(factors, Factors)
+        by: dict[str, Tangents] = {f"tau{joint}": {CHANGE: 1.0}}
+        column = [-slope.get(CHANGE, 0.0) for slope in tangents(R, by)]
+        back = relative(moving, factors.solve(column)[:n])
+        q, qd = state.relative["q"], state.relative["qd"]
+        stop: Any = moving.description.links[joint].limits
+        part = (1.0 + (stop.restitution if keeps else e)) * qd[joint] / back[joint]
+        return [*q, *(v - part * r for v, r in zip(qd, back, strict=True))]
+
+    state = [f"{name}{i}" for name in ("q", "qd") for i in range(n)]
+    outputs, inputs = after(in_mode(mechanism, Mode())), list(state)
+    for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
+        own = [f"s{k}_{i}" for i in range(2 * n)]
+        inputs += own
+        by: dict[str, Tangents] = {
+            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
+        }
+        named = in_mode(mechanism, Mode())
+        if not _is_start(mechanism, name):
+            named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
+            by[CHANGE] = {CHANGE: size}
+        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(after(named), by)]
+        outputs += substituted(slopes, {CHANGE: 0.0})
+    return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
+
+
+def _end_slopes(
+    mechanism: Mechanism, names: Sequence[str], sizes: Sequence[float], joint: int, side: int
+) -> Array:
+    """How far an end of a joint moves with each of the names, times its size."""
+    slopes: list[Value] = []
+    for name in names:
+        known: Tangents = {}
+        if not _is_start(mechanism, name):
+            named = with_variable(mechanism, name, Graph().variable(CHANGE), Mode())
+            stops: Any = named.description.links[joint].limits
+            known = tangents([dict(stops.ends)[side]], [CHANGE])[0]
+        slopes += substituted([known.get(CHANGE, 0.0)], {CHANGE: 0.0})
+    found: Array = np.array(slopes, float) * sizes
     return found
 
 

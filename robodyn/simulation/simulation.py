@@ -215,7 +215,7 @@ def run(
         from robodyn.simulation.phases import Phases
 
         events = events or EventWatch([], t_end)
-        phases = Phases(mechanism, actuation, y, t_end, settings.atol)
+        phases = Phases(mechanism, actuation.alone or actuation, y, t_end, settings.atol)
         y = phases.y
     smooth = SmoothMotions(actuation, settings, t_end, work)
     moving = mechanism if phases is None else phases.moving

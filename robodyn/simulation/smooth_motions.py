@@ -124,7 +124,9 @@ class SmoothMotions:
 
 def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
     """From the state y at t = 0, phase by phase."""
-    t = 0.0
+    t, carried = 0.0, smooth.actuation.modes
+    if carried is not None:
+        carried.enter(phases.mode)
     while True:
         recorder.begin_phase(phases.moving, phases.functions)
         outcome = smooth.run(phases.moving, t, y, recorder)
@@ -135,7 +137,11 @@ def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorde
             recorder.report.ended_by = why
             recorder.end_row()
             return Outcome.LIMIT
-        t, y = stopped.t, phases.next(stopped.t, stopped.y, place)
+        t = stopped.t
+        if carried is not None:
+            y = carried.next(phases, t, stopped.y, place)
+        else:
+            y = phases.next(t, stopped.y, place)
         if phases.idle == MOST_AT_ONCE:
             return Outcome.CHATTERING
         if t == smooth.t_end:

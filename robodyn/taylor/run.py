@@ -29,12 +29,14 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_order
+from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 from robodyn.taylor.steps import SteppingEngine
 from robodyn.taylor.watched_steps import with_events
 
 if TYPE_CHECKING:
     from robodyn.simulation.right_hand_side import RightHandSide
+    from robodyn.taylor.variations import Variations
 
 Array = NDArray[np.float64]
 
@@ -138,6 +140,12 @@ def taylor_run(
     `engine` is python, compiled, or auto: compiled where as many steps of the mechanism as WORTH
     were made in this process, or are to be expected.  `engines` keeps them for the next phase.
     """
+    variations: Variations | None = None
+    if actuation.by and actuation.alone is not None:
+        from robodyn.taylor.variations import variations_of
+
+        variations, y = variations_of(mechanism, actuation, y, max(rtol, atol), order)
+        actuation = actuation.alone
     work = len(y) > 2 * mechanism.n
     projects = project and bool(mechanism.rows)
     closing = float_closing(mechanism) if projects else None
@@ -201,6 +209,11 @@ def taylor_run(
         recorder.report.evaluator = type(stepping).__name__.removesuffix("Engine").lower()
         before, made = t, 0.0
         if crosses or stuck:
+            if variations is not None:
+                limit = "is of motions that pass no change point"
+                if stuck:
+                    limit = "no Taylor series leads on there: take --method DOP853"
+                raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
             regular, least = 2.0 * suspect, LEAD if stuck else 1
             t, y = _lead(
                 side(), t, y, bound, recorder, closing, regular, least, rtol, atol, actuation
@@ -242,11 +255,16 @@ def taylor_run(
             stop: Stop | None = None
             if recorder.events is not None and len(chunk.t):
                 chunk, within, stop = with_events(recorder.events, mechanism, chunk, t, y, runner)
+            told = chunk
+            if variations is not None:
+                told, within = variations.along(t, y, chunk, type(runner).__name__, within)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
                 reach(actuation, t, y)
-            recorder.chunk(chunk, t_end, within)
+            recorder.chunk(told, t_end, within)
             if stop is not None:
+                if variations is not None:
+                    stop = stop._replace(y=variations.joined(stop.y[None], variations.s[None])[0])
                 recorder.stop(stop)
             ahead = min(2 * ahead, most_ahead)
             status = chunk.status
@@ -254,7 +272,7 @@ def taylor_run(
             if status is not Status.FULL:
                 recent.clear()
             elif sum(len(some.t) for some in recent) >= STEPS:
-                if _held_by_stability(recent, t_end, recorder, rtol, atol):
+                if held_by_stability(recent, t_end, recorder, rtol, atol):
                     return Outcome.STIFF
                 recent.clear()
             made = len(chunk.t) + len(chunk.row_t) / ROWS_A_STEP
@@ -296,28 +314,6 @@ def _check_start(mechanism: Mechanism, actuation: Actuation, t: float, y: Array)
     if not all(map(math.isfinite, torques)):
         limit = "the torque is not finite there"
         raise RobodynError("cannot start", where=mechanism.source, limit=limit)
-
-
-def _held_by_stability(
-    recent: list[Chunk], t_end: float, recorder: Recorder, rtol: float, atol: float
-) -> bool:
-    """Whether a run that would take too many steps takes them along what one cubic describes."""
-    t, y = np.concatenate([x.t for x in recent]), np.concatenate([x.y for x in recent])
-    t, y, n = t[-STEPS:], y[-STEPS:], recorder.mechanism.n
-    x = (t - t[0])[:, None]
-    span = float(x[-1, 0])
-    left = recorder.max_evaluations - recorder.report.evaluations
-    if (t_end - t[-1]) / span * STEPS <= left:
-        return False
-    q, qd = y[:, :n], y[:, n : 2 * n]
-    fast = float(np.abs(qd).max())
-    if abs(span) * fast > 0.1 * STEPS:  # turns of links hold it as well
-        return False
-    slope = (q[-1] - q[0]) / span
-    a, b = qd[0] - slope, qd[-1] - slope
-    u = x / span
-    cubic = q[0] + x * slope + span * u * (1.0 - u) * (a * (1.0 - u) - b * u)
-    return bool(np.abs(cubic - q).max() <= (atol + rtol * fast) * abs(span))
 
 
 @np.errstate(all="ignore")  # as of a run by it alone

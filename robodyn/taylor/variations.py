@@ -1,0 +1,194 @@
+"""Sensitivities along the steps of the Taylor series: the series of the variational equations.
+
+A step's series are functions of the state that it begins in, and of the numbers of the scene.
+Their tangents by these are the series of d(q, qd)/dp, by the same recurrences.  The motion comes
+first, and its steps are those of a run without them; then each step is gone once more, with its
+tangents: in machine code (`engines/machine_variation.py`) or in Python (`varied_steps.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.engines.expansion import MotionProgram
+from robodyn.errors import RobodynError
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.program import Program
+from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.taylor import Chunk, default_order
+from robodyn.taylor.varied_steps import Along, Group, Steps, row_steps, straight_steps
+
+Array = NDArray[np.float64]
+
+TOGETHER = 4  # names of which one call of machine code makes the tangents
+
+
+class Number(NamedTuple):
+    """What a motion is differentiated by: the mechanism with that number as a formula.
+
+    `numbers` gives what its rows take, and their slopes by it.
+    """
+
+    mechanism: Mechanism
+    numbers: Callable[[Program], tuple[list[float], list[float]]]
+
+
+class Variations:
+    """d(q, qd)/d(names) along the steps of one run, under torques that have a series.
+
+    s (k, 2n) are those where the last steps ended.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        actuation: Actuation,
+        order: int,
+        numbers: Sequence[Number],
+        s: Array,
+    ) -> None:
+        self.mechanism, self.actuation, self.order = mechanism, actuation, order
+        self.numbers, self.s = numbers, s
+        self._torques = actuation.function(mechanism.n)
+        self._made: dict[object, Any] = {}
+
+    def along(
+        self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
+    ) -> tuple[Chunk, Callable[[Array], Array]]:
+        """The chunk from (t, y) with s in its states, and what has so `within` its last step.
+
+        `kind` is the name of the engine that made it.
+        """
+        if not len(chunk.t):
+            return chunk, within
+        n = self.mechanism.n
+        begins = np.append(t, chunk.t[:-1])
+        states = np.concatenate([y[None], chunk.y[:-1]])[:, : 2 * n]
+        direction = 1.0 if chunk.t[-1] > t else -1.0
+        torques: Any = ((), ())
+        if self.actuation.constants is None and self.actuation.linear:
+            torques = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
+        held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
+        if ("groups", held) not in self._made:
+            self._made["groups", held] = self._groups(held)
+        s = self.s.copy()
+        at_ends = np.empty((len(chunk.t), *s.shape))
+        at_rows = np.empty((len(chunk.row_t), *s.shape))
+        last: list[Callable[[Array], Array]] = []
+        steps = begins, chunk.t, states, chunk.row_t
+        for i, group in enumerate(self._made["groups", held]):
+            key = i, held, kind
+            if key not in self._made:
+                make = MAKERS.get(kind, _compiled)
+                self._made[key] = make(self.mechanism, self.actuation, self.order, group, held)
+            go = self._made[key]
+            where = group.places
+            at_ends[:, where], at_rows[:, where] = go(steps, torques, s[where])
+            before = s[where] if len(chunk.t) == 1 else at_ends[-2, where]
+            only = tuple(x[-1:] for x in steps[:3])
+
+            last.append(partial(self._last, go, only, torques, before))
+        self.s = at_ends[-1]
+        if not np.isfinite(self.s).all():
+            raise RobodynError(
+                "sensitivity", value=f"at t = {chunk.t[-1]:.6g} s", limit="not finite"
+            )
+
+        def both(times: Array) -> Array:
+            found = np.empty((len(times), *s.shape))
+            for group, each in zip(self._made["groups", held], last, strict=True):
+                found[:, group.places] = each(times)
+            return self.joined(within(times), found)
+
+        y, rows = self.joined(chunk.y, at_ends), self.joined(chunk.row_y, at_rows)
+        return chunk._replace(y=y, row_y=rows), both
+
+    def _last(self, go: Along, step: Any, torques: Any, s: Array, times: Array) -> Array:
+        return go((*step, times), torques, s)[1]
+
+    def joined(self, y: Array, s: Array) -> Array:
+        """States (m, 2n or 2n + 1) with s (m, k, 2n) before the work done."""
+        middle = 2 * self.mechanism.n
+        return np.concatenate(
+            [y[:, :middle], s.reshape(len(y), self.s.size), y[:, middle:]], axis=1
+        )
+
+    def _groups(self, held: Sequence[float] | None) -> list[Group]:
+        found: dict[object, Group] = {}
+        for place, (mechanism, numbers) in enumerate(self.numbers):
+            motion = MotionProgram(mechanism, self.actuation, False, held)
+            values, slopes = numbers(motion.program)
+            motion.mechanism, motion.program.numbers = self.mechanism, values
+            motion.program.arms = dict.fromkeys(motion.program.arms, 1.0)  # no step is chosen
+            key = motion.program.shape, tuple(values)
+            group = found.setdefault(key, Group([], motion, values, []))
+            group.places.append(place)
+            group.slopes.append(slopes)
+        return [
+            Group(x.places[i : i + TOGETHER], x.motion, x.numbers, x.slopes[i : i + TOGETHER])
+            for x in found.values()
+            for i in range(0, len(x.places), TOGETHER)
+        ]
+
+
+def variations_of(
+    mechanism: Mechanism, actuation: Actuation, y: Array, tolerance: float, order: int | None
+) -> tuple[Variations, Array]:
+    """Those that torques carry in the state y, and the state without them."""
+    assert actuation.alone is not None
+    first, last = 2 * mechanism.n, 2 * mechanism.n + actuation.states
+    s = y[first:last].reshape(-1, first).copy()
+    order = order or default_order(tolerance)
+    found = Variations(mechanism, actuation.alone, order, actuation.by, s)
+    return found, np.concatenate([y[:first], y[last:]])
+
+
+def _compiled(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    group: Group,
+    held: Sequence[float] | None,
+) -> Along:
+    """In machine code, a name in each lane; as text where there is none."""
+    from robodyn.engines.machine_motion import aligned
+    from robodyn.engines.machine_variation import TABLE, VariedScene, compile
+
+    lanes = 1 if len(group.places) == 1 else 2 if len(group.places) == 2 else TOGETHER
+    scene = VariedScene(mechanism, actuation, order, group.motion, group.varied, held)
+    code = compile(scene, lanes)
+    if code is None:
+        return straight_steps(mechanism, actuation, order, group, held)
+    block = aligned(code.items * lanes)
+    items = block.reshape(-1, lanes)
+    scene.fill(items, 1.0, 1.0)
+    place, n, count = scene.place, mechanism.n, len(group.places)
+    for i in group.varied:
+        items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
+
+    def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
+        begins, ends, states, times = (np.ascontiguousarray(x) for x in steps)
+        at_ends, at_rows = (np.empty((len(x), 2 * n, lanes)) for x in (ends, times))
+        items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
+        items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
+        if scene.linear:
+            base = place["base0"]
+            items[place["base_t"]] = begins[0]
+            items[base : base + 2 * n] = np.concatenate(torques)[:, None]
+        found = {"begins": begins, "ends": ends, "states": states, "times": times}
+        found |= {"at_ends": at_ends, "at_rows": at_rows}
+        told = [found[name].ctypes.data for name in TABLE[:-1]]
+        table = np.array([*told, len(times)], np.int64)
+        code.vary(block.ctypes.data, len(ends), table.ctypes.data)
+        return tuple(np.swapaxes(x[..., :count], -1, -2) for x in (at_ends, at_rows))  # type: ignore[return-value]
+
+    return go
+
+
+MAKERS = {"StraightEngine": straight_steps, "InterpretedEngine": row_steps}

@@ -1,0 +1,216 @@
+"""The tangents of steps of the Taylor series in Python, by numbers x + dx i.
+
+With dx so small that its products vanish they go through a step as x does, and dx comes out as its
+tangent: as straight-line text, or, where text would be long, by the rows of the program.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable, Sequence
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.placed import relative_matrix
+from robodyn.engines import source_text, straightline
+from robodyn.engines.arithmetic import Arithmetic, chosen
+from robodyn.engines.expansion import MotionProgram, end_of_step
+from robodyn.engines.formulas import RECORDED
+from robodyn.engines.series import FLOATS
+from robodyn.engines.tangents import SLOPES
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+SMALL = 1e-100  # of what stands before i
+KEPT = 64  # texts
+
+
+class Group(NamedTuple):
+    """Names whose rows have one shape: their places, a program, its numbers and their slopes."""
+
+    places: list[int]
+    motion: MotionProgram
+    numbers: list[float]
+    slopes: list[list[float]]
+
+    @property
+    def varied(self) -> list[int]:
+        """The numbers that vary with any of the names."""
+        return [i for i, each in enumerate(zip(*self.slopes, strict=True)) if any(each)]
+
+
+# steps: begins (m,), ends (m,), states (m, 2n), times of rows (r,); torques and their slopes at the
+# first begin; s (k, 2n) there: s at the ends (m, k, 2n) and at the rows (r, k, 2n)
+Steps = tuple[Array, Array, Array, Array]
+Along = Callable[[Steps, Any, Array], tuple[Array, Array]]
+
+
+# of a step from t over x, at y (2n) and numbers with what goes beside them: the end (2n), or None
+# where the series tells it, and rho and theta (2n, orders)
+Expand = Callable[[float, list[complex], list[complex], Any, float], tuple[Any, Any]]
+
+
+def _one_by_one(mechanism: Mechanism, group: Group, varied: Sequence[int], expand: Expand) -> Along:
+    """By steps of numbers x + dx i, a name after the other."""
+    n = mechanism.n
+    numbers = [
+        [complex(group.numbers[i], SMALL * slopes[i]) for i in varied] for slopes in group.slopes
+    ]
+
+    def along(steps: Steps, torques: Any, s: Array, numbers: list[complex]) -> tuple[Any, Any]:
+        begins, ends, states, times = steps
+        direction = 1.0 if ends[-1] > begins[0] else -1.0
+        at_ends: list[list[float]] = []
+        at_rows = [np.zeros((0, 2 * n))]
+        row, first, last = 0, float(begins[0]), times.tolist()
+        beside = (SMALL * s).tolist()
+        for t, end, y in zip(begins.tolist(), ends.tolist(), states.tolist(), strict=True):
+            now = [x + (t - first) * slope for x, slope in zip(*torques, strict=True)], torques[1]
+            there, series = expand(t, list(map(complex, y, beside)), numbers, now, end - t)
+            due = row
+            while due < len(last) and (last[due] - end) * direction <= 0.0:
+                due += 1
+            if due > row or there is None:
+                x = np.append(times[row:due], end) - t
+                found = _moved(mechanism, np.array(series, complex), np.array(beside), x)
+                at_rows.append(found[:-1])
+                row = due
+            beside = found[-1].tolist() if there is None else [x.imag for x in there]
+            at_ends.append(beside)
+        return np.array(at_ends) / SMALL, np.concatenate(at_rows) / SMALL
+
+    def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
+        pairs = zip(s, numbers, strict=True)
+        found = zip(*(along(steps, torques, *pair) for pair in pairs), strict=True)
+        at_ends, at_rows = (np.stack(each, axis=1) for each in found)
+        return at_ends, at_rows
+
+    return go
+
+
+def _moved(mechanism: Mechanism, series: NDArray[Any], s: Array, x: Array) -> Array:
+    """What goes beside q and qd (r, 2n) at x (r,) after the start, s (2n), by the series."""
+    n = mechanism.n
+    rho, theta = series.reshape(2, n, -1).swapaxes(-1, -2)
+    orders = np.arange(len(rho))
+    powers = x[:, None] ** orders
+    slopes = powers[:, :-1] * orders[1:]
+    z, dz = rho.real + 1j * theta.real, rho.imag + 1j * theta.imag
+    (a, b), (da, db) = ((powers @ each, slopes @ each[1:]) for each in (z, dz))
+    square = np.abs(a) ** 2
+    w = (a.conj() * b).imag / square
+    way = (a.conj() * da).imag / square
+    rate = ((da.conj() * b + a.conj() * db).imag - 2.0 * w * (a.conj() * da).real) / square
+    for k in mechanism.slides:
+        way[:, k], rate[:, k] = da[:, k].imag - s[k], db[:, k].imag
+    turned = relative_matrix(mechanism).T
+    return np.concatenate([s[:n] + way @ turned, rate @ turned], axis=-1)
+
+
+def straight_steps(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    group: Group,
+    held: Sequence[float] | None,
+) -> Along:
+    """As text, which is kept for runs to come."""
+    varied = group.varied
+    steady = tuple(0.0 if i in varied else x for i, x in enumerate(group.numbers))
+    given = mechanism, actuation.constants, actuation.lines, order, held
+    key = given, tuple(varied), steady, group.motion.program.shape
+    if key not in _texts:
+        while len(_texts) >= KEPT:
+            _texts.pop(next(iter(_texts)))
+        _texts[key] = _text(mechanism, actuation, order, group)
+    return _one_by_one(mechanism, group, varied, _texts[key])
+
+
+_texts: dict[object, Expand] = {}
+
+
+def _text(mechanism: Mechanism, actuation: Actuation, order: int, group: Group) -> Expand:
+    n, motion, start = mechanism.n, group.motion, group.motion.start()
+    variable, numbers = start.graph.variable, list(start.numbers)
+    for i in group.varied:
+        numbers[i] = variable(f"c{i}")
+    found = motion.expand(RECORDED, numbers, order, start.state)
+    ends = end_of_step(mechanism, found, (), False, variable)
+    series = [*found.rho, *found.theta]
+    every = [*ends, *(x for each in series for x in each)]
+    lines, shown = source_text.float_source(every, beside=True)
+    bounds = [2 * n, *accumulate((len(each) for each in series), initial=2 * n)][1:]
+    tuples = [f"({', '.join(shown[a:b])},)" for a, b in pairwise(bounds)]
+    body = [f"{', '.join(f'{name}{j}' for name in ('q', 'qd') for j in range(n))}, = y"]
+    body += [f"{''.join(f'c{i}, ' for i in group.varied)}= c"] if group.varied else []
+    if actuation.constants is None and actuation.linear:
+        names = (", ".join(f"{x}{j}" for j in range(n)) for x in ("tau", "dtau"))
+        body.append(f"({next(names)},), ({next(names)},) = torques")
+    result = f"return ({', '.join(shown[: 2 * n])},), ({', '.join(tuples)},)"
+    text = "\n    ".join([*body, *lines, result])
+    scope = {**BESIDE.functions, "pow": _power, "atan2": _arctangent}
+    code = f"def vary(t, y, c, torques, x):\n    {text}\n"
+    function: Expand = straightline.define(code, "vary", scope=scope)
+    return function
+
+
+def row_steps(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    order: int,
+    group: Group,
+    held: Sequence[float] | None,
+) -> Along:
+    """By the rows."""
+    motion = group.motion
+
+    def expand(
+        t: float, y: list[complex], numbers: list[complex], torques: Any, x: float
+    ) -> tuple[Any, Any]:
+        start = motion.state(BESIDE, t, y, torques)
+        series = motion.expand(BESIDE, numbers, order, start)
+        return None, [*series.rho, *series.theta]
+
+    return _one_by_one(mechanism, group, range(len(group.numbers)), expand)
+
+
+def _beside(name: str, function: Callable[[float], float]) -> Callable[[Any], Any]:
+    """A function of x + dx i, as if dx^2 were zero."""
+
+    def of(x: Any) -> Any:
+        if type(x) is not complex:
+            return function(x)
+        value = function(x.real)
+        slope: Any = SLOPES[name](x.real, value)
+        return complex(value, slope * x.imag)
+
+    return of
+
+
+def _power(x: Any, exponent: float) -> Any:
+    if type(x) is not complex:
+        return math.pow(x, exponent)
+    slope = exponent * math.pow(x.real, exponent - 1.0)
+    return complex(math.pow(x.real, exponent), slope * x.imag)
+
+
+def _arctangent(y: Any, x: Any) -> complex:
+    beside = (y.imag * x.real - y.real * x.imag) / (x.real**2 + y.real**2)
+    return complex(math.atan2(y.real, x.real), beside)
+
+
+_FUNCTIONS = FLOATS.functions | {"tan": math.tan, "sqrt": math.sqrt, "abs": abs}
+BESIDE = Arithmetic(
+    cos=cmath.cos,
+    sin=cmath.sin,
+    power=_power,
+    functions={name: _beside(name, function) for name, function in _FUNCTIONS.items()}
+    | {"cos": cmath.cos, "sin": cmath.sin},
+    chosen=lambda x, knots, values: chosen(x.real, knots, values),
+)
