@@ -9,6 +9,7 @@ left.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -49,23 +50,30 @@ def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) ->
 
 def with_variable(mechanism: Mechanism, name: str, x: Value, mode: Mode | None = None) -> Mechanism:
     """The mechanism whose number is what it is plus x; in a mode, where one is given."""
-    values = named_values(mechanism, name)
+    return with_variables(mechanism, {name: x}, mode)
+
+
+def with_variables(
+    mechanism: Mechanism, numbers: Mapping[str, Value], mode: Mode | None = None
+) -> Mechanism:
+    """The mechanism whose numbers of these names are what they are plus these values."""
+    values = named_values(mechanism, *numbers)
     base = values.base
-    size, (whole, half) = _changed(values, name)
-    all_three = base, whole, half
-    plain, *others = (
-        each._replace(closures=tuple(c._replace(aligned=None) for c in each.closures))
-        for each in all_three
-    )
-    try:
-        scene = _seeded(plain, others[0], others[1], size, x)
-        turned = [
-            None if a is None else _seeded(0.0, b - a, c - a, size, x)
-            for a, b, c in zip(*([c.aligned for c in x.closures] for x in all_three), strict=True)
-        ]
-    except _NoMultipleError:
-        limit = "no derivative is known by it: it changes a mode or a limit"
-        raise InputError(name, where=mechanism.source, limit=limit) from None
+    scene: Any = _without_kept_angles(base)
+    turned: list[Any] = [None if c.aligned is None else 0.0 for c in base.closures]
+    for name, x in numbers.items():
+        size, others = _changed(values, name)
+        plain = [_without_kept_angles(each) for each in (base, *others)]
+        angles = zip(*([c.aligned for c in each.closures] for each in (base, *others)), strict=True)
+        try:
+            scene = _seeded(scene, *plain, size, x)
+            turned = [
+                now if a is None else _seeded(now, 0.0, b - a, c - a, size, x)
+                for now, (a, b, c) in zip(turned, angles, strict=True)
+            ]
+        except _NoMultipleError:
+            limit = "no derivative is known by it: it changes a mode or a limit"
+            raise InputError(name, where=mechanism.source, limit=limit) from None
     kept = {
         row.closure: _turned(row, turned[row.closure])
         for row in mechanism.rows
@@ -80,6 +88,10 @@ def with_variable(mechanism: Mechanism, name: str, x: Value, mode: Mode | None =
         limit = "no derivative is known by it: it changes dry friction"
         raise InputError(name, where=mechanism.source, limit=limit)
     return in_mode(replace(made, rows=rows), mode)
+
+
+def _without_kept_angles(scene: Description) -> Description:
+    return scene._replace(closures=tuple(c._replace(aligned=None) for c in scene.closures))
 
 
 def _turned(row: ClosureRow, by: Any) -> ClosureRow:
@@ -132,30 +144,36 @@ def _changed(values: SceneValues, name: str) -> tuple[float, tuple[Description, 
     raise _NoMultipleError
 
 
-def _seeded(base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
-    """What a scene holds, with x times its slope added where a change of `size` made another."""
+def _seeded(now: Any, base: Any, whole: Any, half: Any, size: float, x: Value) -> Any:
+    """What a scene holds `now`, with x times its slope added.
+
+    The slope is that by which a change of `size` made `whole` of what was `base`.
+    """
     if isinstance(base, tuple) and isinstance(whole, tuple):
         if len(base) != len(whole):
             raise _NoMultipleError
-        parts = [_seeded(a, b, c, size, x) for a, b, c in zip(base, whole, half, strict=True)]
+        each = zip(now, base, whole, half, strict=True)
+        parts = [_seeded(*four, size, x) for four in each]
         return type(base)(*parts) if hasattr(base, "_fields") else tuple(parts)
     if isinstance(base, complex):
         try:
             return Planar(
-                _seeded(base.real, whole.real, half.real, size, x),
-                _seeded(base.imag, whole.imag, half.imag, size, x),
+                _seeded(now.real, base.real, whole.real, half.real, size, x),
+                _seeded(now.imag, base.imag, whole.imag, half.imag, size, x),
             )
         except _NoMultipleError:
+            if isinstance(now, Planar) and now != base:  # both components of one direction
+                raise
             return _direction(base, whole, half, size, x)
     if base == whole:
-        return base
+        return now
     if not isinstance(base, float):
         raise _NoMultipleError
     slope, other = (whole - base) / size, (half - base) / (0.5 * size)
     if abs(slope - other) > SAME * abs(slope):
         raise _NoMultipleError
     near = round(slope, 9)
-    return base + (near if abs(slope - near) < SAME else slope) * x
+    return now + (near if abs(slope - near) < SAME else slope) * x
 
 
 def _direction(base: complex, whole: complex, half: complex, size: float, x: Value) -> Planar:

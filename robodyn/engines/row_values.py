@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.engines import array_blocks, straightline
 from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
-from robodyn.engines.expression import Value
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formulas import Formula, Recorded, balance, energies
 from robodyn.engines.series import Series
 from robodyn.errors import RobodynError
@@ -67,9 +67,9 @@ class RowValues:
     "power" (1) W, of all without a potential; "gap" (r) m; "PE" (1) J.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Mechanism, graph: Graph | None = None) -> None:
         self.mechanism = mechanism
-        self._recorded = Recorded(mechanism, ("qd",), by_direction=True)
+        self._recorded = Recorded(mechanism, ("qd",), by_direction=True, graph=graph)
         self._codes: dict[str, _Code] = {}
         self._has_tables = mechanism.has_tables
 
@@ -124,11 +124,12 @@ class RowValues:
         return found[..., ::2] + 1j * found[..., 1::2]
 
     def _formula(self, name: str) -> Formula:
-        rows = tuple(self._values(name))
+        rows = tuple(self.nodes(name))
         squares = tuple(self._squares().values()) if name in DIRECTED else ()
         return Formula(self._recorded.inputs + self._recorded.timed, rows, squares)
 
-    def _values(self, name: str) -> Sequence[Value]:
+    def nodes(self, name: str) -> Sequence[Value]:
+        """The formulas of the values."""
         match name:
             case "torques":
                 return balance(self._recorded, self._series)

@@ -76,10 +76,33 @@ def attempt(
     if branches is None:
         branches = scene_branches(mechanism)
     plan = assembly_plan(mechanism)
-    q, off = _known(mechanism, plan, given)
+    q, shorts, sines = by_dyads(mechanism, plan, given, branches)
     missing, flat = np.zeros(given.shape[:-1]), np.zeros(given.shape[:-1], bool)
-    for row, each in zip(mechanism.rows[len(mechanism.rows) - len(off) :], off, strict=True):
-        missing = np.maximum(missing, row.arm * each)
+    for short in shorts:
+        missing = np.maximum(missing, short)
+    for sine in sines:
+        flat = flat | (sine < FLAT)
+    if plan.rest:
+        q, short = _from_start(mechanism, q)
+        missing = np.maximum(missing, short)
+    flat = np.array(flat & (missing <= 0.0))
+    if flat.any():  # to the last digit where Psi itself is nearly singular
+        s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
+        flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
+        q[flat] = close_positions(mechanism, q[flat], mechanism.actuated)
+    return q, missing
+
+
+def by_dyads(
+    mechanism: Mechanism, plan: Plan, given: Array, branches: Sequence[str]
+) -> tuple[Array, list[Array], list[Array]]:
+    """q (..., n) by the steps of a plan, what each misses (...), m, and their sines.
+
+    What couplings miss comes after the steps.  The numbers of the plan's rows may be arrays that
+    broadcast to (...), of a mechanism in each lane.
+    """
+    q, off = _known(mechanism, plan, given)
+    shorts, sines = [], []
     known = {*mechanism.actuated, *(joint for joint, _ in plan.coupled)}
     alpha = np.zeros_like(q)  # of unknown links, what they turn ahead of the first of them
     for k in mechanism.order:
@@ -89,7 +112,8 @@ def attempt(
     for step in plan.steps:
         side = 1.0 if branches[step.closure] == "open" else -1.0
         angles, short, sine = solve_dyad(mechanism, plan, step, alpha, side)
-        missing, flat = np.maximum(missing, short), flat | (sine < FLAT)
+        shorts.append(short)
+        sines.append(sine)
         for link, angle in zip(step.unknown, angles, strict=True):
             if link in mechanism.slides:
                 alpha[..., link] = angle
@@ -102,15 +126,9 @@ def attempt(
         relative = alpha[..., k] - (0.0 if above is None else alpha[..., above])
         slides = k in mechanism.slides
         q[..., k] = relative if slides else half_turn(relative - middle) + middle
-    if plan.rest:
-        q, short = _from_start(mechanism, q)
-        missing = np.maximum(missing, short)
-    flat = np.array(flat & (missing <= 0.0))
-    if flat.any():  # to the last digit where Psi itself is nearly singular
-        s = np.linalg.svd(scaled_jacobian(mechanism, q[flat]), compute_uv=False)
-        flat[flat] = s[:, -1] < NEAR_SINGULAR * singular_size(mechanism)
-        q[flat] = close_positions(mechanism, q[flat], mechanism.actuated)
-    return q, missing
+    first = len(mechanism.rows) - len(off)
+    shorts += [row.arm * x for row, x in zip(mechanism.rows[first:], off, strict=True)]
+    return q, shorts, sines
 
 
 @lru_cache(maxsize=64)

@@ -61,7 +61,7 @@ def places_of(description: Description) -> Places:
     links = description.links
     return Places(
         {link.name: k for k, link in enumerate(links)},
-        lambda k: complex(links[k].l),
+        lambda k: links[k].l + 0j,
         lambda k: links[k].r,
         dict(description.points),
     )

@@ -1,0 +1,334 @@
+"""Columns of motions of many mechanisms at once, and their derivatives by the numbers that differ.
+
+Lanes are starts x rows.  Loops are closed by dyads, or by Newton's method from where the scene's
+own are; rates, accelerations and forces follow from linear equations, and so do the derivatives of
+all of them: with F(z, p) = 0 for what follows, dz/dp = -F_z^-1 F_p, exact.
+
+Where a dyad does not reach, its links point at one another (the discriminant is clipped).  Then
+|gap|^2 is least: F is its slope Psi^T gap, and what is missing, |gap|, has the derivative
+gap . d gap/dp / |gap|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.dense_dynamics import RANK_CUT
+from robodyn.engines import array_blocks, straightline
+from robodyn.engines.expression import Value
+from robodyn.engines.formulas import Formula
+from robodyn.engines.tangents import tangents
+from robodyn.loops.assembly import assemble, by_dyads, scene_branches
+from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
+from robodyn.loops.closing import CLOSED as ROUNDING
+from robodyn.loops.closing import PASSES, loop_size
+from robodyn.mechanics.planar_model import ClosureRow
+from robodyn.parameters.column_formulas import ColumnFormulas
+
+Array = NDArray[np.float64]
+
+LANES = 60_000  # states at once
+MISSED = 1e-9  # of the loop's size: a gap that Newton's method leaves and that is no rounding
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is known of each row: q, qd, qdd (T, a) of the actuated joints, and the time (T,)."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+    t: Array
+
+
+class LaneStates:
+    """Columns at rows, by numbers of a scene."""
+
+    def __init__(self, formulas: ColumnFormulas, columns: Sequence[Value], rows: Rows) -> None:
+        self.formulas, self.columns, self.rows = formulas, list(columns), rows
+        self.mechanism = mechanism = formulas.mechanism
+        n, state = mechanism.n, formulas.state.inputs
+        self.n, self.k = n, len(formulas.p)
+        slopes = tangents(self.columns, formulas.inputs)
+        needed = {name for slope in slopes for name in slope}
+        self.moves = bool(needed & {*state[n:], *(f"f{i}" for i in range(len(formulas.forces)))})
+        self.plan: Plan | None = assembly_plan(mechanism) if mechanism.rows else None
+        self._conditions = list(self._closings())
+        self._codes: dict[str, Callable[[Array], list[Array]]] = {}
+
+    # -- formulas ----------------------------------------------------------------------------------
+
+    def _closings(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+        """The rows of closures that serve to find joints, each group with these joints."""
+        if self.plan is None:
+            return []
+        rows, couplings = self.mechanism.rows, self.mechanism.description.couplings
+        first = len(rows) - len(couplings)
+        found = [((first + c,), (joint,)) for joint, c in self.plan.coupled]
+        for step in self.plan.steps:
+            own = tuple(r for r, row in enumerate(rows) if any(row is x for x in step.rows))
+            found.append((own, step.unknown))
+        if self.plan.rest:
+            used = {r for own, _ in found for r in own}
+            left = tuple(r for r in range(len(rows)) if r not in used)
+            found.append((left, self.plan.rest))
+        return found
+
+    def _code(self, name: str) -> Callable[[Array], list[Array]]:
+        """A function of inputs (N, inputs) that returns what is called so."""
+        if name not in self._codes:
+            parts = self._parts(name)
+            self._codes[name] = _compiled(self.formulas.inputs, parts)
+        return self._codes[name]
+
+    def _parts(self, name: str) -> list[tuple[tuple[int, ...], list[Value]]]:
+        f, n = self.formulas, self.n
+        q, qd, qdd = (f.state.inputs[i : i + n] for i in (0, n, 2 * n))
+        p = [f"p{i}" for i in range(self.k)]
+        r = len(f.gap)
+        Psi: list[Value] = [x for row in f.Psi for x in row]
+        match name:
+            case "rows":
+                found: list[Value] = []
+                for row in f.named.rows:
+                    for _, c in row.P:
+                        found += [c.real, c.imag]
+                    found += [row.ground.real, row.ground.imag, row.offset]
+                    found += [c for _, c in row.angles]
+                return [((len(found),), found)]
+            case "gap":
+                return [((r,), f.gap), ((r, n), Psi)]
+            case "closing":
+                closed, least = self._least
+                parts = [((r, n), Psi), ((r, self.k), _by(f.gap, p))]
+                for nodes in (closed, least):
+                    parts += [((len(nodes), n), _by(nodes, q)), ((len(nodes), self.k), _by(nodes, p))]
+                return parts
+            case "bend":
+                return [((r,), f.gap_bend)]
+            case "load":
+                return [((n,), f.load)]
+            case "rates":
+                parts = []
+                for nodes, by in (
+                    (f.gap_rate, (q, p)),
+                    (f.gap_bend, (q, qd, p)),
+                    (f.balance, (q, qd, qdd, p)),
+                ):
+                    parts += [((len(nodes), len(x)), _by(nodes, x)) for x in by]
+                return parts
+            case "columns":
+                forces = [f"f{i}" for i in range(len(f.forces))]
+                c = len(self.columns)
+                by = (q, qd, qdd, forces, p)
+                return [((c,), self.columns), *(((c, len(x)), _by(self.columns, x)) for x in by)]
+        raise KeyError(name)
+
+    @cached_property
+    def _least(self) -> tuple[list[Value], list[Value]]:
+        """What is zero at closed loops, and Psi^T gap of each group; one a joint that follows."""
+        f = self.formulas
+        closed: list[Value] = []
+        least: list[Value] = []
+        for rows, joints in self._conditions:
+            slopes = [sum((f.Psi[r][u] * f.gap[r] for r in rows), 0.0) for u in joints]
+            closed += [f.gap[r] for r in rows] if len(rows) == len(joints) else slopes
+            least += slopes
+        return closed, least
+
+    # -- lanes -------------------------------------------------------------------------------------
+
+    def __call__(self, p: Array) -> tuple[Array, Array, Array, Array]:
+        """Of changes p (S, k): columns (S, T, c), their derivatives (S, T, c, k), and what misses.
+
+        What is missing is (S, T, g) m, zero where loops close, with its derivatives (S, T, g, k).
+        Values are nan where there are none.
+        """
+        T = len(self.rows.t)
+        size = max(1, LANES // T)
+        parts = [self._lanes(p[s : s + size]) for s in range(0, len(p), size)]
+        columns, slopes, missing, by = (np.concatenate(x) for x in zip(*parts, strict=True))
+        return columns, slopes, missing, by
+
+    def _lanes(self, p: Array) -> tuple[Array, Array, Array, Array]:
+        mechanism, n, k, T = self.mechanism, self.n, self.k, len(self.rows.t)
+        S, driven = len(p), list(mechanism.actuated)
+        given = np.broadcast_to(self.rows.q, (S, *self.rows.q.shape))
+        q, missed = self._closed(p, given)
+        inputs = np.zeros((S, T, len(self.formulas.inputs)))
+        inputs[..., :n] = q
+        inputs[..., 3 * n] = self.rows.t
+        inputs[..., inputs.shape[-1] - k :] = p[:, None]
+        x = inputs.reshape(S * T, -1)
+        N, groups = S * T, len(self._conditions)
+        missing, by_missing = np.zeros((N, groups)), np.zeros((N, groups, k))
+        dq = np.zeros((N, n, k))
+        passive = [u for _, joints in self._conditions for u in joints]
+        Psi = np.zeros((N, 0, n))
+        with np.errstate(all="ignore"):
+            if mechanism.rows:
+                Psi, gap_p, closed_q, closed_p, least_q, least_p = self._code("closing")(x)
+                gap = self._code("gap")(x)[0]
+                lost = missed.reshape(N, groups)
+                ends = np.cumsum([0, *(len(joints) for _, joints in self._conditions)])
+                for g, (a, b) in enumerate(zip(ends, ends[1:], strict=False)):
+                    here = lost[:, g] > 0.0
+                    closed_q[here, a:b], closed_p[here, a:b] = least_q[here, a:b], least_p[here, a:b]
+                if passive:
+                    dq[:, passive] = -_solved(closed_q[..., passive], closed_p)
+                moved = gap_p + Psi @ dq
+                for g, (rows, _) in enumerate(self._conditions):
+                    own = list(rows)
+                    length = np.where(lost[:, g] > 0.0, np.linalg.norm(gap[:, own], axis=-1), 0.0)
+                    missing[:, g] = length
+                    along = gap[:, own] / np.where(length > 0.0, length, np.inf)[:, None]
+                    by_missing[:, g] = np.einsum("ni,nik->nk", along, moved[:, own])
+            dx = [dq]
+            if self.moves:
+                dx += self._moving(x, Psi, dq, driven)
+            found, *slopes = self._code("columns")(x)
+            total = slopes[-1]
+            for slope, step in zip(slopes, dx, strict=False):
+                total = total + slope @ step
+            if self.moves:
+                found[missing.any(axis=-1)] = np.nan
+        c = len(self.columns)
+        return (
+            found.reshape(S, T, c),
+            total.reshape(S, T, c, k),
+            missing.reshape(S, T, groups),
+            by_missing.reshape(S, T, groups, k),
+        )
+
+    def _moving(self, x: Array, Psi: Array, dq: Array, driven: list[int]) -> list[Array]:
+        """Writes rates, accelerations and forces into inputs x (N, inputs): their derivatives."""
+        mechanism, n, T = self.mechanism, self.n, len(self.rows.t)
+        N, r, a = len(x), Psi.shape[1], len(driven)
+        S = N // T
+        chosen = np.broadcast_to(np.eye(n)[driven], (N, a, n))
+        A = np.concatenate([Psi, chosen], axis=1)
+        right = np.zeros((N, r + a, 1))
+        right[:, r:, 0] = np.tile(self.rows.qd, (S, 1))
+        x[:, n : 2 * n] = _solved(A, right)[..., 0]
+        right[:, :r, 0] = -self._code("bend")(x)[0]  # with qdd zero
+        right[:, r:, 0] = np.tile(self.rows.qdd, (S, 1))
+        x[:, 2 * n : 3 * n] = _solved(A, right)[..., 0]
+        (load,) = self._code("load")(x)
+        torques = np.broadcast_to(np.eye(n)[:, driven], (N, n, a))
+        shares = np.concatenate([torques, np.swapaxes(Psi, 1, 2)], axis=-1)
+        x[:, 3 * n + 1 : 3 * n + 1 + a + r] = _solved(shares, load[..., None])[..., 0]
+        rate_q, rate_p, bend_q, bend_qd, bend_p, load_q, load_qd, load_qdd, load_p = self._code(
+            "rates"
+        )(x)
+        none = np.zeros((N, a, self.k))
+        dqd = -_solved(A, np.concatenate([rate_p + rate_q @ dq, none], axis=1))
+        bent = bend_p + bend_q @ dq + bend_qd @ dqd
+        dqdd = -_solved(A, np.concatenate([bent, none], axis=1))
+        df = _solved(shares, load_p + load_q @ dq + load_qd @ dqd + load_qdd @ dqdd)
+        return [dqd, dqdd, df]
+
+    # -- loops -------------------------------------------------------------------------------------
+
+    def _closed(self, p: Array, given: Array) -> tuple[Array, Array]:
+        """q (S, T, n), and what each group of rows misses (S, T, groups), m."""
+        mechanism, plan = self.mechanism, self.plan
+        q = np.zeros((*given.shape[:2], self.n))
+        q[..., list(mechanism.actuated)] = given
+        if plan is None:
+            return q, np.zeros((*given.shape[:2], 0))
+        lanes = replace(plan, steps=tuple(self._lane_steps(plan, p)))
+        with np.errstate(all="ignore"):
+            q, shorts, _ = by_dyads(mechanism, lanes, given, scene_branches(mechanism))
+        missed = np.zeros((*q.shape[:2], len(self._conditions)))
+        first = len(plan.coupled)
+        for g, short in enumerate(shorts[: len(plan.steps)]):
+            missed[..., first + g] = short
+        if plan.rest:
+            rest = list(plan.rest)
+            q[..., rest] = self._own[:, rest]
+            missed[..., -1] = self._newton(q, p)
+        return q, missed
+
+    @cached_property
+    def _own(self) -> Array:
+        """q (T, n) of the scene as it is."""
+        return assemble(self.mechanism, self.rows.q)
+
+    def _lane_steps(self, plan: Plan, p: Array) -> list[Step]:
+        """The steps with rows whose numbers are (S, 1)."""
+        inputs = np.zeros((len(p), len(self.formulas.inputs)))
+        inputs[:, inputs.shape[1] - self.k :] = p
+        (numbers,) = self._code("rows")(inputs)
+        columns = iter(numbers.T[..., None])
+        made: list[ClosureRow] = []
+        named = self.formulas.named.rows
+        for row, own in zip(named, self.mechanism.rows, strict=True):
+            P = tuple((k, next(columns) + 1j * next(columns)) for k, _ in row.P)
+            ground, offset = next(columns) + 1j * next(columns), next(columns)
+            angles = tuple((k, next(columns)) for k, _ in row.angles)
+            made.append(own._replace(P=P, ground=ground, offset=offset, angles=angles))
+        first = len(plan.coupled)
+        return [
+            replace(step, rows=tuple(made[r] for r in self._conditions[first + i][0]))
+            for i, step in enumerate(plan.steps)
+        ]
+
+    def _newton(self, q: Array, p: Array) -> Array:
+        """Closes what is left, in place, by steps of least squares; what is missing (S, T)."""
+        rows, joints = (list(x) for x in self._conditions[-1])
+        x = np.zeros((*q.shape[:2], len(self.formulas.inputs)))
+        x[..., x.shape[-1] - self.k :] = p[:, None]
+        size = loop_size(self.mechanism)
+        for _ in range(3 * PASSES):
+            x[..., : self.n] = q
+            gap, Psi = self._code("gap")(x.reshape(-1, x.shape[-1]))
+            gap, own = gap[:, rows, None], Psi[:, rows][..., joints]
+            if np.abs(gap).max(initial=0.0) <= ROUNDING * size:
+                break
+            step = np.linalg.pinv(own, rcond=1e-6) @ gap
+            longest = np.abs(step).max(axis=(1, 2), keepdims=True)
+            step *= np.minimum(1.0, 0.5 / np.maximum(longest, 0.5))
+            if longest.max() < 1e-15:
+                break
+            q[..., joints] -= step[..., 0].reshape(*q.shape[:2], -1)
+        missing = np.linalg.norm(gap[..., 0], axis=-1)
+        return np.where(missing > MISSED * size, missing, 0.0).reshape(q.shape[:2])
+
+
+def _by(nodes: Sequence[Value], names: Sequence[str]) -> list[Value]:
+    """The derivatives of each node by each name."""
+    return [slope.get(name, 0.0) for slope in tangents(nodes, list(names)) for name in names]
+
+
+def _solved(A: Array, b: Array) -> Array:
+    """x (N, n, m) of least length with A x = b as near as it goes; nan where A is not finite."""
+    if A.shape[1] == A.shape[2]:
+        try:
+            return np.asarray(np.linalg.solve(A, b))
+        except np.linalg.LinAlgError:
+            pass
+    sound = np.isfinite(A).all(axis=(1, 2))
+    found = np.full((len(A), A.shape[2], b.shape[2]), np.nan)
+    found[sound] = np.linalg.pinv(A[sound], rcond=RANK_CUT) @ b[sound]
+    return found
+
+
+def _compiled(
+    inputs: tuple[str, ...], parts: Sequence[tuple[tuple[int, ...], list[Value]]]
+) -> Callable[[Array], list[Array]]:
+    """A function of inputs (N, inputs) that returns arrays (N, *shape) of values, part by part."""
+    outputs = tuple(x for _, values in parts for x in values)
+    code = straightline.compile_arrays(Formula(inputs, outputs, ()), "lanes") if outputs else None
+
+    def run(x: Array) -> list[Array]:
+        found = [np.empty((len(x), len(values))) for _, values in parts]
+        if code is not None:
+            array_blocks.evaluate(*code, [x], found)
+        return [y.reshape(len(x), *shape) for y, (shape, _) in zip(found, parts, strict=True)]
+
+    return run
