@@ -62,7 +62,7 @@ def untimed(mechanism: Mechanism) -> Mechanism:
 
 
 def _without_time(signal: Signal | float) -> Signal | float:
-    return 0.0 if not isinstance(signal, float) and "t" in signal.names else signal
+    return 0.0 if isinstance(signal, Signal) and "t" in signal.names else signal
 
 
 def acting(mechanism: Mechanism) -> Mechanism:
