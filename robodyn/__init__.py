@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.parameters.identification import identify as identify
     from robodyn.parameters.regression_matrix import regressor as regressor
+    from robodyn.parameters.fitting import Fit as Fit
+    from robodyn.parameters.fitting import fit as fit
+    from robodyn.parameters.motion_lanes import fit_motion as fit_motion
     from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium
@@ -99,6 +102,8 @@ _ROOMS = {
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "parameters.identification": ["identify"],
     "parameters.regression_matrix": ["regressor"],
+    "parameters.fitting": ["Fit", "fit"],
+    "parameters.motion_lanes": ["fit_motion"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize"],
     "rest.regulator": ["lqr"],

@@ -32,7 +32,7 @@ USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has it
 OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
 COMMANDS = (
     *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
-    *("equilibrium", "linearize", "regressor", "identify"),
+    *("equilibrium", "linearize", "regressor", "identify", "fit"),
     *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
     *("plot", "draw", "animate", "init", "schema", "guide"),
 )

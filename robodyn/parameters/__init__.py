@@ -1,1 +1,1 @@
-"""The numbers of a mechanism from data: what its torques are linear in, and estimates of it."""
+"""The numbers of a scene from data: what torques are linear in, estimates, and fits of columns."""

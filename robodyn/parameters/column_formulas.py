@@ -25,7 +25,7 @@ from robodyn.kinematics.point_motion import NamedPoint, named_points
 from robodyn.mechanics import parts
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.scene.expressions import Written
+from robodyn.scene.expressions import NO_BENDS, Written, check_smooth
 from robodyn.scene.scene import Moment
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.csv_fields import shown
@@ -140,7 +140,9 @@ class ColumnFormulas:
                 (point,) = named_points(self.named, [stem])
             except (InputError, ValueError):
                 return None
-        moved = self.moved(point.point, (len(part) - 1) if part in "xy" else "va".index(part[0]) + 1)
+        moved = self.moved(
+            point.point, (len(part) - 1) if part in "xy" else "va".index(part[0]) + 1
+        )
         return moved.real if part[-1] == "x" else moved.imag  # type: ignore[no-any-return]
 
     def moved(self, point: PlanarPoint, order: int) -> Any:
@@ -296,13 +298,10 @@ class ColumnFormulas:
         try:
             for side in _RELATION.split(written):
                 codes = Written(side, rename, known).codes
-                if len(codes) != 1:
-                    raise ValueError("a comma: it is one expression")
+                check_smooth(codes)
                 sides.append(eval(codes[0], {**scope, **places}))
             left, right = sides
         except (ValueError, TypeError, NameError, ArithmeticError, AttributeError) as error:
-            told = str(error) if type(error) is not TypeError else "functions must be smooth"
+            told = str(error).replace(NO_BENDS, "which bends or jumps")
             raise InputError(where, value=shown(text), limit=f"has no meaning: {told}") from None
         return right - left if signs[0].startswith(">") else left - right, signs[0] == "=="
-
-

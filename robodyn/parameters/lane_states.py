@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.parameters.column_formulas import ColumnFormulas
 
 Array = NDArray[np.float64]
+
+Parts = Sequence[tuple[tuple[int, ...], Sequence[Value]]]  # shapes, and what is in them
+Group = tuple[tuple[int, ...], tuple[int, ...]]  # rows of closures, and the joints they serve
 
 LANES = 60_000  # states at once
 MISSED = 1e-9  # of the loop's size: a gap that Newton's method leaves and that is no rounding
@@ -63,13 +67,13 @@ class LaneStates:
 
     # -- formulas ----------------------------------------------------------------------------------
 
-    def _closings(self) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    def _closings(self) -> list[Group]:
         """The rows of closures that serve to find joints, each group with these joints."""
         if self.plan is None:
             return []
         rows, couplings = self.mechanism.rows, self.mechanism.description.couplings
         first = len(rows) - len(couplings)
-        found = [((first + c,), (joint,)) for joint, c in self.plan.coupled]
+        found: list[Group] = [((first + c,), (joint,)) for joint, c in self.plan.coupled]
         for step in self.plan.steps:
             own = tuple(r for r, row in enumerate(rows) if any(row is x for x in step.rows))
             found.append((own, step.unknown))
@@ -83,10 +87,10 @@ class LaneStates:
         """A function of inputs (N, inputs) that returns what is called so."""
         if name not in self._codes:
             parts = self._parts(name)
-            self._codes[name] = _compiled(self.formulas.inputs, parts)
+            self._codes[name] = compiled(self.formulas.inputs, parts)
         return self._codes[name]
 
-    def _parts(self, name: str) -> list[tuple[tuple[int, ...], list[Value]]]:
+    def _parts(self, name: str) -> Parts:
         f, n = self.formulas, self.n
         q, qd, qdd = (f.state.inputs[i : i + n] for i in (0, n, 2 * n))
         p = [f"p{i}" for i in range(self.k)]
@@ -105,9 +109,15 @@ class LaneStates:
                 return [((r,), f.gap), ((r, n), Psi)]
             case "closing":
                 closed, least = self._least
-                parts = [((r, n), Psi), ((r, self.k), _by(f.gap, p))]
+                parts: list[tuple[tuple[int, ...], Sequence[Value]]] = [
+                    ((r, n), Psi),
+                    ((r, self.k), slopes_by(f.gap, p)),
+                ]
                 for nodes in (closed, least):
-                    parts += [((len(nodes), n), _by(nodes, q)), ((len(nodes), self.k), _by(nodes, p))]
+                    parts += [
+                        ((len(nodes), n), slopes_by(nodes, q)),
+                        ((len(nodes), self.k), slopes_by(nodes, p)),
+                    ]
                 return parts
             case "bend":
                 return [((r,), f.gap_bend)]
@@ -120,13 +130,16 @@ class LaneStates:
                     (f.gap_bend, (q, qd, p)),
                     (f.balance, (q, qd, qdd, p)),
                 ):
-                    parts += [((len(nodes), len(x)), _by(nodes, x)) for x in by]
+                    parts += [((len(nodes), len(x)), slopes_by(nodes, x)) for x in by]
                 return parts
             case "columns":
                 forces = [f"f{i}" for i in range(len(f.forces))]
                 c = len(self.columns)
-                by = (q, qd, qdd, forces, p)
-                return [((c,), self.columns), *(((c, len(x)), _by(self.columns, x)) for x in by)]
+                every: list[Sequence[str]] = [q, qd, qdd, forces, p]
+                return [
+                    ((c,), self.columns),
+                    *(((c, len(x)), slopes_by(self.columns, x)) for x in every),
+                ]
         raise KeyError(name)
 
     @cached_property
@@ -176,9 +189,12 @@ class LaneStates:
                 gap = self._code("gap")(x)[0]
                 lost = missed.reshape(N, groups)
                 ends = np.cumsum([0, *(len(joints) for _, joints in self._conditions)])
-                for g, (a, b) in enumerate(zip(ends, ends[1:], strict=False)):
+                for g, (a, b) in enumerate(pairwise(ends)):
                     here = lost[:, g] > 0.0
-                    closed_q[here, a:b], closed_p[here, a:b] = least_q[here, a:b], least_p[here, a:b]
+                    closed_q[here, a:b], closed_p[here, a:b] = (
+                        least_q[here, a:b],
+                        least_p[here, a:b],
+                    )
                 if passive:
                     dq[:, passive] = -_solved(closed_q[..., passive], closed_p)
                 moved = gap_p + Psi @ dq
@@ -207,7 +223,7 @@ class LaneStates:
 
     def _moving(self, x: Array, Psi: Array, dq: Array, driven: list[int]) -> list[Array]:
         """Writes rates, accelerations and forces into inputs x (N, inputs): their derivatives."""
-        mechanism, n, T = self.mechanism, self.n, len(self.rows.t)
+        n, T = self.n, len(self.rows.t)
         N, r, a = len(x), Psi.shape[1], len(driven)
         S = N // T
         chosen = np.broadcast_to(np.eye(n)[driven], (N, a, n))
@@ -300,7 +316,7 @@ class LaneStates:
         return np.where(missing > MISSED * size, missing, 0.0).reshape(q.shape[:2])
 
 
-def _by(nodes: Sequence[Value], names: Sequence[str]) -> list[Value]:
+def slopes_by(nodes: Sequence[Value], names: Sequence[str]) -> list[Value]:
     """The derivatives of each node by each name."""
     return [slope.get(name, 0.0) for slope in tangents(nodes, list(names)) for name in names]
 
@@ -318,9 +334,7 @@ def _solved(A: Array, b: Array) -> Array:
     return found
 
 
-def _compiled(
-    inputs: tuple[str, ...], parts: Sequence[tuple[tuple[int, ...], list[Value]]]
-) -> Callable[[Array], list[Array]]:
+def compiled(inputs: tuple[str, ...], parts: Parts) -> Callable[[Array], list[Array]]:
     """A function of inputs (N, inputs) that returns arrays (N, *shape) of values, part by part."""
     outputs = tuple(x for _, values in parts for x in values)
     code = straightline.compile_arrays(Formula(inputs, outputs, ()), "lanes") if outputs else None

@@ -1,0 +1,243 @@
+"""`robodyn fit`: numbers of a scene such that columns follow a table, or vanish."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from typer import Option
+
+from robodyn.cli.files import input_file, output_file
+from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
+from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, States, Text, vector
+from robodyn.cli.output import Grid, note, row_writer, write_structure
+from robodyn.cli.points import OF, POINTS
+from robodyn.cli.progress import progress
+from robodyn.cli.states import remarks
+from robodyn.errors import InputError
+from robodyn.scene.quantities import parse_angle, parse_number
+from robodyn.scene.scene_values import SceneValues, is_angle
+from robodyn.tables.csv_fields import shown
+
+if TYPE_CHECKING:
+    from robodyn.parameters.fitting import Fit
+
+_VARY = "A number and its bounds, NAME=LOW:HIGH, named as in `sweep`; repeatable."
+_MATCH = "CSV file whose columns are to be met, at its rows (q1.., t); - for stdin."
+_COLUMNS = "Those columns of --match, A,B. Default: all that can be fitted."
+_MINIMIZE = "Columns whose sum of squares is to be least, A,B, at the rows of STATES; repeatable."
+_SUBJECT = "A condition, such as 'links.crank.l + links.rocker.l <= 1.2'; repeatable."
+_SIMULATE = "The columns are those of a motion from --q, --qd or the first row, at the times t."
+_TAU = "Constant torques of that motion, N m, of the actuated joints. Default: zero."
+_STARTS = "Where to search from, at random within the bounds. Default: 30, for motions 4."
+_RESIDUALS = "In place of the summary, rows: the columns as they are now, and less the wanted."
+_OUT = "Write the scene with these numbers here; comments and order stay."
+
+
+def fit(
+    model: Model,
+    vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
+    states: States = None,
+    match: Annotated[Text, input_file("--match", _MATCH)] = None,
+    columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None,
+    minimize: Annotated[
+        list[str] | None, Option("--minimize", metavar="COLUMNS", help=_MINIMIZE)
+    ] = None,
+    subject_to: Annotated[
+        list[str] | None, Option("--subject-to", metavar="EXPR", help=_SUBJECT)
+    ] = None,
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
+    q: Q = None,
+    qd: Qd = None,
+    qdd: Qdd = None,
+    simulate: Annotated[bool, Option("--simulate", help=_SIMULATE)] = False,
+    tau: Annotated[Text, vector("--tau", _TAU)] = None,
+    starts: Annotated[int | None, Option("--starts", metavar="N", help=_STARTS)] = None,
+    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random starts.")] = 0,
+    residuals: Annotated[bool, Option("--residuals", help=_RESIDUALS)] = False,
+    quiet: Quiet = False,
+    format: OutputStructured = None,
+    out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
+) -> None:
+    """Numbers of a scene for which columns follow a table, or are as small as they can be.
+
+    Columns are those of `points` (P_x, P_vy), `torque` (tau1, power1, fx1) and `reactions` (rx1,
+    shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the actuated joints' q1.., qd1..,
+    qdd1.. (rates that are left out are zero) and t; the other joints are assembled anew for each
+    trial.  The sum of squares of all columns, as they are in SI units, becomes least.
+
+    Many starts are searched at once by the exact derivatives, the best are finished by scipy's
+    least_squares.  Where loops do not close on the way, what is missing counts ten times; results
+    that do not close are thrown away.  Conditions of --subject-to may have numbers of the scene
+    and columns, which then keep them at every row; they hold to 1e-12 of their size, by the
+    augmented Lagrangian.
+
+    \b
+    Examples:
+      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 73 | \\
+        robodyn fit robots/four-bar.yaml - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
+      robodyn fit robots/hoeken.yaml --match line.csv --vary links.coupler.l=0.3:0.7 \\
+        --vary links.rocker.l=0.15:0.4 --of P=coupler -o straight.yaml
+      robodyn fit robots/2r.yaml --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
+    """
+    if (match is None) == (not minimize):
+        limit = "give one of them: columns follow a file, or become least"
+        raise InputError("--match and --minimize", limit=limit)
+    if match is not None and states is not None:
+        raise InputError("STATES", value=states, limit="is for --minimize; --match has rows itself")
+    if columns is not None and match is None:
+        raise InputError("--columns", limit="is for --match")
+    if simulate and (subject_to or match is None):
+        raise InputError("--simulate", limit="is for --match, without --subject-to")
+    if tau is not None and not simulate:
+        raise InputError("--tau", limit="is for --simulate")
+    values = model.values()
+    mechanism = model.load()
+    bounds = _bounds(values, vary)
+    wanted = [name for text in minimize or () for name in _names(text, "--minimize")]
+    chosen = None if columns is None else _names(columns, "--columns")
+    table = match if match is not None else states
+    if table is None:
+        rows = rows_of_options(mechanism, wanted, q, qd, qdd)
+    else:
+        given = {"q": q, "qd": qd, "qdd": qdd}
+        rows = rows_given(mechanism, table, match is not None, wanted, chosen, of, given, simulate)
+    with remarks(), progress("fitting", quiet) as tell:
+        if simulate:
+            from robodyn.cli.states import Quantity, option_source
+            from robodyn.parameters.motion_lanes import STARTS as FEW
+            from robodyn.parameters.motion_lanes import fit_motion
+
+            torques = option_source(mechanism, Quantity("tau", tau)).values if tau else None
+            found = fit_motion(
+                mechanism,
+                bounds,
+                rows.columns,
+                rows.t,
+                rows.q[0],
+                rows.qd[0],
+                torques,
+                target=rows.target,
+                of=of or (),
+                starts=FEW if starts is None else starts,
+                seed=seed,
+                tell=tell,
+            )
+        else:
+            from robodyn.parameters.fitting import STARTS
+            from robodyn.parameters.fitting import fit as fitted
+
+            found = fitted(
+                mechanism,
+                bounds,
+                rows.columns,
+                rows.q,
+                rows.qd,
+                rows.qdd,
+                rows.t,
+                target=rows.target,
+                of=of or (),
+                subject_to=subject_to or (),
+                starts=STARTS if starts is None else starts,
+                seed=seed,
+                tell=tell,
+            )
+    if out is not None:
+        from robodyn.scene.rewrite import write_scene
+
+        write_scene(model.model, _scene_numbers(model, values, found), out)
+    if residuals:
+        _write_rows(rows, found)
+    elif out != "-":
+        write_structure(format, None, _content(found), lambda: _tables(found, bounds))
+
+
+def _bounds(values: SceneValues, vary: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """The bounds of each number by its name."""
+    found: dict[str, tuple[float, float]] = {}
+    for text in vary:
+        name, _, ends = (part.strip() for part in text.rpartition("="))
+        low, colon, high = ends.partition(":")
+        if not name or not colon:
+            limit = "write NAME=LOW:HIGH, such as links.coupler.l=0.3:0.7"
+            raise InputError("--vary", value=shown(text), limit=limit)
+        if name in found:
+            raise InputError("--vary", value=shown(text), limit=f"{name} is named twice")
+        parse = parse_angle if is_angle(name) else parse_number
+        try:
+            found[name] = parse(low), parse(high)
+        except ValueError as error:
+            raise InputError("--vary", value=shown(text), limit=str(error)) from None
+        if not found[name][0] < found[name][1]:
+            raise InputError("--vary", value=shown(text), limit="needs LOW < HIGH")
+    return found
+
+
+def _names(text: str, where: str) -> list[str]:
+    found = [name.strip() for name in text.split(",")]
+    if not all(found) or len(set(found)) < len(found):
+        raise InputError(where, value=shown(text), limit="needs names of columns, each once: A,B")
+    return found
+
+
+def _scene_numbers(
+    model: Model, values: SceneValues, found: Fit
+) -> dict[str, float | Sequence[float]]:
+    """What the file gets: numbers of --set, and those that were found."""
+    made: dict[str, float | Sequence[float]] = {}
+    for name, _ in model.given:
+        entries = [f"{name}[{k}]" for k in (0, 1)]
+        whole = all(entry in values for entry in entries)
+        made[name] = [values.number(x) for x in entries] if whole else values.number(name)
+    for name, value in found.numbers.items():
+        vector = made.get(name[:-3]) if name.endswith(("[0]", "[1]")) else None
+        if isinstance(vector, list):
+            vector[int(name[-2])] = value
+        elif name in values:
+            made[name] = value
+        else:
+            note(f"{name} = {value!r} is a start value, and in no scene")
+    return made
+
+
+def _content(found: Fit) -> dict[str, object]:
+    def by_column(values: np.ndarray) -> dict[str, float | None]:
+        numbers = (x if math.isfinite(x) else None for x in values.tolist())
+        return dict(zip(found.columns, numbers, strict=True))
+
+    return {
+        "numbers": dict(found.numbers),
+        "before": dict(found.before),
+        "rms": by_column(found.rms),
+        "rms_before": by_column(found.rms_before),
+        "at_bounds": dict(found.bounds),
+        "conditions": dict(found.conditions),
+        "starts": found.starts,
+        "reached": found.reached,
+    }
+
+
+def _tables(found: Fit, bounds: dict[str, tuple[float, float]]) -> list[Grid]:
+    numbers = [
+        (name, found.before[name], value, *bounds[name], found.bounds.get(name, ""))
+        for name, value in found.numbers.items()
+    ]
+    columns = list(zip(found.columns, found.rms_before.tolist(), found.rms.tolist(), strict=True))
+    grids = [
+        Grid(["number", "before", "found", "low", "high", "at bound"], numbers),
+        Grid(["column", "rms before", "rms"], columns),
+    ]
+    if found.conditions:
+        grids.append(Grid(["condition", "room"], list(found.conditions.items())))
+    reached = f"{found.reached} of {found.starts} starts reached it"
+    return [grids[0]._replace(title=reached), *grids[1:]]
+
+
+def _write_rows(rows: FitRows, found: Fit) -> None:
+    names = [x for name in found.columns for x in (name, f"{name}_residual")]
+    both = np.stack([found.residuals + rows.target, found.residuals], axis=-1)
+    with row_writer(None, None, [*rows.names, *names]) as writer:
+        for known, values in zip(rows.known.tolist(), both.tolist(), strict=True):
+            writer.write_row([*known, *(x for pair in values for x in pair)])

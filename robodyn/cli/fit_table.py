@@ -1,0 +1,161 @@
+"""The rows that `robodyn fit` works on: states of the actuated joints, times, and what to meet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.cli.output import note
+from robodyn.cli.states import Quantity, option_source, read_columns
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.yaml_values import nearest
+
+Array = NDArray[np.float64]
+KINDS = ("q", "qd", "qdd")
+
+
+class FitRows(NamedTuple):
+    """T rows: q, qd, qdd (T, a) of the actuated joints, t (T,), columns (c) and target (T, c).
+
+    `known` (T, k) are the columns `names` that say where rows are.
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    t: Array
+    columns: list[str]
+    target: Array
+    names: list[str]
+    known: Array
+
+
+def rows_of_options(
+    mechanism: Mechanism, columns: list[str], q: str | None, qd: str | None, qdd: str | None
+) -> FitRows:
+    """The one state that options give."""
+    if q is None:
+        raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
+    state = {
+        name: _driven(mechanism, Quantity(name, text))[None]
+        for name, text in zip(KINDS, (q, qd, qdd), strict=True)
+    }
+    names = [f"q{k + 1}" for k in mechanism.actuated]
+    return FitRows(
+        **state,
+        t=np.zeros(1),
+        columns=columns,
+        target=np.zeros((1, len(columns))),
+        names=names,
+        known=state["q"],
+    )
+
+
+def _driven(mechanism: Mechanism, quantity: Quantity) -> Array:
+    """An option's values of the actuated joints."""
+    source = option_source(mechanism, quantity)
+    values = np.array(source.values)
+    return values[list(mechanism.actuated)] if source.whole else values
+
+
+def rows_given(
+    mechanism: Mechanism,
+    table: str,
+    match: bool,
+    wanted: list[str],
+    chosen: list[str] | None,
+    of: Sequence[str] | None,
+    options: Mapping[str, str | None],
+    moving: bool,
+) -> FitRows:
+    """The rows of a table; of one to `match` the columns too, all that serve unless `chosen`.
+
+    Of motions (`moving`) q and qd begin it, by options or by the first row.
+    """
+    from robodyn.parameters.column_formulas import ColumnFormulas
+
+    driven = {kind: [f"{kind}{k + 1}" for k in mechanism.actuated] for kind in KINDS}
+    states: dict[str, list[str]] = {}
+    columns = wanted
+
+    def choose(header: Sequence[str], name: str) -> Sequence[str]:
+        nonlocal columns
+        for kind, names in driven.items():
+            there = [x for x in names if x in header]
+            if options[kind] is not None:
+                if there and not moving:
+                    limit = f"{name} has the column {there[0]}; leave one of them out"
+                    raise InputError(f"--{kind}", value=options[kind], limit=limit)
+            elif len(there) == len(names):
+                states[kind] = names
+            elif there or kind == "q":
+                missing = next(x for x in names if x not in there)
+                limit = f"the header has {', '.join(header)}"
+                raise InputError(f"column {missing} is missing", where=name, limit=limit)
+        if moving and "t" not in header:
+            limit = f"a motion is met at times; the header has {', '.join(header)}"
+            raise InputError("column t is missing", where=name, limit=limit)
+        if match:
+            formulas = ColumnFormulas(mechanism, [], of or ())
+            columns = chosen or _fitted(mechanism, formulas, header, states, moving, name)
+            for column in columns:
+                if column not in header:
+                    limit = f"{nearest(column, list(header))}; the header has {', '.join(header)}"
+                    what = f"column {column} of --columns is missing"
+                    raise InputError(what, where=name, limit=limit.lstrip("; "))
+        used = [x for names in states.values() for x in names]
+        used += ["t"] if "t" in header else []
+        return list(dict.fromkeys([*used, *(columns if match else [])]))
+
+    values, names, name = read_columns(table, choose)
+    if not len(values):
+        raise InputError("no rows", where=name, limit="the header is followed by no row")
+    place = {x: k for k, x in enumerate(names)}
+    T, width = len(values), len(mechanism.actuated)
+    state: dict[str, Array] = {}
+    for kind in KINDS:
+        if kind in states:
+            state[kind] = values[:, [place[x] for x in states[kind]]]
+        else:
+            own = _driven(mechanism, Quantity(kind, options[kind]))
+            state[kind] = np.tile(own, (T, 1)).reshape(T, width)
+    t = values[:, place["t"]] if "t" in place else np.zeros(T)
+    target = values[:, [place[x] for x in columns]] if match else np.zeros((T, len(columns)))
+    shown = [x for x in names if x not in columns or not match or x in ("t",)]
+    known = values[:, [place[x] for x in shown]]
+    return FitRows(**state, t=t, columns=columns, target=target, names=shown, known=known)
+
+
+def _fitted(
+    mechanism: Mechanism,
+    formulas: object,
+    header: Sequence[str],
+    states: Mapping[str, list[str]],
+    moving: bool,
+    name: str,
+) -> list[str]:
+    """The columns of a table that can be fitted."""
+    from robodyn.parameters.column_formulas import ColumnFormulas
+
+    assert isinstance(formulas, ColumnFormulas)
+    given = {"t", *(() if moving else (x for names in states.values() for x in names))}
+    if moving:
+        given |= {f"qdd{k + 1}" for k in range(mechanism.n)}
+        given |= {f"tau{k + 1}" for k in range(mechanism.n)}
+    else:
+        for kind in KINDS:  # what follows in a table of whole states is the old scene's
+            whole = {f"{kind}{k + 1}" for k in range(mechanism.n)}
+            if whole <= set(header):
+                given |= whole
+    found = [x for x in header if x not in given and formulas.serves(x)]
+    if not found:
+        limit = f"has no column that can be fitted besides; the header has {', '.join(header)}"
+        raise InputError("--match", where=name, limit=limit)
+    left = [x for x in header if x not in given and x not in found]
+    if left:
+        note(f"{name}: {', '.join(left)}: not fitted, as these are no columns of a state")
+    return found

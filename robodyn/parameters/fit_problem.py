@@ -1,0 +1,185 @@
+"""Least squares of columns with conditions: residuals, multipliers, and how a start is finished.
+
+Conditions c(p) <= 0 (or = 0) keep the residual vectors, too: by multipliers l,
+
+    residuals and sqrt(m) max(0, c + l/m)     then     l = max(0, l + m c)
+
+until nothing is violated (the augmented Lagrangian; J. Nocedal, S. Wright, Numerical Optimization,
+chapter 17).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.loops.closing import half_turn
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+PENALTY = 10.0  # what is missing counts so often
+KEPT = 1e-12  # of a condition's size: it holds
+ROUNDS = 15  # of multipliers
+STIFF = 10.0  # the first m
+
+
+class Problem:
+    """Residuals by unknowns u in [0, 1], which stand for numbers between their bounds.
+
+    `states` gives columns, those of conditions last, at changes of the numbers from `own` (k,).
+    """
+
+    def __init__(
+        self,
+        states: Callable[[Array], tuple[Array, Array, Array, Array]],
+        own: Array,
+        vary: Mapping[str, tuple[float, float]],
+        target: Array,
+        turning: Sequence[bool],
+        equal: Sequence[bool],
+        alone: Sequence[bool],
+    ) -> None:
+        self.states, self.own, self.names = states, own, tuple(vary)
+        self.low, self.high = np.array(list(vary.values()), float).T
+        self.target, self.turning = target, np.array(turning, bool)
+        self.equal, self.alone = list(equal), list(alone)
+        self.size = 1.0  # of the residuals: their norm where starts are
+        self.sizes = np.ones(len(self.equal))  # of the conditions
+
+    def numbers(self, u: Array) -> Array:
+        """The numbers (S, k), bounds as they were given."""
+        found = self.low + u * (self.high - self.low)
+        return np.asarray(np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, found)))
+
+    def at(self, numbers: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Residuals (S, T, c), conditions (S, C), what is missing (S, G), each with slopes by u."""
+        found, slopes, missing, missing_by = self.states(numbers - self.own)
+        slopes, missing_by = (x * (self.high - self.low) for x in (slopes, missing_by))
+        S, T, c = len(numbers), len(self.target), self.target.shape[1]
+        left = found[..., :c] - self.target
+        left[..., self.turning] = half_turn(left[..., self.turning])
+        parts, by = [np.zeros((S, 0))], [np.zeros((S, 0, slopes.shape[-1]))]
+        for i, alone in enumerate(self.alone):
+            rows = slice(0, 1) if alone else slice(None)
+            parts.append(found[:, rows, c + i])
+            by.append(slopes[:, rows, c + i])
+        count = T * missing.shape[-1]
+        return (
+            left,
+            slopes[..., :c, :],
+            np.concatenate(parts, axis=1),
+            np.concatenate(by, axis=1),
+            missing.reshape(S, count),
+            missing_by.reshape(S, count, slopes.shape[-1]),
+        )
+
+    @property
+    def places(self) -> tuple[NDArray[np.bool_], Places]:
+        """Of each entry of the conditions whether it is an equation, and its condition."""
+        T = len(self.target)
+        counts = [1 if alone else T for alone in self.alone]
+        which = np.repeat(np.arange(len(counts)), counts)
+        return np.array(self.equal, bool)[which], which
+
+
+class Search:
+    """The starts of a problem, with their multipliers."""
+
+    def __init__(self, problem: Problem, count: int) -> None:
+        self.problem = problem
+        self.equal, which = problem.places
+        self.scale = problem.sizes[which]
+        self.l = np.zeros((count, len(which)))
+        self.m = np.full(count, STIFF)
+
+    def evaluate(self, u: Array, lanes: Places) -> tuple[Array, Array]:
+        """Residuals (m, R) and slopes (m, R, k), penalties and conditions among them."""
+        problem = self.problem
+        left, by, c, c_by, missing, missing_by = problem.at(problem.numbers(u))
+        S, k = u.shape
+        m = np.sqrt(self.m[lanes])[:, None]
+        pushed = c / self.scale + self.l[lanes] / m**2
+        active = self.equal | (pushed > 0.0)
+        parts = [left.reshape(S, -1) / problem.size, PENALTY * missing / problem.size]
+        slopes = [by.reshape(S, -1, k) / problem.size, PENALTY * missing_by / problem.size]
+        parts.append(np.where(active, m * pushed, 0.0))
+        slopes.append(np.where(active, m / self.scale, 0.0)[..., None] * c_by)
+        J = np.concatenate(slopes, axis=1)
+        r = np.concatenate(parts, axis=1)
+        r[~np.isfinite(J).all(axis=(1, 2))] = np.nan
+        return r, J
+
+    def violated(self, u: Array) -> tuple[Array, Array]:
+        """By how much each start breaks conditions, of their sizes, and the conditions."""
+        c = self.problem.at(self.problem.numbers(u))[2] / self.scale
+        off = np.where(self.equal, np.abs(c), np.maximum(c, 0.0))
+        return off.max(axis=1, initial=0.0), c
+
+    def run(self, u: Array, inner: Callable[[Array], tuple[Array, Array]]) -> tuple[Array, Array]:
+        """u and costs after `inner`, which is called again with other multipliers."""
+        before = np.full(len(u), np.inf)
+        for _ in range(ROUNDS if len(self.equal) else 1):
+            u, cost = inner(u)
+            off, c = self.violated(u)
+            if not (off[np.isfinite(cost)] > KEPT).any():
+                break
+            pushed = self.l + self.m[:, None] * c
+            self.l = np.nan_to_num(np.where(self.equal, pushed, np.maximum(pushed, 0.0)))
+            self.m = np.where(off > 0.25 * before, np.minimum(self.m * 10.0, 1e8), self.m)
+            before = off
+        return u, cost
+
+
+def finished(
+    problem: Problem, search: Search, u: Array, lane: int
+) -> tuple[float, float, Array, Array]:
+    """What scipy makes of a start: what is broken, the norm of residuals, u and conditions."""
+    from scipy.optimize import least_squares
+
+    alone = Search(problem, 1)
+    alone.l, alone.m = search.l[lane : lane + 1], search.m[lane : lane + 1]
+    first = np.zeros(1, int)
+
+    def inner(start: Array) -> tuple[Array, Array]:
+        r, J = alone.evaluate(start, first)
+        cost, slope, at = 0.5 * float(r[0] @ r[0]), J[0].T @ r[0], start[0].copy()
+        free = ~(((at <= 0.0) & (slope >= 0.0)) | ((at >= 1.0) & (slope <= 0.0)))
+        if not free.any() or cost == 0.0:
+            return start, np.array([cost])
+
+        def there(x: Array) -> tuple[Array, Array]:
+            full = at.copy()
+            full[free] = x
+            r, J = alone.evaluate(full[None], first)
+            return r[0], np.ascontiguousarray(J[0][:, free])
+
+        def residuals(x: Array) -> Array:
+            return there(x)[0]
+
+        def slopes(x: Array) -> Array:
+            return there(x)[1]
+
+        done = least_squares(
+            residuals,
+            at[free],
+            jac=slopes,
+            bounds=(0.0, 1.0),
+            x_scale="jac",
+            ftol=1e-15,
+            xtol=1e-15,
+            gtol=1e-15,
+            max_nfev=100,
+        )
+        if done.cost < cost:
+            at[free] = done.x
+            return at[None], np.array([float(done.cost)])
+        return start, np.array([cost])
+
+    best, cost = alone.run(u[None].copy(), inner)
+    off, c = alone.violated(best)
+    missing = problem.at(problem.numbers(best))[4].max(initial=0.0)
+    broken = max(float(off[0]) if off[0] > 1e-6 else 0.0, float(missing))
+    return broken, float(np.sqrt(2.0 * cost[0])), best[0], c[0]

@@ -1,0 +1,420 @@
+"""Fits of numbers: derivatives against differences in 30 digits, and known answers."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from engine_cases import AT, KINDS, VARIED, random_case
+from known_terms import DIGITS, Known, solve
+from mpmath import mp, mpf
+
+import robodyn
+from robodyn.dynamics.named_numbers import named_values
+from robodyn.errors import DescriptionError, InputError
+from robodyn.loops.assembly_plan import assembly_plan
+from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.mechanism import build, load
+from robodyn.parameters.column_formulas import ColumnFormulas
+from robodyn.parameters.lane_states import LaneStates, Rows
+from robodyn.scene.scene_values import read_numbers
+
+STEP = 2.0**-10  # of a number's size; of order 4, differences are right to 1e-12
+
+
+def closed(mech, given, qd, qdd, t):
+    """q, qd, qdd in 30 digits from those of the actuated joints."""
+    driven, n = list(mech.actuated), mech.n
+    passive = [k for k in range(n) if k not in driven]
+    with mp.workdps(DIGITS):
+        q = np.array([mpf(float(x)) for x in robodyn.assemble(mech, given)])
+        q[driven] = [mpf(float(x)) for x in given]
+        zero = np.array([mpf(0)] * n)
+        rows = slice(0, len(passive))
+
+        def follow(at, right, values):
+            found = zero.copy()
+            found[driven] = [mpf(float(x)) for x in values]
+            if passive:
+                found[passive] = solve(at.Psi[rows][:, passive], right[rows] - at.Psi[rows] @ found)
+            return found
+
+        for _ in range(4):
+            at = Known(mech, q, zero, t)
+            if passive:
+                q[passive] -= solve(at.Psi[rows][:, passive], at.gap[rows])
+        rates = follow(Known(mech, q, zero, t), np.array([mpf(0)] * len(mech.rows)), qd)
+        at = Known(mech, q, rates, t)
+        return at, follow(at, -at.bias, qdd)
+
+
+def exact_columns(mech, given, qd, qdd, t):
+    """What `names_of` has, in 30 digits."""
+    at, bend = closed(mech, given, qd, qdd, t)
+    tau, multipliers = at.torques(bend)
+    with mp.workdps(DIGITS):
+        found = []
+        gamma = mech.description.gravity
+        for k, link in enumerate(mech.description.links):
+            place = k, complex(link.l)
+            moved = (
+                at.pose.position(place),
+                at.pose.slope(place) @ at.qd,
+                at.pose.slope(place) @ bend + at.pose.bias(place, at.qd),
+            )
+            found += [x for z in moved for x in (z.real, z.imag)]
+        found += [tau[k] for k in mech.actuated]
+        found += [tau[k] * at.qd[k] for k in mech.actuated]
+        pins, rows = [], iter(multipliers)
+        for closure in mech.description.closures:
+            F = sum(direction * next(rows) for direction in at.directions(closure))
+            pins += [F.real, F.imag]
+        found += pins
+        found += [x for pair in at.reactions(bend, multipliers) for x in pair]
+        loads = 0
+        for k, link in enumerate(at.tree):
+            place = k, link["r"]
+            a = at.pose.slope(place) @ bend + at.pose.bias(place, at.qd)
+            loads += link["m"] * (gamma - a)
+        for item in mech.description.loads:
+            if hasattr(item, "point"):
+                loads += at.forces.turned(item)
+        return np.array([*found, loads.real, loads.imag])
+
+
+def names_of(mech):
+    parts = ("x", "y", "vx", "vy", "ax", "ay")
+    names = [f"tip{k + 1}_{part}" for k in range(mech.n) for part in parts]
+    names += [f"{kind}{k + 1}" for kind in ("tau", "power") for k in mech.actuated]
+    names += [x for x in loop_columns(mech) if x.startswith("f")]
+    names += [f"r{axis}{k + 1}" for k in range(mech.n) for axis in "xy"]
+    return [*names, "shake_fx", "shake_fy"]
+
+
+def lanes(mech, names, columns, given, qd=None, qdd=None, t=0.0, changes=None):
+    formulas = ColumnFormulas(mech, names)
+    given = np.asarray(given, float)
+    rates = [np.zeros_like(given) if x is None else np.asarray(x, float) for x in (qd, qdd)]
+    states = LaneStates(
+        formulas, [formulas.column(x) for x in columns], Rows(given, *rates, np.full(len(given), t))
+    )
+    return states(np.zeros((1, len(names))) if changes is None else np.asarray(changes, float))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_column_of_random_scenes(kind: str) -> None:
+    case = random_case(kind, 1, acted=True)
+    mech, rng = case.mech, np.random.default_rng(7)
+    given = case.q[list(mech.actuated)]
+    qd, qdd = (case.qd[list(mech.actuated)], rng.normal(size=len(given)))
+    t = AT if kind in VARIED else 0.0
+    values = named_values(mech)
+    columns = names_of(mech)
+    checked = 0
+    for name in rng.permutation(values.names).tolist():
+        size = abs(values.number(name)) or 1.0
+        steps = [size * STEP * x for x in (1.0, -1.0, 0.5, -0.5)]
+        try:
+            moved = [build(values.replaced({name: values.number(name) + x})) for x in steps]
+            found, slopes, missing, _ = lanes(mech, [name], columns, [given], [qd], [qdd], t)
+        except (InputError, DescriptionError):
+            continue  # of a direction, or at the end of what it may be
+        assert not missing.any()
+        with mp.workdps(DIGITS):
+            far, back, near, close = (exact_columns(x, given, qd, qdd, t) for x in moved)
+            change = 6 * mpf(steps[0])
+            expected = ((8 * (near - close) - (far - back)) / change).astype(float)
+        at = exact_columns(mech, given, qd, qdd, t).astype(float)
+        condition = (1.0 + case.at.condition) ** 0.5
+        assert np.abs(found[0, 0] - at).max() < 1e-13 * condition * (1.0 + np.abs(at).max())
+        off = np.abs(slopes[0, 0, :, 0] - expected)
+        assert off.max() < 1e-11 * condition * (1.0 + np.abs(expected).max()), name
+        checked += 1
+        if checked == 2:
+            return
+    assert checked
+
+
+# -- loops that do not close -----------------------------------------------------------------------
+
+FOUR_BAR = ROOT / "robots/four-bar.yaml"
+LENGTHS = ("links.crank.l", "links.coupler.l", "links.rocker.l", "links.rocker.from[0]")
+
+
+def four_bar_misses(l, theta):
+    """max(D - l2 - l3, |l2 - l3| - D, 0), and its slopes by l1, l2, l3, d; of arrays of angles."""
+    l1, l2, l3, d = l
+    x, y = d - l1 * np.cos(theta), -l1 * np.sin(theta)
+    D = np.hypot(x, y)
+    far, near = D - l2 - l3, abs(l2 - l3) - D
+    by_D = [(l1 - d * np.cos(theta)) / D, 0 * D, 0 * D, x / D]
+    sign = np.sign(l2 - l3)
+    slope = np.where(
+        far > 0,
+        [by_D[0], -1 + 0 * D, -1 + 0 * D, by_D[3]],
+        np.where(near > 0, [-by_D[0], sign + 0 * D, -sign + 0 * D, -by_D[3]], 0.0),
+    )
+    return np.maximum(np.maximum(far, near), 0.0), slope.T
+
+
+@pytest.mark.parametrize("l", [(0.35, 0.5, 0.8, 1.1), (0.35, 1.5, 0.6, 1.1), (0.9, 0.95, 0.8, 1.1)])
+def test_what_a_four_bar_misses(l) -> None:
+    mech = load(FOUR_BAR)
+    own = np.array([0.35, 0.95, 0.8, 1.1])
+    theta = np.linspace(0.1, 6.2, 40)
+    _, slopes, missing, by = lanes(
+        mech, LENGTHS, ["coupler_x", "q3"], theta[:, None], changes=[np.array(l) - own]
+    )
+    expected, expected_by = four_bar_misses(l, theta)
+    assert (expected > 0.0).any()
+    assert (expected == 0.0).any()
+    assert np.abs(missing[0, :, 0] - expected).max() < 1e-14
+    assert np.abs(by[0, :, 0] - expected_by).max() < 1e-13
+    # columns go on where links point at one another
+    off = expected > 1e-3
+    for k in range(4):
+        h = 1e-5
+        sides = [np.array(l) - own + s * h * np.eye(4)[k] for s in (1, -1)]
+        ahead, behind = (
+            lanes(mech, LENGTHS, ["coupler_x", "q3"], theta[:, None], changes=[x])[0][0]
+            for x in sides
+        )
+        assert np.abs((ahead - behind)[off] / (2 * h) - slopes[0, off, :, k]).max() < 1e-8
+
+
+def test_rates_have_no_values_there() -> None:
+    found = lanes(
+        load(FOUR_BAR), ["links.coupler.l"], ["coupler_vx"], [[0.1], [3.0]], changes=[[-0.4]]
+    )[0]
+    assert np.isnan(found[0, 1, 0])
+    assert np.isfinite(found[0, 0, 0])
+
+
+STEPHENSON = (ROOT / "robots/stephenson-six-bar.yaml").read_text()
+
+
+def test_loops_that_newtons_method_closes(scene) -> None:
+    """The six-bar driven at its other end is no chain of dyads."""
+    mech = robodyn.load(ROOT / "robots/stephenson-six-bar.yaml")
+    driven = [[mech.link_names[-1]]]
+    q = robodyn.assemble(mech, [2.0])
+    angles = ", ".join(
+        f"{name}: {x!r}" for name, x in zip(mech.link_names, q.tolist(), strict=True)
+    )
+    text = re.sub(r"actuated: .*", f"actuated: {driven[0]}".replace("'", ""), STEPHENSON)
+    text = re.sub(r"^(assembly|start): .*\n", "", text, flags=re.M)
+    mech = load(scene(text + f"\nstart: {{{angles}}}\n"))
+    assert assembly_plan(mech).rest
+    given = q[-1:] + 0.05 * np.arange(3)[:, None]
+    name, columns = "links.rocker.l", ["q1", "q2", "qd3", "tau5", "shake_m"]
+    states = (given, np.ones((3, 1)), np.ones((3, 1)))
+    found, slopes, missing, _ = lanes(mech, [name], columns, *states)
+    assert not missing.any()
+    at = robodyn.assemble(mech, given)
+    assert np.abs(found[0, :, :2] - at[:, :2]).max() < 1e-12
+    h = 1e-4
+    far, back, near, close = (
+        lanes(mech, [name], columns, *states, changes=[[x]])[0][0]
+        for x in (h, -h, 0.5 * h, -0.5 * h)
+    )
+    expected = (8 * (near - close) - (far - back)) / (6 * h)
+    assert np.abs(slopes[0, ..., 0] - expected).max() < 1e-8 * (1 + np.abs(expected).max())
+    assert lanes(mech, [name], ["q1"], given, changes=[[-0.4]])[2].all()
+
+
+# -- known answers ---------------------------------------------------------------------------------
+
+HALF = np.linspace(0.5 * np.pi, 1.5 * np.pi, 37)[:, None]
+HOEKEN = {
+    "links.coupler.l": (0.2, 1.0),
+    "closures[0][0].at[0]": (0.1, 0.5),
+    "closures[0][0].at[1]": (-0.1, 0.1),
+    "links.rocker.l": (0.1, 0.5),
+    "links.rocker.from[0]": (0.05, 0.5),
+}
+
+
+def line_of(mech):
+    """Length of the way of Hoeken's point along its line, and aside, m."""
+    q = robodyn.assemble(mech, np.linspace(0.5 * np.pi, 1.5 * np.pi, 1801)[:, None])
+    return np.ptp(robodyn.points(mech, q, of="coupler").position[:, 0], axis=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hoekens_line_from_random_starts(seed: int) -> None:
+    mech = load(ROOT / "robots/hoeken.yaml")
+    wrong = build(named_values(mech).replaced({"links.rocker.l": 0.11}))
+    height = np.full((len(HALF), 1), 0.4005)
+    found = robodyn.fit(wrong, HOEKEN, ["coupler_y"], HALF, target=height, seed=seed)
+    length, aside = line_of(found.mechanism)
+    published = line_of(mech)
+    assert found.starts == 30
+    assert found.reached >= 3
+    assert aside / length < published[1] / published[0]
+    assert found.rms[0] < 2e-4 < found.rms_before[0]
+
+
+def test_a_path_leads_back_to_its_four_bar() -> None:
+    mech = load(FOUR_BAR)
+    q = np.linspace(0.0, 2 * np.pi, 25)[:-1, None]
+    at = robodyn.assemble(mech, q)
+    path = robodyn.points(mech, at, of="coupler@0.4,0.3").position[:, 0]
+    vary = {
+        name: (0.5 * x, 1.5 * x) for name, x in zip(LENGTHS, (0.35, 0.95, 0.8, 1.1), strict=True)
+    }
+    names = ["P_x", "P_y"]
+    found = robodyn.fit(mech, vary, names, q, target=path, of=["P=coupler@0.4,0.3"], seed=1)
+    assert found.rms.max() < 1e-14
+    assert list(found.numbers.values()) == pytest.approx([0.35, 0.95, 0.8, 1.1], rel=1e-12)
+    # a function: the rocker's angle, whole turns aside
+    del vary["links.crank.l"]
+    turned = at[:, 2:] + 2 * np.pi
+    found = robodyn.fit(mech, vary, ["q3"], q, target=turned, seed=1)
+    assert list(found.numbers.values()) == pytest.approx([0.95, 0.8, 1.1], rel=1e-12)
+
+
+def balanced_four_bar(**more):
+    text = FOUR_BAR.read_text()
+    given = (("gravity", "0"), ("links.crank.r", "[0.15, 0]"), ("links.rocker.r", "[0.36, 0]"))
+    mech = build(read_numbers(text, str(FOUR_BAR), given).base)
+    vary = {f"links.{x}.r[{k}]": (-1.0, 1.0) for x in ("crank", "rocker") for k in (0, 1)}
+    q = np.linspace(0.0, 2 * np.pi, 24)[:, None]
+    return robodyn.fit(mech, vary, ["shake_fx", "shake_fy"], q, np.full_like(q, 5.0), **more)
+
+
+def test_counterweights_of_berkof_and_lowen() -> None:
+    """m1 r1 = -m2 l1 (1 - r2/l2), m3 r3 = -m2 l3 r2/l2, of the force that vanishes."""
+    found = balanced_four_bar()
+    expected = [-1.3 * 0.35 * (1 - 0.45 / 0.95) / 0.6, 0.0, -1.3 * 0.8 * 0.45 / 0.95, 0.0]
+    assert np.abs(np.array(list(found.numbers.values())) - expected).max() < 1e-12
+    assert found.rms.max() < 1e-13 * found.rms_before.max()
+
+
+def test_springs_that_balance_an_arm() -> None:
+    mech = load(ROOT / "robots/balanced-arm.yaml")
+    vary = {f"springs[{k}].stiffness": (0.0, 1000.0) for k in range(3)}
+    wrong = build(named_values(mech).replaced(dict.fromkeys(vary, 50.0)))
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (30, 2))
+    found = robodyn.fit(wrong, vary, ["tau1", "tau2"], q)
+    assert list(found.numbers.values()) == pytest.approx([120.0, 20.0, 239.8], rel=1e-9)
+    assert found.rms.max() < 1e-12
+
+
+# -- conditions ------------------------------------------------------------------------------------
+
+
+def test_a_condition_that_holds_alone() -> None:
+    """tau1 = (m r g) cos q = 0.5 cos q, with r = 2 m: m = sqrt(0.25/g)."""
+    rod, q = load(ROOT / "robots/pendulum.yaml"), np.linspace(-1.0, 1.0, 5)[:, None]
+    vary = {"links.rod.m": (0.01, 2.0), "links.rod.r": (0.0, 2.0)}
+    target = 0.5 * np.cos(q)
+    found = robodyn.fit(
+        rod, vary, ["tau1"], q, target=target, subject_to=["links.rod.r == 2*links.rod.m"]
+    )
+    assert found.numbers["links.rod.m"] == pytest.approx((0.25 / 9.81) ** 0.5, rel=1e-9)
+    assert found.conditions["links.rod.r == 2*links.rod.m"] == pytest.approx(0.0, abs=1e-10)
+
+
+def test_conditions_that_cost() -> None:
+    """The best is where the condition begins, and where Lagrange's multipliers say."""
+    least, even = "links.crank.r[0] >= -0.2", "links.crank.r[1] + links.rocker.r[1] == 0.1"
+    free = balanced_four_bar()
+    found = balanced_four_bar(subject_to=[least, even])
+    numbers = found.numbers
+    assert numbers["links.crank.r[0]"] == pytest.approx(-0.2, abs=1e-10)
+    assert numbers["links.crank.r[1]"] + numbers["links.rocker.r[1]"] == pytest.approx(
+        0.1, abs=1e-10
+    )
+    # the sum of squares is quadratic in the four numbers: solve it with both conditions
+    names, mech = list(numbers), free.mechanism
+    q = np.linspace(0.0, 2 * np.pi, 24)[:, None]
+    _, J, _, _ = lanes(mech, names, ["shake_fx", "shake_fy"], q, np.full_like(q, 5.0))
+    J = J[0].reshape(-1, 4)
+    C = np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 1.0]])
+    K = np.block([[J.T @ J, C.T], [C, np.zeros((2, 2))]])
+    start = np.array(list(free.numbers.values()))
+    right = np.concatenate([J.T @ J @ start, [-0.2, 0.1]])
+    assert list(numbers.values()) == pytest.approx(np.linalg.solve(K, right)[:4].tolist(), abs=1e-8)
+
+
+def test_a_condition_in_columns_holds_at_every_row() -> None:
+    free = balanced_four_bar()
+    at = np.linspace(0.0, 2 * np.pi, 24)[:, None]
+
+    def most(found):
+        q = robodyn.assemble(found.mechanism, at)
+        qd = robodyn.loop_velocities(found.mechanism, q, np.full_like(at, 5.0))
+        qdd = robodyn.loop_accelerations(found.mechanism, q, qd, np.zeros_like(at))
+        return robodyn.inverse_dynamics(found.mechanism, q, qd, qdd)[:, 0].max()
+
+    limit = 0.8 * float(most(free))
+    found = balanced_four_bar(subject_to=[f"tau1 <= {limit!r}"])
+    assert most(found) == pytest.approx(limit, rel=1e-9)
+
+
+# -- motions ---------------------------------------------------------------------------------------
+
+
+def test_numbers_of_a_motion() -> None:
+    mech, t = load(ROOT / "robots/2r.yaml"), np.linspace(0.0, 0.6, 13)
+    true = robodyn.simulate(mech, [0.3, 0.2], [0.0, 0.0], 0.6, rtol=1e-11, atol=1e-11, t_eval=t)
+    tips = robodyn.points(mech, true.q, true.qd, of="tip2")
+    target = np.stack([true.q[:, 0], tips.position[:, 0, 0], tips.velocity[:, 0, 1]], axis=1)
+    found = robodyn.fit_motion(
+        mech,
+        {"links.forearm.m": (0.5, 1.5), "q2": (-0.5, 0.5)},
+        ["q1", "tip2_x", "tip2_vy"],
+        t,
+        [0.3, 0.0],
+        target=target,
+        starts=2,
+    )
+    assert list(found.numbers.values()) == pytest.approx([0.9, 0.2], rel=1e-8)
+    assert found.rms.max() < 1e-9
+
+
+# -- what is wrong ---------------------------------------------------------------------------------
+
+Q = np.linspace(0.0, 6.0, 5)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vary": {"links.copler.l": (0.5, 1.0)}}, "links.copler.l.*links.coupler.l"),
+        ({"vary": {"links.coupler.l": (1.0, 0.5)}}, "links.coupler.l=1:0.5.*LOW < HIGH"),
+        ({"vary": {"links.coupler.m": (-1.0, 0.5)}}, "links.coupler.m=-1:0.5: no scene may have"),
+        ({"vary": {}}, "names no number"),
+        ({"vary": {"links.coupler.l": (0.1, 0.2)}}, "links.coupler.l: .*never close at every row"),
+        ({"vary": {"links.coupler.l": (0.1, 0.2)}, "columns": ["tau1"]}, "never close"),
+        ({"vary": {"links.coupler.l": (0.5, 1), "links[1].l": (0.5, 1)}}, "are one number"),
+        ({"columns": ["couplr_x"]}, "couplr_x: is no column"),
+        ({"columns": ["tau2"]}, "tau2: is no column"),
+        ({"columns": ["q9"]}, "q9: is no column"),
+        ({"columns": []}, "none is named"),
+        ({"target": np.zeros((3, 1))}, r"target = \(3, 1\).*\(5, 1\)"),
+        ({"q": np.zeros((0, 1))}, "one row a state"),
+        ({"q": np.full((5, 1), np.nan)}, "must be finite"),
+        ({"starts": 0}, "--starts = 0"),
+        ({"seed": -1}, "--seed = -1"),
+        ({"subject_to": ["links.coupler.l"]}, "one comparison"),
+        ({"subject_to": ["links.coupler.l < = 2"]}, "has no meaning"),
+        ({"subject_to": ["links.copler.l <= 2"]}, "has no meaning"),
+        ({"subject_to": ["foo <= 2"]}, "name foo; known"),
+        ({"subject_to": ["min(tau1, 1) <= 2"]}, "min.*bends or jumps"),
+        ({"subject_to": ["(1 if tau1 else 0) <= 2"]}, "`if`.*bends or jumps"),
+        ({"subject_to": ["links.coupler.l >= 3"]}, "links.coupler.l >= 3: is kept by none"),
+    ],
+)
+def test_wrong_arguments_are_named(change, message: str) -> None:
+    given = {"vary": {"links.coupler.l": (0.8, 1.1)}, "columns": ["coupler_x"], "q": Q} | change
+    with pytest.raises(InputError, match=message):
+        robodyn.fit(load(FOUR_BAR), **given)
+
+
+def test_too_few_rows() -> None:
+    vary = {"links.coupler.l": (0.8, 1.1), "links.rocker.l": (0.7, 0.9)}
+    with pytest.raises(InputError, match="1 values are too few for 2 numbers"):
+        robodyn.fit(load(FOUR_BAR), vary, ["coupler_x"], Q[:1])
