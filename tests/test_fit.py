@@ -7,16 +7,20 @@ import re
 import numpy as np
 import pytest
 from conftest import ROOT
-from engine_cases import AT, KINDS, VARIED, random_case
+from engine_cases import AT, KINDS, ROBOTS, VARIED, random_case
 from known_terms import DIGITS, Known, solve
 from mpmath import mp, mpf
 
 import robodyn
+from robodyn.dynamics import identities
+from robodyn.dynamics.dynamics import loop_forces
 from robodyn.dynamics.named_numbers import named_values
-from robodyn.errors import DescriptionError, InputError
+from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import build, load
+from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import read_numbers
@@ -135,6 +139,60 @@ def test_every_column_of_random_scenes(kind: str) -> None:
         if checked == 2:
             return
     assert checked
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_every_column_of_the_examples(path) -> None:
+    """Beside what the commands show, and its differences."""
+    mech, rng = load(path), np.random.default_rng(4)
+    if mech.switches or len(mech.passive) > len(mech.rows):
+        with pytest.raises(InputError):
+            robodyn.fit(mech, {"gravity": (0, 1)}, ["tau1"], np.zeros((3, len(mech.actuated))))
+        return
+    given = identities.sample_states(mech, 2).q[:, list(mech.actuated)]
+    qd, qdd = rng.normal(size=(2, *given.shape))
+    loops = transmission_loops(mech)
+    columns = [f"tau{k + 1}" for k in mech.actuated] + loop_columns(mech) + motor_columns(mech)
+    columns += [f"r{axis}{k + 1}" for k in range(mech.n) for axis in "xy"]
+    columns += [f"rm{k + 1}" for k in mech.slides] + ["shake_fx", "shake_fy", "shake_m"]
+    columns += [f"transmission{c + 1}" for c in loops]
+
+    def shown(mech):
+        q = robodyn.assemble(mech, given)
+        rates = robodyn.loop_velocities(mech, q, qd)
+        state = q, rates, robodyn.loop_accelerations(mech, q, rates, qdd)
+        tau, multipliers, _ = robodyn.inverse_dynamics_and_forces(mech, *state)
+        joints = [list(np.moveaxis(x, -1, 0)) for x in (tau, rates)]
+        parts = [
+            tau[:, list(mech.actuated)],
+            loop_forces(mech, multipliers, q),
+            *(x[:, None] for x in motor_values(mech, *joints)),
+            robodyn.reactions(mech, *state, multipliers).reshape(len(q), -1),
+            robodyn.slide_moments(mech, *state, multipliers),
+            robodyn.shaking_force(mech, *state),
+        ]
+        if loops:
+            parts.append(transmission_angles(mech, list(transmission_loops(mech).values()), q))
+        return np.concatenate(parts, axis=-1)
+
+    values = named_values(mech)
+    for name in rng.permutation(values.names).tolist():
+        h = 1e-3 * (abs(values.number(name)) or 1.0)
+        try:
+            near = [
+                shown(build(values.replaced({name: values.number(name) + x * h})))
+                for x in (1, -1, 0.5, -0.5)
+            ]
+            found, slopes, _, _ = lanes(mech, [name], columns, given, qd, qdd)
+        except (InputError, DescriptionError, RobodynError):
+            continue
+        expected = shown(mech)
+        assert np.abs(found[0] - expected).max() < 1e-12 * (1 + np.abs(expected).max())
+        by = (8 * (near[2] - near[3]) - (near[0] - near[1])) / (6 * h)
+        off = np.abs(slopes[0, ..., 0] - by)
+        assert (off <= 1e-6 * (1 + np.abs(by).max())).all(), name
+        return
+    pytest.fail("no number serves")
 
 
 # -- loops that do not close -----------------------------------------------------------------------

@@ -165,13 +165,13 @@ def solved(
     tell: Callable[[float], object],
 ) -> Fit:
     """The best of a problem from many starts."""
-    if problem.target.size < len(problem.own):
-        limit = f"{problem.target.size} values are too few for {len(problem.own)} numbers"
-        raise InputError("rows", value=len(problem.target), limit=limit)
     if starts < 1:
         raise InputError("--starts", value=starts, limit="must be >= 1")
     if seed < 0:
         raise InputError("--seed", value=seed, limit="must be >= 0")
+    if problem.target.size < len(problem.own):
+        limit = f"{problem.target.size} values are too few for {len(problem.own)} numbers"
+        raise InputError("rows", value=len(problem.target), limit=limit)
     own = (problem.own - problem.low) / (problem.high - problem.low)
     with np.errstate(all="ignore"):
         begun = problem.at(problem.own[None])

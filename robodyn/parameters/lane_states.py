@@ -61,7 +61,8 @@ class LaneStates:
         slopes = tangents(self.columns, formulas.inputs)
         needed = {name for slope in slopes for name in slope}
         self.moves = bool(needed & {*state[n:], *(f"f{i}" for i in range(len(formulas.forces)))})
-        self.plan: Plan | None = assembly_plan(mechanism) if mechanism.rows else None
+        follows = mechanism.rows or mechanism.passive
+        self.plan: Plan | None = assembly_plan(mechanism) if follows else None
         self._conditions = list(self._closings())
         self._codes: dict[str, Callable[[Array], list[Array]]] = {}
 

@@ -1,0 +1,177 @@
+"""`robodyn fit` from the shell: what it reads, what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, Outcome
+
+import robodyn as package
+
+Run = Callable[..., Outcome]
+FOUR_BAR = str(ROOT / "robots/four-bar.yaml")
+PENDULUM = str(ROOT / "robots/pendulum.yaml")
+VARY = ["--vary", "links.coupler.l=0.8:1.2", "--vary", "links.rocker.l=0.6:1"]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    """A path of the coupler's point, by the crank's angle, of another four-bar."""
+    text = Path(FOUR_BAR).read_text().replace("l: 0.95", "l: 0.9").replace("l: 0.80", "l: 0.75")
+    other = tmp_path / "other.yaml"
+    other.write_text(text)
+    mech = package.load(other)
+    q = package.assemble(mech, np.linspace(0.0, 6.0, 13)[:, None])
+    P = package.points(mech, q, of="coupler@0.3,0.2").position[:, 0]
+    file = tmp_path / "path.csv"
+    rows = np.column_stack([q[:, 0], P]).tolist()
+    file.write_text("q1,P_x,P_y\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows))
+    return str(file)
+
+
+def test_a_path_as_json_and_as_a_scene(robodyn: Run, path: str, tmp_path: Path) -> None:
+    out = tmp_path / "best.yaml"
+    done = robodyn(
+        "fit", FOUR_BAR, "--match", path, "--of", "P=coupler@0.3,0.2", *VARY, "-o", str(out)
+    )
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert found["numbers"] == pytest.approx({"links.coupler.l": 0.9, "links.rocker.l": 0.75})
+    assert max(found["rms"].values()) < 1e-12
+    assert found["before"] == {"links.coupler.l": 0.95, "links.rocker.l": 0.8}
+    assert found["starts"] == 30
+    assert 1 <= found["reached"] <= 30
+    written, before = out.read_text(), Path(FOUR_BAR).read_text()
+    changed = [
+        (x, y) for x, y in zip(before.splitlines(), written.splitlines(), strict=True) if x != y
+    ]
+    assert len(changed) == 2
+    assert changed[1][1].endswith("# ground pivot")
+    assert package.load(out).description.links[1].l == found["numbers"]["links.coupler.l"]
+
+
+def test_a_table_for_people(robodyn: Run, path: str) -> None:
+    vary = ["--vary", "links.coupler.l=0.92:1.2", "--vary", "links.rocker.l=0.6:1"]
+    done = robodyn(
+        *("fit", FOUR_BAR, "--match", path, "--of", "P=coupler@0.3,0.2", *vary),
+        *("--format", "table", "--subject-to", "links.rocker.l <= 0.99"),
+    )
+    assert "of 30 starts reached it" in done.out
+    assert "links.rocker.l <= 0.99" in done.out
+    row = next(x for x in done.out.splitlines() if "links.coupler.l" in x)
+    assert row.split() == ["links.coupler.l", "0.95", "0.92", "0.92", "1.2", "low"]
+
+
+def test_residuals_of_every_row(robodyn: Run, path: str) -> None:
+    done = robodyn(
+        *("fit", FOUR_BAR, "--match", path, "--of", "P=coupler@0.3,0.2", "--residuals"),
+        *("--columns", "P_x", "--vary", "links.coupler.l=0.8:1.2"),
+    )
+    rows = list(csv.DictReader(io.StringIO(done.out)))
+    assert list(rows[0]) == ["q1", "P_x", "P_x_residual"]
+    wanted = [float(x["P_x"]) for x in csv.DictReader(io.StringIO(Path(path).read_text()))]
+    for row, target in zip(rows, wanted, strict=True):
+        assert float(row["P_x"]) - float(row["P_x_residual"]) == pytest.approx(target, abs=1e-15)
+
+
+def test_states_from_stdin_and_from_options(robodyn: Run) -> None:
+    text = "q1,q2,q3\n" + "".join(f"{x},0,0\n" for x in (0.5, 1.5, 2.5))
+    counter = ["--set", "links.crank.r=[0.15,0]", "--vary", "links.crank.r[0]=-1:1"]
+    done = robodyn("fit", FOUR_BAR, "-", *counter, "--minimize", "tau1", stdin=text)
+    assert done.code == 0, done.err
+    assert set(json.loads(done.out)["rms"]) == {"tau1"}
+    done = robodyn("fit", FOUR_BAR, *counter, "--minimize", "tau1", "--q", "30deg")
+    assert json.loads(done.out)["rms"]["tau1"] < 1e-12
+
+
+def test_a_scene_that_set_and_fit_change(robodyn: Run, tmp_path: Path) -> None:
+    out = tmp_path / "best.yaml"
+    done = robodyn(
+        *("fit", FOUR_BAR, "--set", "links.crank.r=[0.15,0]", "--set", "gravity=1.6"),
+        *("--vary", "links.crank.r[0]=-1:1", "--minimize", "tau1", "--q", "30deg", "-o", str(out)),
+    )
+    made, value = package.load(out), json.loads(done.out)["numbers"]["links.crank.r[0]"]
+    assert made.description.links[0].r == complex(value, 0.0)
+    assert made.description.gravity == -1.6j
+
+
+def test_a_motion(robodyn: Run) -> None:
+    rows = robodyn("simulate", PENDULUM, "--q", "0.7", "--time", "1", "--points", "9", "--quiet")
+    done = robodyn(
+        *("fit", PENDULUM, "--simulate", "--match", "-", "--columns", "q1,qd1", "--starts", "2"),
+        *("--vary", "links.rod.I=0.001:0.5"),
+        stdin=rows.out,
+    )
+    assert json.loads(done.out)["numbers"]["links.rod.I"] == pytest.approx(0.0088, rel=1e-6)
+    assert json.loads(done.out)["starts"] == 2
+
+
+COLUMN = ["--minimize", "tau1", "--q", "1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (VARY, "--match and --minimize: give one of them"),
+        (["--vary", "links.coupler.l", *COLUMN], "write NAME=LOW:HIGH"),
+        (["--vary", "links.coupler.l=a:2", *COLUMN], "is not a number"),
+        (["--vary", "links.coupler.l=2:1", *COLUMN], "needs LOW < HIGH"),
+        (["--vary", "links.copler.l=1:2", *COLUMN], "links.coupler.l"),
+        ([*VARY, *VARY, *COLUMN], "is named twice"),
+        ([*VARY, "--minimize", "tau1"], "needs STATES, or --q"),
+        ([*VARY, "--minimize", "tau1,tau1", "--q", "1"], "each once"),
+        ([*VARY, "--minimize", "tau7", "--q", "1"], "tau7: is no column"),
+        ([*VARY, *COLUMN, "--columns", "tau1"], "--columns: is for --match"),
+        ([*VARY, *COLUMN, "--simulate"], "--simulate: is for --match"),
+        ([*VARY, *COLUMN, "--tau", "1"], "--tau: is for --simulate"),
+        ([*VARY, *COLUMN, "--starts", "0"], "--starts = 0"),
+        ([*VARY, *COLUMN, "--subject-to", "1 < 2 < 3"], "one comparison"),
+        ([*VARY, *COLUMN], "values are too few for 2 numbers"),
+    ],
+)
+def test_wrong_options(robodyn: Run, arguments: list[str], told: str) -> None:
+    done = robodyn("fit", FOUR_BAR, *arguments)
+    assert (done.code, done.out) == (2, "")
+    assert told in done.err
+    assert len(done.err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("table", "more", "told"),
+    [
+        ("q2,P_x\n1,2\n", [], "column q1 is missing"),
+        ("q1,P_x\n", [], "no rows"),
+        ("q1,P_x\n1,0.2\n2,\n", [], "line 3"),
+        ("q1,P_x\n1,0.2\n2,nan\n", [], "line 3"),
+        ("q1,foo\n1,0.2\n", [], "no column that can be fitted"),
+        ("q1,P_x\n1,0.2\n", ["--columns", "P_y"], "column P_y of --columns is missing"),
+        ("q1,P_x\n1,0.2\n", ["--q", "1"], "has the column q1; leave one of them out"),
+        ("q1,P_x\n1,0.2\n", ["--simulate"], "column t is missing"),
+        ("q1,P_x\n1,0.2\n", [], "values are too few"),
+        ("t,q1\n0,1\n0,1\n", ["--simulate"], "increase"),
+    ],
+)
+def test_wrong_tables(robodyn: Run, table: str, more: list[str], told: str) -> None:
+    of = ["--of", "P=coupler"]
+    done = robodyn("fit", FOUR_BAR, "--match", "-", *of, *VARY, *more, stdin=table)
+    assert (done.code, done.out) == (2, "")
+    assert told in done.err
+
+
+def test_bounds_that_never_close(robodyn: Run, path: str) -> None:
+    vary = ["--vary", "links.coupler.l=0.1:0.2"]
+    done = robodyn("fit", FOUR_BAR, "--match", path, "--of", "P=coupler@0.3,0.2", *vary)
+    assert done.code == 2
+    assert "links.coupler.l: within these bounds the loops never close at every row" in done.err
+    assert "m are missing at best" in done.err
+
+
+def test_the_model_is_not_written_over(robodyn: Run) -> None:
+    done = robodyn("fit", PENDULUM, "--vary", "links.rod.r=0:1", *COLUMN, "-o", PENDULUM)
+    assert done.code == 2
