@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from robodyn.mechanics.voltages import voltages as voltages
     from robodyn.parameters.identification import identify as identify
     from robodyn.parameters.regression_matrix import regressor as regressor
-    from robodyn.parameters.fitting import Fit as Fit
     from robodyn.parameters.fitting import fit as fit
     from robodyn.parameters.motion_lanes import fit_motion as fit_motion
     from robodyn.rest.linear_model import linearize as linearize
@@ -102,7 +101,7 @@ _ROOMS = {
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "parameters.identification": ["identify"],
     "parameters.regression_matrix": ["regressor"],
-    "parameters.fitting": ["Fit", "fit"],
+    "parameters.fitting": ["fit"],
     "parameters.motion_lanes": ["fit_motion"],
     "rest.poses_at_rest": ["equilibria", "equilibrium"],
     "rest.linear_model": ["linearize"],

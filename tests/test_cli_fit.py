@@ -153,8 +153,8 @@ def test_wrong_options(robodyn: Run, arguments: list[str], told: str) -> None:
         ("q1,P_x\n1,0.2\n", ["--columns", "P_y"], "column P_y of --columns is missing"),
         ("q1,P_x\n1,0.2\n", ["--q", "1"], "has the column q1; leave one of them out"),
         ("q1,P_x\n1,0.2\n", ["--simulate"], "column t is missing"),
-        ("q1,P_x\n1,0.2\n", [], "values are too few"),
-        ("t,q1\n0,1\n0,1\n", ["--simulate"], "increase"),
+        ("q1,P_x\n1,0.2\n", [], "stdin: rows = 1: 1 values are too few"),
+        ("t,q1\n0,1\n0,1\n", ["--simulate"], "stdin: t: must be two times or more that increase"),
     ],
 )
 def test_wrong_tables(robodyn: Run, table: str, more: list[str], told: str) -> None:

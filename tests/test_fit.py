@@ -136,7 +136,7 @@ def test_every_column_of_random_scenes(kind: str) -> None:
         off = np.abs(slopes[0, 0, :, 0] - expected)
         assert off.max() < 1e-11 * condition * (1.0 + np.abs(expected).max()), name
         checked += 1
-        if checked == 2:
+        if checked == (1 if kind in VARIED else 2):
             return
     assert checked
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -104,7 +105,7 @@ def fit(
     else:
         given = {"q": q, "qd": qd, "qdd": qdd}
         rows = rows_given(mechanism, table, match is not None, wanted, chosen, of, given, simulate)
-    with remarks(), progress("fitting", quiet) as tell:
+    with remarks(), _of_the_table(rows), progress("fitting", quiet) as tell:
         if simulate:
             from robodyn.cli.states import Quantity, option_source
             from robodyn.parameters.motion_lanes import STARTS as FEW
@@ -152,6 +153,17 @@ def fit(
         _write_rows(rows, found)
     elif out != "-":
         write_structure(format, None, _content(found), lambda: _tables(found, bounds))
+
+
+@contextmanager
+def _of_the_table(rows: FitRows) -> Iterator[None]:
+    """What is wrong with rows is told with the name of their file."""
+    try:
+        yield
+    except InputError as error:
+        if error.what in ("rows", "t") and rows.source:
+            error.add_place(rows.source)
+        raise
 
 
 def _bounds(values: SceneValues, vary: Sequence[str]) -> dict[str, tuple[float, float]]:

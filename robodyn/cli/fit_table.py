@@ -21,7 +21,7 @@ KINDS = ("q", "qd", "qdd")
 class FitRows(NamedTuple):
     """T rows: q, qd, qdd (T, a) of the actuated joints, t (T,), columns (c) and target (T, c).
 
-    `known` (T, k) are the columns `names` that say where rows are.
+    `known` (T, k) are the columns `names` that say where rows are, of the file `source`.
     """
 
     q: Array
@@ -32,6 +32,7 @@ class FitRows(NamedTuple):
     target: Array
     names: list[str]
     known: Array
+    source: str = ""
 
 
 def rows_of_options(
@@ -40,18 +41,20 @@ def rows_of_options(
     """The one state that options give."""
     if q is None:
         raise InputError("--minimize", limit="needs STATES, or --q: where columns are taken")
-    state = {
-        name: _driven(mechanism, Quantity(name, text))[None]
+    state = [
+        _driven(mechanism, Quantity(name, text))[None]
         for name, text in zip(KINDS, (q, qd, qdd), strict=True)
-    }
+    ]
     names = [f"q{k + 1}" for k in mechanism.actuated]
     return FitRows(
-        **state,
+        q=state[0],
+        qd=state[1],
+        qdd=state[2],
         t=np.zeros(1),
         columns=columns,
         target=np.zeros((1, len(columns))),
         names=names,
-        known=state["q"],
+        known=state[0],
     )
 
 
@@ -127,7 +130,7 @@ def rows_given(
     target = values[:, [place[x] for x in columns]] if match else np.zeros((T, len(columns)))
     shown = [x for x in names if x not in columns or not match or x in ("t",)]
     known = values[:, [place[x] for x in shown]]
-    return FitRows(**state, t=t, columns=columns, target=target, names=shown, known=known)
+    return FitRows(state["q"], state["qd"], state["qdd"], t, columns, target, shown, known, name)
 
 
 def _fitted(
