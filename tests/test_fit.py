@@ -448,7 +448,7 @@ Q = np.linspace(0.0, 6.0, 5)[:, None]
         ({"vary": {"links.coupler.l": (0.1, 0.2)}}, "links.coupler.l: .*never close at every row"),
         ({"vary": {"links.coupler.l": (0.1, 0.2)}, "columns": ["tau1"]}, "never close"),
         ({"vary": {"links.coupler.l": (0.5, 1), "links[1].l": (0.5, 1)}}, "are one number"),
-        ({"columns": ["couplr_x"]}, "couplr_x: is no column"),
+        ({"columns": ["couplr_x"]}, "couplr_x: is no column.*coupler_x"),
         ({"columns": ["tau2"]}, "tau2: is no column"),
         ({"columns": ["q9"]}, "q9: is no column"),
         ({"columns": []}, "none is named"),

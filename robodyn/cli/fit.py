@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_file, output_file
+from robodyn.cli.files import input_argument, input_file, output_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
-from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, States, Text, vector
+from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, vector
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from robodyn.parameters.fitting import Fit
 
 _VARY = "A number and its bounds, NAME=LOW:HIGH, named as in `sweep`; repeatable."
+_STATES = "CSV file of the rows of --minimize (q1.., qd1.., qdd1..), or - for stdin."
 _MATCH = "CSV file whose columns are to be met, at its rows (q1.., t); - for stdin."
 _COLUMNS = "Those columns of --match, A,B. Default: all that can be fitted."
 _MINIMIZE = "Columns whose sum of squares is to be least, A,B, at the rows of STATES; repeatable."
@@ -40,7 +41,7 @@ _OUT = "Write the scene with these numbers here; comments and order stay."
 def fit(
     model: Model,
     vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
-    states: States = None,
+    states: Annotated[Text, input_argument("[STATES]", _STATES)] = None,
     match: Annotated[Text, input_file("--match", _MATCH)] = None,
     columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None,
     minimize: Annotated[
@@ -64,10 +65,11 @@ def fit(
 ) -> None:
     """Numbers of a scene for which columns follow a table, or are as small as they can be.
 
-    Columns are those of `points` (P_x, P_vy), `torque` (tau1, power1, fx1) and `reactions` (rx1,
-    shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the actuated joints' q1.., qd1..,
-    qdd1.. (rates that are left out are zero) and t; the other joints are assembled anew for each
-    trial.  The sum of squares of all columns, as they are in SI units, becomes least.
+    Columns are those of `points` (P_x, P_vy, transmission1), `torque` (tau1, power1, fx1, volt1)
+    and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
+    actuated joints' q1.., qd1.., qdd1.. (rates that are left out are zero) and t; the other joints
+    are assembled anew for each trial.  The sum of squares of all columns, as they are in SI units,
+    becomes least.
 
     Many starts are searched at once by the exact derivatives, the best are finished by scipy's
     least_squares.  Where loops do not close on the way, what is missing counts ten times; results

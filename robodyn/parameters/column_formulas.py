@@ -50,6 +50,7 @@ class ColumnFormulas(ForceFormulas):
     def known(self) -> list[str]:
         """The names of columns, but for those of points without a name."""
         points = [*self._points, *(x.name for x in named_points(self.mechanism))]
+        points += self.mechanism.link_names
         return [*self._named, *(f"{point}_{part}" for point in points for part in PARTS)]
 
     @cached_property

@@ -114,6 +114,8 @@ class Search:
 
     def violated(self, u: Array) -> tuple[Array, Array]:
         """By how much each start breaks conditions, of their sizes, and the conditions."""
+        if not len(self.equal):
+            return np.zeros(len(u)), np.zeros((len(u), 0))
         c = self.problem.at(self.problem.numbers(u))[2] / self.scale
         off = np.where(self.equal, np.abs(c), np.maximum(c, 0.0))
         return off.max(axis=1, initial=0.0), c
@@ -150,11 +152,17 @@ def finished(
         if not free.any() or cost == 0.0:
             return start, np.array([cost])
 
+        seen: dict[bytes, tuple[Array, Array]] = {}
+
         def there(x: Array) -> tuple[Array, Array]:
-            full = at.copy()
-            full[free] = x
-            r, J = alone.evaluate(full[None], first)
-            return r[0], np.ascontiguousarray(J[0][:, free])
+            key = x.tobytes()
+            if key not in seen:
+                full = at.copy()
+                full[free] = x
+                r, J = alone.evaluate(full[None], first)
+                seen.clear()
+                seen[key] = r[0], np.ascontiguousarray(J[0][:, free])
+            return seen[key]
 
         def residuals(x: Array) -> Array:
             return there(x)[0]
