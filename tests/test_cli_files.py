@@ -19,6 +19,7 @@ Run = Callable[..., Outcome]
 ARM = (ROOT / "robots/2r.yaml").read_text()
 NO_FILES = ("force", "names", "poses")  # options that speak of files
 OTHERS = {"trajectory": ["--time", "1"], "sweep": ["--vary", "q1=0,1"]}
+OTHERS["fit"] = ["--vary", "gravity=1:2"]
 
 
 def declared(command: str) -> list[tuple[Any, str]]:

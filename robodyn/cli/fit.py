@@ -29,7 +29,7 @@ _VARY = "A number and its bounds, NAME=LOW:HIGH, named as in `sweep`; repeatable
 _STATES = "CSV file of the rows of --minimize (q1.., qd1.., qdd1..), or - for stdin."
 _MATCH = "CSV file whose columns are to be met, at its rows (q1.., t); - for stdin."
 _COLUMNS = "Those columns of --match, A,B. Default: all that can be fitted."
-_MINIMIZE = "Columns whose sum of squares is to be least, A,B, at the rows of STATES; repeatable."
+_MINIMIZE = "Columns whose sum of squares is to be least at the rows given, A,B; repeatable."
 _SUBJECT = "A condition, such as 'links.crank.l + links.rocker.l <= 1.2'; repeatable."
 _SIMULATE = "The columns are those of a motion from --q, --qd or the first row, at the times t."
 _TAU = "Constant torques of that motion, N m, of the actuated joints. Default: zero."
