@@ -79,11 +79,11 @@ def fit(
 
     \b
     Examples:
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 73 | \\
-        robodyn fit robots/four-bar.yaml - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
       robodyn fit robots/hoeken.yaml --match line.csv --vary links.coupler.l=0.3:0.7 \\
         --vary links.rocker.l=0.15:0.4 --of P=coupler -o straight.yaml
       robodyn fit robots/2r.yaml --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
+      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 73 | \\
+        robodyn fit robots/four-bar.yaml - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
     """
     if (match is None) == (not minimize):
         limit = "give one of them: columns follow a file, or become least"
