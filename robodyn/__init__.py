@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
     from robodyn.mechanics.mechanism import load as load
     from robodyn.mechanics.voltages import voltages as voltages
-    from robodyn.parameters.identification import identify as identify
-    from robodyn.parameters.regression_matrix import regressor as regressor
     from robodyn.parameters.fitting import fit as fit
+    from robodyn.parameters.identification import identify as identify
     from robodyn.parameters.motion_lanes import fit_motion as fit_motion
+    from robodyn.parameters.regression_matrix import regressor as regressor
     from robodyn.rest.linear_model import linearize as linearize
     from robodyn.rest.poses_at_rest import equilibria as equilibria
     from robodyn.rest.poses_at_rest import equilibrium as equilibrium

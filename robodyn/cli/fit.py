@@ -18,8 +18,10 @@ from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.states import remarks
 from robodyn.errors import InputError
-from robodyn.scene.quantities import parse_angle, parse_number
-from robodyn.scene.scene_values import SceneValues, is_angle
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.column_units import scene_units, unit_of
+from robodyn.scene.quantities import parse_quantity
+from robodyn.scene.scene_values import SceneValues
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
@@ -98,7 +100,7 @@ def fit(
         raise InputError("--tau", limit="is for --simulate")
     values = model.values()
     mechanism = model.load()
-    bounds = _bounds(values, vary)
+    bounds = _bounds(mechanism, values, vary)
     wanted = [name for text in minimize or () for name in _names(text, "--minimize")]
     chosen = None if columns is None else _names(columns, "--columns")
     table = match if match is not None else states
@@ -168,7 +170,9 @@ def _of_the_table(rows: FitRows) -> Iterator[None]:
         raise
 
 
-def _bounds(values: SceneValues, vary: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _bounds(
+    mechanism: Mechanism, values: SceneValues, vary: Sequence[str]
+) -> dict[str, tuple[float, float]]:
     """The bounds of each number by its name."""
     found: dict[str, tuple[float, float]] = {}
     for text in vary:
@@ -179,9 +183,9 @@ def _bounds(values: SceneValues, vary: Sequence[str]) -> dict[str, tuple[float, 
             raise InputError("--vary", value=shown(text), limit=limit)
         if name in found:
             raise InputError("--vary", value=shown(text), limit=f"{name} is named twice")
-        parse = parse_angle if is_angle(name) else parse_number
+        unit = values.unit(name) if name in values else unit_of(name, scene_units(mechanism))
         try:
-            found[name] = parse(low), parse(high)
+            found[name] = parse_quantity(low, unit), parse_quantity(high, unit)
         except ValueError as error:
             raise InputError("--vary", value=shown(text), limit=str(error)) from None
         if not found[name][0] < found[name][1]:
@@ -200,11 +204,10 @@ def _scene_numbers(
     model: Model, values: SceneValues, found: Fit
 ) -> dict[str, float | Sequence[float]]:
     """What the file gets: numbers of --set, and those that were found."""
-    made: dict[str, float | Sequence[float]] = {}
-    for name, _ in model.given:
-        entries = [f"{name}[{k}]" for k in (0, 1)]
-        whole = all(entry in values for entry in entries)
-        made[name] = [values.number(x) for x in entries] if whole else values.number(name)
+    made: dict[str, float | Sequence[float]] = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in model.put().items()
+    }
     for name, value in found.numbers.items():
         vector = made.get(name[:-3]) if name.endswith(("[0]", "[1]")) else None
         if isinstance(vector, list):

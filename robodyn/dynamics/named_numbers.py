@@ -62,11 +62,12 @@ def with_variables(
     scene: Any = _without_kept_angles(base)
     turned: list[Any] = [None if c.aligned is None else 0.0 for c in base.closures]
     for name, x in numbers.items():
-        size, others = _changed(values, name)
-        plain = [_without_kept_angles(each) for each in (base, *others)]
-        angles = zip(*([c.aligned for c in each.closures] for each in (base, *others)), strict=True)
         try:
-            scene = _seeded(scene, *plain, size, x)
+            size, others = _changed(values, name)
+            plain, whole, half = map(_without_kept_angles, (base, *others))
+            scene = _seeded(scene, plain, whole, half, size, x)
+            three = ([c.aligned for c in each.closures] for each in (base, *others))
+            angles = zip(*three, strict=True)
             turned = [
                 now if a is None else _seeded(now, 0.0, b - a, c - a, size, x)
                 for now, (a, b, c) in zip(turned, angles, strict=True)
@@ -162,8 +163,8 @@ def _seeded(now: Any, base: Any, whole: Any, half: Any, size: float, x: Value) -
                 _seeded(now.imag, base.imag, whole.imag, half.imag, size, x),
             )
         except _NoMultipleError:
-            if isinstance(now, Planar) and now != base:  # both components of one direction
-                raise
+            if isinstance(now.real, Expression) or isinstance(now.imag, Expression):
+                raise  # both components of one direction
             return _direction(base, whole, half, size, x)
     if base == whole:
         return now

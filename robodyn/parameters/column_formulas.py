@@ -12,7 +12,7 @@ from robodyn.engines.expression import Value
 from robodyn.engines.planar_numbers import Planar
 from robodyn.engines.tangents import SLOPES
 from robodyn.errors import InputError
-from robodyn.kinematics.point_motion import NamedPoint, named_points
+from robodyn.kinematics.named_points import NamedPoint, named_points
 from robodyn.kinematics.transmission import Pair, transmission_loops
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
