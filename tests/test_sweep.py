@@ -408,6 +408,20 @@ class TestCluster:
         with pytest.raises(RobodynError, match="TimeoutError: too late"):
             whole(TestWorkers.SMALL, scheduler=address)
 
+    def test_a_failure_that_comes_as_the_wait_ends_is_told(self) -> None:
+        class Failing:
+            status = "pending"
+
+            def result(self, timeout: float | None = None) -> None:
+                if self.status == "error":
+                    raise TimeoutError("too late")
+                self.status = "error"  # between the end of the wait and the look at it
+                raise TimeoutError
+
+        watch: Any = None
+        with pytest.raises(RobodynError, match="TimeoutError: too late"):
+            sweep_workers._Remote(Failing(), watch).result()
+
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setitem(__import__("sys").modules, "distributed", None)
         with pytest.raises(InputError, match=r"robodyn\[cluster\]"):
