@@ -10,6 +10,7 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from conftest import FRESH
 from scipy.integrate import solve_ivp
 
 import robodyn
@@ -108,6 +109,7 @@ def bounces(e: float, count: int, height: float = 1.0) -> np.ndarray:
 
 @pytest.mark.parametrize(("method", "engine"), ENGINES)
 @pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
+@pytest.mark.thinned
 def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: str) -> None:
     end = 3.0 if e < 0.8 else 10.0
     rows = np.linspace(0.0, end, 101)
@@ -242,6 +244,7 @@ STOPPED = [
 
 @pytest.mark.parametrize(("mechanism", "q", "qd", "joint", "side"), STOPPED)
 @pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
+@pytest.mark.thinned
 def test_an_impact_goes_through_mass_and_closures(
     mechanism: Mechanism, q: Any, qd: Any, joint: int, side: int, method: str
 ) -> None:
@@ -529,7 +532,7 @@ def test_a_driven_loop_starts_with_all_its_joints(method: str) -> None:
     assert motion.report.energy_drift < 1e-7
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(3 if FRESH else 1))
 def test_two_freedoms_with_friction_at_four_joints(seed: int) -> None:
     """All engines agree on which joints stick and when."""
     mechanism = scene(FIVE_BAR.format(each=dry(0.3, 0.5, 0.2)))
@@ -581,7 +584,7 @@ def brute_force(mechanism: Mechanism, q: np.ndarray, tau: np.ndarray) -> list[np
 STATES = 6
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(12 if FRESH else 6))
 def test_accelerations_from_rest_against_all_choices(seed: int) -> None:
     numbers = random.Random(seed)
     n = numbers.randint(1, 4)

@@ -21,7 +21,7 @@ from hard_cases.cases import (
 # test_near_misses.py and test_machine_code.py have smaller ones
 CHOSEN = [case for case in CASES if case not in (near_misses, sines)]
 PARTS: dict[Callable[..., Iterator[Row]], int] = {
-    parallel_bars: 5,
+    parallel_bars: 2,
     long_run: 10,
     long_stick_slip: 10,
     events_at_one_instant: 4,
