@@ -486,6 +486,24 @@ def test_friction_that_falls_at_once() -> None:
     assert abs(rate(stop)) < 1e-9
 
 
+@pytest.mark.parametrize(("held", "start"), [(0.7, 5.0), (1.0, 6.25), (1.2, 7.25)])
+def test_what_stands_on_what_starts_is_taken_along(held: float, start: float) -> None:
+    """A block starts at 2 N: friction falls to 0.5 N, and it jumps to (2 - 0.5)/(1 + 1) m/s^2.
+
+    The block on it starts with it if that is more than its friction can give 1 kg, or when it is.
+    """
+    slides = "joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0"
+    mechanism = scene(
+        "gravity: 0\nlinks:\n"
+        f"  - {{name: lower, {slides}, {dry(0.5, 2.0, name='force')}}}\n"
+        f"  - {{name: upper, {slides}, from: lower, {dry(0.3, held, name='force')}}}\n"
+    )
+    motion = simulate(mechanism, [0.0, 0.0], [0.0, 0.0], 8.0, "0.4*t, 0", rtol=1e-11, atol=1e-11)
+    assert times_of(motion, "lower starts") == pytest.approx([5.0], abs=1e-9)
+    assert times_of(motion, "upper starts") == pytest.approx([start], abs=1e-9)
+    assert not times_of(motion, "upper stops").size
+
+
 @pytest.mark.parametrize("method", ["DOP853", "Radau", "LSODA", "taylor"])
 def test_a_loop_with_friction_at_every_joint_stops_and_stays(method: str) -> None:
     each = dry(0.4, 0.7, 0.1)
