@@ -71,8 +71,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of a test marked `thinned` the diagonal of the product of its parameters.
 
-    Value k of the longest meets value k, modulo their count, of each other one. A test that is
-    asked for by its name is run in full.
+    Value k of the longest list meets value k, modulo their count, of the next one; a third goes on
+    by one each time that the second begins again. A test asked for by its name runs in full.
     """
     if FRESH or any("::" in argument for argument in config.args):
         return
@@ -89,7 +89,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             chosen, place = {}, k
             for j in order:
                 chosen[j] = values[j][place % len(values[j])]
-                place += 0 if j == order[0] else k // len(values[j])  # else equal ones go together
+                place += 0 if j == order[0] else k // len(values[j])  # else lists go in step
             diagonal.append([chosen[j] for j in range(len(values))])
         left |= {item for item, x in found if x not in diagonal}
     config.hook.pytest_deselected(items=list(left))
