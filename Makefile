@@ -36,7 +36,7 @@ test: $(READY)
 
 hard: $(READY)
 	$(BIN)/python tests/hard_cases/run.py
-	FRESH=1 $(BIN)/python -m pytest -n auto --dist loadfile $$(grep -lE "FRESH|hypothesis" tests/test_*.py)
+	FRESH=1 $(BIN)/python -m pytest -n auto --dist loadfile $$(grep -lE "FRESH|hypothesis|mark.thinned" tests/test_*.py)
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py

@@ -28,7 +28,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # random tests draw the same numbers in every run; FRESH=1 draws others, as `make hard` does
 settings.register_profile("fixed", derandomize=True)
 settings.register_profile("fresh", derandomize=False, print_blob=True)
-settings.load_profile("fresh" if os.environ.get("FRESH") else "fixed")
+FRESH = bool(os.environ.get("FRESH"))
+settings.load_profile("fresh" if FRESH else "fixed")
 
 # machine code that tests make is kept, but not among the user's
 os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-{os.geteuid()}")
@@ -60,6 +61,49 @@ closures:
   - {point: crank, on: {link: yoke, through: [-0.3, 0], along: [0, 1]}}
 actuated: [crank]
 """
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    text = "thinned: combinations of its parameters in which each value occurs; all with FRESH=1"
+    config.addinivalue_line("markers", text)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a test marked `thinned` the diagonal of the product of its parameters.
+
+    Value k of the longest list meets value k, modulo their count, of the next one; a third goes on
+    by one each time that the second begins again. A test asked for by its name runs in full.
+    """
+    if FRESH or any("::" in argument for argument in config.args):
+        return
+    tests: dict[str, list[tuple[pytest.Item, list[tuple[int, ...]]]]] = {}
+    for item in items:
+        if item.get_closest_marker("thinned"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append((item, _values(item)))
+    left = set()
+    for found in tests.values():
+        values = [list(dict.fromkeys(each)) for each in zip(*(x for _, x in found), strict=True)]
+        order = sorted(range(len(values)), key=lambda j: -len(values[j]))
+        diagonal = []
+        for k in range(len(values[order[0]])):
+            chosen, place = {}, k
+            for j in order:
+                chosen[j] = values[j][place % len(values[j])]
+                place += 0 if j == order[0] else k // len(values[j])  # else lists go in step
+            diagonal.append([chosen[j] for j in range(len(values))])
+        left |= {item for item, x in found if x not in diagonal}
+    config.hook.pytest_deselected(items=list(left))
+    items[:] = [item for item in items if item not in left]
+
+
+def _values(item: pytest.Item) -> list[tuple[int, ...]]:
+    """Of each list of parameters that a test has, which values it is run with."""
+    found = []
+    for mark in item.iter_markers("parametrize"):
+        names = mark.args[0].split(",") if isinstance(mark.args[0], str) else mark.args[0]
+        params = item.callspec.params  # type: ignore[attr-defined]
+        found.append(tuple(id(params[name.strip()]) for name in names))
+    return found
 
 
 @contextmanager

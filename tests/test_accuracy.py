@@ -95,7 +95,7 @@ def test_the_accuracy_is_kept_on_known_motions(name):
     torques = actuation.expressions(mech, data["tau"], "tau") if data["tau"] else at_rest(mech.n)
     states = np.array([[float(x) for x in s["q"] + s["qd"]] for s in data["states"]])
     times = [s["t"] for s in data["states"]]
-    for asked in ASKED if FRESH else ASKED[::2]:
+    for asked in ASKED if FRESH else [ASKED[len(name) % 3]]:  # each of them on some motions
         settings, estimate = settings_for(
             mech, states[0], times[-1], torques, Settings(AUTO), asked
         )
@@ -113,8 +113,8 @@ def test_random_mechanisms(name):
     driven = list(SCENES).index(name) % 2 == 1
     for tau in (False, True) if FRESH else (driven,):
         mech, start, times, exact, torques = random_motion(name, tau)
-        for method in (AUTO, "DOP853", "RK45"):
-            for asked in ASKED:
+        for k, method in enumerate((AUTO, "DOP853", "RK45")):
+            for asked in ASKED if FRESH else [ASKED[(k + len(name)) % 3]]:
                 settings, _ = settings_for(mech, start, times[-1], torques, Settings(method), asked)
                 assert error(mech, start, times, exact, torques, settings) <= asked, (method, asked)
         for method in ("DOP853", "RK45", "LSODA", "taylor"):

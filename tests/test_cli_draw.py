@@ -49,6 +49,7 @@ def pixels_of(path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", FIRST)
 @pytest.mark.parametrize("scene", sorted(ROOT.glob("robots/*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.thinned
 def test_every_scene_in_every_kind(robodyn: Run, tmp_path: Path, scene: Path, suffix: str) -> None:
     pytest.importorskip("matplotlib", reason="the extra `plot`")
     path = tmp_path / f"x{suffix}"

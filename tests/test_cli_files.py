@@ -71,6 +71,7 @@ def test_the_walk_finds_what_is_there() -> None:
 
 @pytest.mark.parametrize("kind", ["name", "detour", "symbolic link", "hard link"])
 @pytest.mark.parametrize("command", cli.COMMANDS)
+@pytest.mark.thinned
 def test_no_two_name_one_file(robodyn: Run, tmp_path: Path, command: str, kind: str) -> None:
     path, alias = tmp_path / "one.html", tmp_path / "two.html"
     path.write_text(ARM)

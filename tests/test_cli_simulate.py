@@ -404,6 +404,7 @@ def test_the_advice_for_a_stiff_run_works(robodyn: Run) -> None:
 @pytest.mark.parametrize(
     "tau", ["sqrt(0.5-t), 0", "1/(0.5-t), 0", "1e200, 0", "0, exp(2000*t)", "(0.5-t)**0.5, 0"]
 )
+@pytest.mark.thinned
 def test_a_torque_that_ends_in_nothing_finite(robodyn: Run, method: str, tau: str) -> None:
     """Whatever the method makes of it: an outcome and rows of numbers, no defect."""
     options = ("--method", method, "--rtol", "1e-6", "--max-evals", 4000)

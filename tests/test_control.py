@@ -281,6 +281,7 @@ class TestSampled:
 
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("most", [0.4, 1e3])
+    @pytest.mark.thinned
     def test_of_a_double_integrator(self, method: str, most: float) -> None:
         times = np.linspace(0.0, 3.0, 4)
         rows = [np.stack([p.deriv(d)(times) for p in self.MOTION], axis=1) for d in range(2)]

@@ -11,6 +11,7 @@ import engine_table
 import numpy as np
 import pytest
 import series_table
+from conftest import FRESH
 from engine_cases import KINDS, ROBOTS, SEEDS, VARIED, case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -77,7 +78,7 @@ def test_quantities(name, engine):
 def test_quantities_of_any_scene(scenes):
     """Zeros, equal numbers and states in line among them."""
 
-    @settings(deadline=None, max_examples=80)
+    @settings(deadline=None, max_examples=80 if FRESH else 25)
     @given(
         scenes, st.sampled_from(["code by angles", "code by directions", "rates, straight-line"])
     )
@@ -157,7 +158,7 @@ def moved(one, turns, t):
 @EVERY
 def test_series_follow_the_equations_of_motion(name):
     """At a later time the second derivative is the acceleration of the state there."""
-    for k, one in enumerate(cases(name, SEEDS[:5])):
+    for k, one in enumerate(cases(name, SEEDS[: 5 if FRESH else 2])):
         actuation, law = Actuation(tuple(one.tau.tolist())), None
         first = one.mech.actuated[0]
         if not one.mech.rows and one.mech.n > 1:  # torques that change with time and state

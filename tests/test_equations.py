@@ -126,6 +126,7 @@ def test_prismatic_joints_slots_and_blocks(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("shape", LOOPS)
+@pytest.mark.thinned
 def test_random_loops(shape: str, seed: int) -> None:
     assert_same((scene := seeded_scene(seed, LOOPS[shape])).mechanism, *scene.states)
 

@@ -117,6 +117,7 @@ def assert_c_gives_the_same(
 @needs_compiler
 @pytest.mark.parametrize("numeric", [False, True])
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.thinned
 def test_c_of_the_scenes_of_robots(name: str, numeric: bool, tmp_path: Path) -> None:
     mech = load(ROBOTS / f"{name}.yaml")
     q, qd, qdd = np.random.default_rng(5).uniform(-3, 3, (3, mech.n))

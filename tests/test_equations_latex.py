@@ -72,6 +72,7 @@ ASKED = [name for name in NAMES if name not in ALIKE]
 @pytest.mark.parametrize(
     "name", [*ASKED, "block", "turned", "random slider-crank", "random six-bar with a piston"]
 )
+@pytest.mark.thinned
 def test_every_formula_is_read_and_fits_the_page(name: str, numeric: bool) -> None:
     """A row of a matrix with a blank of 10 pt between entries."""
     document = latex(equations(SCENES[name], numeric))
@@ -86,6 +87,7 @@ def test_every_formula_is_read_and_fits_the_page(name: str, numeric: bool) -> No
 
 @pytest.mark.parametrize("numeric", [False, True])
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.thinned
 def test_environments_and_braces_match(name: str, numeric: bool) -> None:
     document = latex(equations(SCENES[name], numeric))
     open_: list[str] = []

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import FRESH
 from numpy.typing import NDArray
 
 from robodyn.events.functions import EventFunction, event_function
@@ -64,7 +65,7 @@ def made(mechanism: Mechanism, rng: np.random.Generator, depth: int) -> EventFun
             return event_function(mechanism, "e", text, text)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(20 if FRESH else 8))
 def test_no_value_in_a_box_is_further_off(seed: int) -> None:
     """Random expressions in random boxes, against many points of each, its corners among them."""
     rng = np.random.default_rng(seed)
@@ -110,9 +111,16 @@ def start(scene: str, rate: float) -> tuple[Mechanism, Array, Array]:
     return mechanism, q, loop_rates.loop_velocities(mechanism, q, rates)
 
 
+RTOLS = (1e-6, 1e-9, 1e-13)
+
+
 @pytest.mark.parametrize(
     ("scene", "kind", "rtol"),
-    [(scene, "python", rtol) for scene in SCENES for rtol in (1e-6, 1e-9, 1e-13)]
+    [
+        (scene, "python", rtol)
+        for k, scene in enumerate(SCENES)
+        for rtol in (RTOLS if FRESH else [RTOLS[k % 3]])
+    ]
     + [(scene, "compiled", 1e-9) for scene in SCENES[:5]],
 )
 def test_the_state_stays_in_its_box(scene: str, kind: str, rtol: float) -> None:
@@ -142,6 +150,7 @@ def test_the_state_stays_in_its_box(scene: str, kind: str, rtol: float) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("kind", ENGINES)
+@pytest.mark.thinned
 def test_boxes_change_no_event(seed: int, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same events without them."""
     rng = np.random.default_rng(100 + seed)

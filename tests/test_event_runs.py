@@ -57,6 +57,7 @@ def half_period(amplitude: float, g: float) -> float:
 @pytest.mark.parametrize("how", METHODS, ids=NAMES)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("rows", range(3))
+@pytest.mark.thinned
 def test_a_pendulum(made: Any, how: dict[str, Any], direction: float, rows: int) -> None:
     """Turning points and passages of the lowest point, by elliptic integrals."""
     mechanism = made(POINT.format(g=9.81))
@@ -98,6 +99,7 @@ def test_a_pendulum(made: Any, how: dict[str, Any], direction: float, rows: int)
 
 @pytest.mark.parametrize("how", METHODS, ids=NAMES)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.thinned
 def test_uniform_rotation(made: Any, how: dict[str, Any], direction: float) -> None:
     """q1 = 3 t: hundreds of events of waves in q1, some of them many in one step."""
     mechanism = made(POINT.format(g=0))
@@ -189,6 +191,7 @@ def test_until_at_the_start_and_never(made: Any, how: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("how", METHODS, ids=NAMES)
 @pytest.mark.parametrize("stabilize", ["projection", "none"])
+@pytest.mark.thinned
 def test_limit_positions_of_a_four_bar(how: dict[str, Any], stabilize: str) -> None:
     """The rocker stands where crank and coupler are in line; found by the cosine rule."""
     mechanism = load("robots/four-bar.yaml")
@@ -212,28 +215,34 @@ def test_limit_positions_of_a_four_bar(how: dict[str, Any], stabilize: str) -> N
         assert abs(math.sin(event.y[1])) < 1e-11
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_engines_agree_with_kinked_torques(engine: str) -> None:
-    """The same events by DOP853 and by series, under a torque that jumps."""
+KINKED: dict[str, Any] = {
+    "tau": "5*sign(sin(7*t)), 2*abs(cos(3*t))",
+    "events": {"a": "qd1", "b": "qd2", "c": "sin(q1 + q2)", "d": "abs(q2) - 0.3 > 0"},
+    "rtol": 1e-12,
+    "atol": 1e-12,
+}
+FROM = [0.3, 0.4], [0.0, 0.0], 3.0
+
+
+@pytest.fixture(scope="module")
+def kinked() -> tuple[Motion, int]:
+    """A motion by DOP853, and how often the sign of qd1 changes between its fine rows."""
     mechanism = load("robots/2r.yaml")
-    given: dict[str, Any] = {
-        "tau": "5*sign(sin(7*t)), 2*abs(cos(3*t))",
-        "events": {"a": "qd1", "b": "qd2", "c": "sin(q1 + q2)", "d": "abs(q2) - 0.3 > 0"},
-        "rtol": 1e-12,
-        "atol": 1e-12,
-    }
-    start = [0.3, 0.4], [0.0, 0.0], 3.0
-    one = simulate(mechanism, *start, method="DOP853", **given)
-    two = simulate(mechanism, *start, method="taylor", engine=engine, **given)
+    motion = simulate(mechanism, *FROM, method="DOP853", **KINKED)
+    fine = {"t_eval": np.linspace(0, 3, 30001), "method": "DOP853"}
+    signs = np.sign(simulate(mechanism, *FROM, **fine, **KINKED).qd[:, 0])
+    return motion, int((signs[1:-1] * signs[2:] < 0).sum())
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+def test_engines_agree_with_kinked_torques(engine: str, kinked: tuple[Motion, int]) -> None:
+    """The same events by DOP853 and by series, under a torque that jumps."""
+    one, changes = kinked
+    two = simulate(load("robots/2r.yaml"), *FROM, method="taylor", engine=engine, **KINKED)
     assert len(one.events) > 5
     assert [event.name for event in one.events] == [event.name for event in two.events]
     assert [x.t for x in one.events] == pytest.approx([x.t for x in two.events], abs=1e-8)
     for motion in (one, two):
-        dense = simulate(
-            mechanism, *start, method="DOP853", t_eval=np.linspace(0, 3, 30001), **given
-        )
-        signs = np.sign(dense.qd[:, 0])
-        changes = int((signs[1:-1] * signs[2:] < 0).sum())
         assert len(times(motion, "a")) == changes
 
 
@@ -283,6 +292,7 @@ def test_held_control(robodyn: Any, how: dict[str, Any], tmp_path: Path) -> None
         ("toggle-press", None, 0.0),
     ],
 )
+@pytest.mark.thinned
 def test_all_scenes_against_fine_rows(
     how: dict[str, Any], scene: str, start: float | None, rate: float
 ) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -204,20 +205,20 @@ def lift_rates(most: float, back: bool = True) -> Callable[[float, np.ndarray], 
     return rates
 
 
+@cache
+def finely(back: bool, *start: float) -> np.ndarray:
+    """The height at each tenth of 4 s; `back`: whether the integral goes back."""
+    given = {"t_eval": np.linspace(0.0, 4.0, 41), "max_step": 2e-3, **FINE}
+    return solve_ivp(lift_rates(17.0, back), (0, 4), [*start, 0.0], **given).y[0]
+
+
 class TestWindup:
     """Where the torque is cut off the integral goes back."""
 
     @pytest.mark.parametrize("method", SCIPYS)
     def test_against_a_fine_integration(self, method: str) -> None:
-        times = np.linspace(0.0, 4.0, 41)
-        start = [-2.0, 0.0]
-        runs = [
-            solve_ivp(
-                lift_rates(17.0, back), (0, 4), [*start, 0.0], t_eval=times, max_step=2e-3, **FINE
-            )
-            for back in (True, False)
-        ]
-        known, wound = (run.y[0] for run in runs)
+        times, start = np.linspace(0.0, 4.0, 41), [-2.0, 0.0]
+        known, wound = (finely(back, *start) for back in (True, False))
         tau = controller(LIFT, set_point(0.3), "pid", KP, KD, 17.0, ki=KI)
         options = tight(method) | {"t_eval": times}
         motion = simulate(LIFT, start[:1], start[1:], 4.0, tau, method, **options)
@@ -231,6 +232,7 @@ class TestWindup:
 
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("most", [17.0, None])
+    @pytest.mark.thinned
     def test_sampled_against_a_loop(self, method: str, most: float | None) -> None:
         rate, count = 25.0, 100
         tau = controller(LIFT, set_point(0.3), "pid", KP, KD, most, rate, ki=KI)
@@ -282,6 +284,7 @@ class TestReferences:
 
     @pytest.mark.parametrize("method", METHODS)
     @pytest.mark.parametrize("law", ["pid", "computed-torque"])
+    @pytest.mark.thinned
     def test_held_beyond_an_end_at_speed(self, method: str, law: str) -> None:
         """q_ref goes up at 0.5 m/s until 0.61 s, and stays there."""
         rate = 20.0 if method == "taylor" else None

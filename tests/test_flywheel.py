@@ -51,6 +51,7 @@ def test_a_pendulum_at_constant_speed(robodyn: Run, w: float, delta: float) -> N
 
 @pytest.mark.parametrize("w", [3.0, 12.0, 40.0])
 @pytest.mark.parametrize("turns", [1, 3])
+@pytest.mark.thinned
 def test_a_scotch_yoke_with_losses(robodyn: Run, w: float, turns: int) -> None:
     table = turn(360 * turns + 1, turns=turns)
     given = robodyn("torque", YOKE, "-", "--qd", w, "--fluctuation", 0.05, stdin=table)

@@ -80,6 +80,7 @@ class TestTorques:
             lambda mech: {"forces": ()},
         ],
     )
+    @pytest.mark.thinned
     def test_the_identities_detect_what_is_wrong(self, scene, change):
         mech = scene.mechanism
         wrong = dataclasses.replace(mech, **change(mech))

@@ -12,6 +12,7 @@ from hard_cases.cases import (
     events_at_one_instant,
     long_run,
     long_stick_slip,
+    mass_ratios,
     near_misses,
     parallel_bars,
     parallel_bars_by_chance,
@@ -21,8 +22,9 @@ from hard_cases.cases import (
 # test_near_misses.py and test_machine_code.py have smaller ones
 CHOSEN = [case for case in CASES if case not in (near_misses, sines)]
 PARTS: dict[Callable[..., Iterator[Row]], int] = {
-    parallel_bars: 5,
-    long_run: 10,
+    parallel_bars: 2,
+    long_run: 40,
+    mass_ratios: 5,
     long_stick_slip: 10,
     events_at_one_instant: 4,
     parallel_bars_by_chance: 20,

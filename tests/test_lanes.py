@@ -72,6 +72,7 @@ class TestAgainstDOP853:
             assert np.abs(found.y[k] - expected).max() < bound * max(1.0, np.abs(expected).max())
 
     @pytest.mark.parametrize("seed", range(5))
+    @pytest.mark.thinned
     def test_trees(self, engine, seed) -> None:
         drawn = seeded_tree(seed, 1 + seed)
         rng = np.random.default_rng(seed)
@@ -79,6 +80,7 @@ class TestAgainstDOP853:
         self.compare(engine, drawn.mechanism, y, rng.uniform(-3, 3, drawn.n), 0.4, 1e-9)
 
     @pytest.mark.parametrize("shape", LOOPS)
+    @pytest.mark.thinned
     def test_loops(self, engine, shape) -> None:
         drawn = seeded_scene(3, LOOPS[shape])
         tau = np.zeros(drawn.mechanism.n)
@@ -121,6 +123,7 @@ class TestForces:
 
     @pytest.mark.parametrize("speed", [1e-3, 0.1, 10.0])
     @pytest.mark.parametrize("seed", range(2))
+    @pytest.mark.thinned
     def test_friction_against_single_runs(self, seed, speed) -> None:
         text = forced(seed, seeded_tree(seed, 1 + seed)).text
         text = re.sub(r"speed: [^}]*}", f"speed: {speed}}}", text)
@@ -256,6 +259,7 @@ class TestResults:
             assert tolerance / 1e3 < np.abs(found.y - exact).max() < 1e4 * tolerance
 
     @pytest.mark.parametrize("name", ["2r", "four-bar"])
+    @pytest.mark.thinned
     def test_extremes_are_those_of_a_fine_grid(self, engine, name) -> None:
         mechanism = scene(name)
         y = swings(3, 5) if name == "2r" else turning(mechanism, 3, 5)

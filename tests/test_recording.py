@@ -111,6 +111,7 @@ def rows_of(name, q, t_end, times, settings, watch=None):
 
 @pytest.mark.parametrize(("method", "engine"), RUNS)
 @pytest.mark.parametrize("t_end", [0.5, -0.5])
+@pytest.mark.thinned
 def test_many_rows_of_one_step_leave_in_blocks(method, engine, t_end):
     settings = Settings(method, 1e-6, 1e-6, engine=engine)
     count = 6001

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import FRESH
 
 from robodyn.errors import InputError
 from robodyn.sweeps.resumable_file import ResumableFile
@@ -202,7 +203,7 @@ def test_an_older_file_keeps_its_mode_and_stays_until_the_end(tmp_path: Path) ->
 
 def test_of_many_pairs_that_begin_at_once_all_files_are_whole(tmp_path: Path) -> None:
     """The one of a pair is delayed against the other, so that they meet in every phase."""
-    pairs = 600
+    pairs = 600 if FRESH else 180
     context = multiprocessing.get_context("spawn")
     start, told = context.Barrier(2), context.Queue()
     both = [

@@ -429,6 +429,7 @@ class TestDenseOutput:
 
     @EACH_METHOD
     @pytest.mark.parametrize("name", ["four-bar", "slider-crank", "five-bar"])
+    @pytest.mark.thinned
     def test_closes(self, name, method):
         mech = reference(name).mechanism
         n = mech.n
@@ -459,6 +460,7 @@ class TestDenseOutput:
 class TestReversal:
     @pytest.mark.parametrize("method", ["DOP853", "LSODA", "Radau"])
     @pytest.mark.parametrize("name", ["2r-regular", "3r", "four-bar", "five-bar"])
+    @pytest.mark.thinned
     def test_there_and_back(self, name, method):
         """From the end, with the rates turned round, back to the start."""
         known = reference(name)
@@ -962,6 +964,7 @@ class TestOutcomes:
     @pytest.mark.parametrize("method", EXPLICIT)
     @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
     @pytest.mark.parametrize("damping", ["0.3", "0.12"])
+    @pytest.mark.thinned
     def test_stiff(self, method, tolerance, damping):
         """A joint damper 1e6 times too strong: the explicit methods say which one to take."""
         mech = mechanism(DAMPED_ARM.replace(f"damping: {damping}", f"damping: {damping}e+6"))

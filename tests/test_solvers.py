@@ -415,6 +415,7 @@ class TestStiffness:
 
     @pytest.mark.parametrize("method", EXPLICIT)
     @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+    @pytest.mark.thinned
     def test_a_motion_that_is_not_stiff_is_none(self, method, tolerance):
         """A thousand steps and more, as large as the tolerance lets them be."""
         end = {"RK23": 2000.0, "RK45": 4000.0, "DOP853": 8000.0}[method]

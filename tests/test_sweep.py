@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from robodyn import assemble, inverse_dynamics, simulate
+from robodyn import (
+    assemble,
+    inverse_dynamics,
+    kinetic_energy,
+    potential_energy,
+    simulate,
+)
 from robodyn.engines import machine
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.loops import loop_rates
@@ -109,6 +115,21 @@ class TestMotions:
             qd = loop_rates.loop_velocities(bar, q, [2.0])
             motion = simulate(bar, q, qd, 1.0, rtol=1e-11, atol=1e-11)
             assert row[3:9] == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-6)
+
+    def test_energies_are_those_of_single_simulations(self, engine) -> None:
+        """That of what stands still at another height counts too."""
+        lever = plan("whitworth", Axis("q1", (0.5, 1.5)), results=("extremes",), engine=engine)
+        rows, mech = whole(lever), build(from_text(lever.scene, "x"))
+        assert abs(mech.energy_offset) > 1.0
+        for row, *ends in zip(
+            rows.values, column(lever, rows, "energy_min"), column(lever, rows, "energy_max"),
+            strict=True,
+        ):  # fmt: skip
+            q, qd = assemble(mech, row[:1]), np.zeros(mech.n)
+            motion = simulate(mech, q, qd, 1.0, t_eval=np.linspace(0.0, 1.0, 201))
+            energy = kinetic_energy(mech, motion.q, motion.qd)
+            energy = energy + potential_energy(mech, motion.q)
+            assert ends == pytest.approx([energy.min(), energy.max()], abs=1e-4)
 
     def test_springs_go_together(self, engine, monkeypatch) -> None:
         monkeypatch.setattr("robodyn.sweeps.sweep_chunks.single", None)
@@ -407,6 +428,20 @@ class TestCluster:
         monkeypatch.setattr("robodyn.sweeps.sweep_workers.run_chunk", _late)
         with pytest.raises(RobodynError, match="TimeoutError: too late"):
             whole(TestWorkers.SMALL, scheduler=address)
+
+    def test_a_failure_that_comes_as_the_wait_ends_is_told(self) -> None:
+        class Failing:
+            status = "pending"
+
+            def result(self, timeout: float | None = None) -> None:
+                if self.status == "error":
+                    raise TimeoutError("too late")
+                self.status = "error"  # between the end of the wait and the look at it
+                raise TimeoutError
+
+        watch: Any = None
+        with pytest.raises(RobodynError, match="TimeoutError: too late"):
+            sweep_workers._Remote(Failing(), watch).result()
 
     def test_a_missing_extra_is_told(self, monkeypatch) -> None:
         monkeypatch.setitem(__import__("sys").modules, "distributed", None)

@@ -458,6 +458,7 @@ def shortest(given: Outcome) -> float:
     ],
 )
 @pytest.mark.parametrize("way", [("--to-xy", "0.3,0.9"), ("--arc", "0.6,0.6:270deg")])
+@pytest.mark.thinned
 def test_limits_hold_in_the_shortest_time(
     robodyn: Run, option: str, limits: tuple[float, float], name: str, way: tuple[str, str]
 ) -> None:

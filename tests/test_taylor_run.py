@@ -62,6 +62,7 @@ def known_run(text, q, qd, t_end, tau, method, tolerance, times):
 class TestBalance:
     @pytest.mark.parametrize("tau", [None, (1.5,), "1.5*sin(2*t) + 0.2*q1"])
     @pytest.mark.parametrize("name", DAMPED)
+    @pytest.mark.thinned
     def test_work_is_dop853s(self, name, tau):
         """With dampers; constant torques and expressions."""
         text, q, qd, _, _ = DAMPED[name]
@@ -92,6 +93,7 @@ class TestBalance:
 class TestChangePoints:
     @pytest.mark.parametrize("tolerance", [1e-6, 1e-13])
     @pytest.mark.parametrize("n", [1, 2, 5])
+    @pytest.mark.thinned
     def test_n_four_bar(self, n, tolerance):
         """The hard cases have tolerances between."""
         q = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
@@ -106,6 +108,7 @@ class TestChangePoints:
         assert motion.report.evaluations < 3000  # no stall
 
     @pytest.mark.parametrize("n", [1, 2, 5])
+    @pytest.mark.thinned
     def test_a_start_at_a_change_point(self, n):
         for tolerance in (1e-6, 1e-12):
             lying = np.zeros(2 * n + 1)
@@ -378,6 +381,7 @@ class TestFriction:
 
 @by_each_engine
 @pytest.mark.parametrize("beside", [0.0, 1e-8, 1e-4])
+@pytest.mark.thinned
 def test_a_springs_ends_that_pass_one_another(beside):
     """The tip swings through the anchor of a spring, or close by: its pull turns over."""
     mech = mechanism(
@@ -395,6 +399,7 @@ def test_a_springs_ends_that_pass_one_another(beside):
 @pytest.mark.parametrize(
     "torque", ["sqrt(abs(t-0.5))", "3*t**0.25", "abs(t-0.5)**1.5", "2*sqrt(t-0.5) if t>0.5 else 1"]
 )
+@pytest.mark.thinned
 def test_a_torque_without_a_series_at_a_time_is_led_across(torque: str, scene: str) -> None:
     """Its derivative is infinite there: DOP853 goes on from it for a few steps."""
     text = (ROOT / f"robots/{scene}.yaml").read_text()

@@ -22,6 +22,7 @@ def solved(mech, y, end, **options):
 class TestSteps:
     @EACH
     @pytest.mark.parametrize("way", [1, -1])
+    @pytest.mark.thinned
     def test_are_those_of_simulate(self, name, way):
         known = reference(name)
         mech, (q, qd) = known.mechanism, np.split(known.states[0], 2)

@@ -132,6 +132,7 @@ def test_each_leg_that_stops_takes_its_own_shortest_time() -> None:
 
 @every_profile
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.thinned
 def test_torques_of_the_2r_arm(profile: str, seed: int) -> None:
     """The limits are checked with the textbook's torques, not with robodyn's."""
     rng = np.random.default_rng(seed)
@@ -192,6 +193,7 @@ SCENE = (ROOT / "robots/2r.yaml").read_text()
 
 @pytest.mark.parametrize("speed", [0.02, 0.5, 20.0])
 @pytest.mark.parametrize("limit", [(25.0, 8.0), (15.5, 2.9)])
+@pytest.mark.thinned
 def test_torques_with_friction_springs_and_loads(speed: float, limit: tuple[float, float]) -> None:
     """The tighter limit is met where the friction is smoothed, if that is at a low speed."""
     friction = f"I: 0.082, friction: {{torque: 2.0, speed: {speed}}}"

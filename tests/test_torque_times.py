@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import FRESH, ROOT
 from scipy.special import expi, sici
 
 from random_mechanisms import mechanism
@@ -100,7 +100,7 @@ def test_torques_are_those_of_the_expression(way):
         forms += [f"({a} % 0.7 + floor({b}) + ({a} < {c}))"]
         return forms[kind] if kind < 9 else leaf[rng.integers(0, 4)]
 
-    for _ in range(60):
+    for _ in range(60 if FRESH else 20):
         text = grow(3)
         plain = actuation.expressions(PENDULUM, f"0*t + {text}", "")
         found = over_a_run(plain, [0.3, 0.5], 2.0 * way)
@@ -221,6 +221,7 @@ def risen(t):
     ],
 )
 @pytest.mark.parametrize("method", ["taylor", "DOP853", "BDF"])
+@pytest.mark.thinned
 def test_torques_without_a_value_where_a_piece_begins(text, rate, method):
     """1/0 where a condition begins to hold is not met: what leads there has a limit."""
     rows = [0.0, 3.0, 4.0, 10.0]
@@ -239,6 +240,7 @@ def test_torques_without_a_value_where_a_piece_begins(text, rate, method):
         ("(1-cos(t))/t**2", sici(10)[0] - (1 - math.cos(10)) / 10),
     ],
 )
+@pytest.mark.thinned
 def test_what_is_narrow_beside_an_edge_is_not_lost(text, rate, method):
     run = simulate(FREE, [0.0], [0.0], 10.0, text, method=method)
     assert run.qd[-1, 0] == pytest.approx(rate, rel=3e-7)
@@ -289,6 +291,7 @@ def test_a_run_ends_where_no_method_has_a_first_step():
 @pytest.mark.parametrize("form", ["exp(-(({t}-7.1)/{w})**2)", "1/(1 + (({t}-7.1)/{w})**2)",
                                   "tanh(({t}-7.1)/{w})", "q1*exp(-abs({t}-7.1)/{w})",
                                   "exp(q1 - (({t}-7.1)/{w})**2)"])  # fmt: skip
+@pytest.mark.thinned
 def test_leaves_are_as_narrow_as_the_torque(form, width):
     for way in (1.0, -1.0):
         text = form.format(t="t" if way > 0 else "(-t)", w=width)
@@ -354,6 +357,7 @@ def test_the_reference_steps_onto_jumps():
 
 @pytest.mark.parametrize("tau", [BOX, BELL, "20*exp(-((t-5)/0.01)**2)*cos(q1)"])
 @pytest.mark.parametrize("method", [AUTO, "DOP853", "LSODA"])
+@pytest.mark.thinned
 def test_an_accuracy_is_kept_on_short_pulses(tau, method):
     torques = actuation.expressions(PENDULUM, tau, "")
     start = np.concatenate(START)
@@ -423,6 +427,7 @@ def test_missed_work_shows_in_the_drift():
 
 @pytest.mark.parametrize("tau", ["2*sin(3*t)", "0.5*sin(7*q1)*cos(t)", "-0.3*qd1", BOX])
 @pytest.mark.parametrize("method", ["DOP853", "taylor", "RK45"])
+@pytest.mark.thinned
 def test_nothing_is_missed_of_a_smooth_torque(tau, method):
     for tolerance in (1e-4, 1e-10):
         motion = simulate(PENDULUM, *START, 3.0, tau, method, tolerance, tolerance)

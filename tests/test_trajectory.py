@@ -208,6 +208,7 @@ def test_a_four_bar_turns_on_its_branch(assembly: str, whole: bool) -> None:
 
 @pytest.mark.parametrize("name", LOOPS)
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.thinned
 def test_random_loops_stay_closed(name: str, seed: int) -> None:
     found = seeded_scene(seed, LOOPS[name])
     mech = mechanism(found.text)
@@ -325,6 +326,7 @@ GEARS = (ROOT / "robots/geared-five-bar.yaml").read_text()
     ],
 )
 @pytest.mark.parametrize("turns", [40.0, -40.3])
+@pytest.mark.thinned
 def test_a_turn_that_repeats_itself_is_followed_once(
     text: str, begin: float, after: int | None, turns: float
 ) -> None:
@@ -348,6 +350,7 @@ def test_a_turn_that_repeats_itself_is_followed_once(
 
 @pytest.mark.parametrize("begin", [math.radians(60), math.radians(179.9), -1e-3, 1e-3])
 @pytest.mark.parametrize("turns", [50.0, -50.25])
+@pytest.mark.thinned
 def test_a_parallelogram_stays_one_for_many_turns(begin: float, turns: float) -> None:
     """Through two change points a turn, near the turn's end too."""
     mech = mechanism((ROOT / "robots/parallelogram.yaml").read_text())

@@ -5,6 +5,7 @@ in what is expected of it.
 """
 
 import csv
+import functools
 from itertools import pairwise
 
 import yaml
@@ -18,11 +19,17 @@ WORDS = ["sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "e
 AT = 0.45  # s, when such scenes are looked at: within a row of each table
 
 
+@functools.cache
+def cells(file, name, column, precision):
+    """Two columns of a table's file, in numbers of so many bits."""
+    with open(TABLES / file, encoding="utf-8") as stream:
+        return [(mpf(row[name]), mpf(row[column])) for row in csv.DictReader(stream)]
+
+
 def rows_of(table):
     """The rows of a table's file."""
     name = table.over if table.over in "xt" else f"q{int(table.over[1:]) + 1}"
-    with open(TABLES / table.file.rpartition("/")[2], encoding="utf-8") as stream:
-        return [(mpf(row[name]), mpf(row[table.column])) for row in csv.DictReader(stream)]
+    return list(cells(table.file.rpartition("/")[2], name, table.column, mp.prec))
 
 
 def value(signal, **names):

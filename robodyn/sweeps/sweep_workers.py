@@ -213,8 +213,8 @@ class _Remote:
                 try:
                     found = self._future.result(timeout=POLL)
                 except TimeoutError:
-                    if self._future.status == "error":  # it is the chunk's own
-                        raise
+                    if self._future.status == "error":  # the chunk's own, or it came just now
+                        return self._future.result()
                     self._watch.look()
                 else:
                     self._watch.lost = None
