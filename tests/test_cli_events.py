@@ -178,7 +178,7 @@ def test_a_sweep_with_events_goes_on(robodyn: Run, tmp_path: Path) -> None:
         (("--event", "a=q9", "--result", "events"), "--event a: an event does not allow name q9"),
         (("--event", "a=qd1", "--result", "events", "--kind", "torque"), "is for --kind motion"),
         (("--event", "a=qd1", "--result", "events", "--engine", "compiled"), "--engine = compiled"),
-        (("--result", "nothing"), "knows final, extremes, drift, flip, events"),
+        (("--result", "nothing"), "known: final, extremes, drift, flip, events"),
     ],
 )
 def test_what_a_sweep_refuses(robodyn: Run, options: tuple[str, ...], named: str) -> None:

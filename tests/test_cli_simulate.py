@@ -710,7 +710,7 @@ def test_a_progress_bar_on_a_terminal(tmp_path: Path) -> None:
         ("--points 1.5", ["--points", "1.5"]),
         ("--points \uff11", ["--points", "\uff11", "not a valid int"]),
         ("--points 1_0", ["--points", "1_0", "not a valid int"]),
-        ("--time \u0661", ["--time", "\u0661", "not a valid float"]),
+        ("--time \u0661", ["--time", "\u0661", "not a number"]),
         ("--points 10 --every 0.1", ["--points", "--every", "exclude"]),
         ("--rtol 0", ["--rtol", "0", "3e-14"]),
         ("--rtol -1e-9", ["--rtol", "-1e-09", "3e-14"]),

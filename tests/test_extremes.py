@@ -130,7 +130,8 @@ def test_of_what_has_no_input(robodyn: Run, command: str) -> None:
 
 
 def test_every_command_that_writes_rows_of_numbers_tells_them() -> None:
-    others = {"terms", "linearize", "check", "equations", "export", "plot", "draw", "animate"}
+    others = {"terms", "linearize", "check", "identify", "fit", "equations", "export"}
+    others |= {"plot", "draw", "animate", "guide"}
     for name in set(cli.COMMANDS) - others - {"init", "schema"}:
         group: Any = typer.main.get_command(cli._application([name]))
         told = {text for parameter in group.commands[name].params for text in parameter.opts}

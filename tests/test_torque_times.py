@@ -439,7 +439,7 @@ def test_the_options_in_a_process(robodyn, tmp_path):
     for method in METHODS:
         given = robodyn(
             *("simulate", "robots/pendulum.yaml", "--q=-1.5", "--tau", BOX, "--time", 6),
-            *("--points", 13, "--method", method, "--max-step", "10ms", "--quiet"),
+            *("--points", 13, "--method", method, "--max-step", "10mm", "--quiet"),
         )
         given.fails(2, "--max-step")
     given = robodyn(
