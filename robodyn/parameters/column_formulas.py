@@ -117,7 +117,7 @@ class ColumnFormulas(ForceFormulas):
 
         def across(pair: Pair) -> Any:
             turned = Planar(0.0, 1.0) * pair.along
-            return turned if pair.frame is None else turned * self._X[0][pair.frame]
+            return turned if pair.frame is None else turned * self.moving[0].E[pair.frame]
 
         def to(pair: Pair, origin: Pair) -> Any:
             if pair.pin is None or origin.pin is None:
