@@ -26,7 +26,7 @@ from robodyn.engines.machine_series import (
 )
 from robodyn.engines.machine_steps import Scene
 from robodyn.engines.order_loop import LoopExpansion, Stored
-from robodyn.engines.tangents import Tangents, tangents
+from robodyn.engines.tangents import Tangents, slopes_by, tangents
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.planar_model import Mechanism
 
@@ -124,7 +124,7 @@ class VariedScene(Scene):
         for x in ("value", "slope"):
             known |= {f"{x} {j}": {WAY: graph.variable(f"d{x} {j}")} for j in range(2 * n)}
         states = ends(self.mechanism, turns, 0.0, (), False, graph.variable)
-        slopes = [slope.get(WAY, 0.0) for slope in tangents(states, known)]
+        slopes = slopes_by(states, known, [WAY])
         for name, word in zip(self.state, read_segment(self, k, block).write(slopes), strict=True):
             self.put(k, block, f"to_d{name}", word)
         k.done()

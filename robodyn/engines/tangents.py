@@ -76,6 +76,16 @@ def tangents(
     return [of(out) for out in outputs]
 
 
+def slopes_by(
+    outputs: Sequence[Value],
+    inputs: Sequence[str] | Mapping[str, Tangents],
+    names: Sequence[str] | None = None,
+) -> list[Value]:
+    """The derivatives of each output by each of the names, those of all inputs unless given."""
+    wanted = list(inputs) if names is None else names
+    return [slope.get(name, 0.0) for slope in tangents(outputs, inputs) for name in wanted]
+
+
 def _combined(parts: Any) -> Tangents:
     """The sum of factors times tangents."""
     found: Tangents = {}

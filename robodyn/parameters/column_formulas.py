@@ -10,7 +10,7 @@ from typing import Any
 from robodyn.engines import expression
 from robodyn.engines.expression import Value
 from robodyn.engines.planar_numbers import Planar
-from robodyn.engines.tangents import SLOPES
+from robodyn.engines.recorded_numbers import evaluated
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import NamedPoint, named_points
 from robodyn.kinematics.transmission import Pair, transmission_loops
@@ -160,14 +160,12 @@ class ColumnFormulas(ForceFormulas):
                 places[name] = self.column(name)
             return name if name in places else None
 
-        scope: dict[str, object] = {f"_{f}": partial(expression.call, f) for f in SLOPES}
-        scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
         sides: list[Any] = []
         try:
             for side in _RELATION.split(written):
                 codes = Written(side, rename, known).codes
                 check_smooth(codes)
-                sides.append(eval(codes[0], {**scope, **places}))
+                sides.append(evaluated(codes[0], places))
             left, right = sides
         except (ValueError, TypeError, NameError, ArithmeticError, AttributeError) as error:
             told = str(error).replace(NO_BENDS, "which bends or jumps")
