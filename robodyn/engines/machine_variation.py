@@ -27,8 +27,6 @@ from robodyn.engines.machine_series import (
 from robodyn.engines.machine_steps import Scene
 from robodyn.engines.order_loop import LoopExpansion, Stored
 from robodyn.engines.tangents import Tangents, slopes_by, tangents
-from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.planar_model import Mechanism
 
 WAY = "d"  # the one direction of a lane
 # what `vary` is told: addresses of the steps' begins, ends and states, of the rows' times, and of
@@ -69,16 +67,8 @@ class VariedScene(Scene):
     `varied` are the places of those that do.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        actuation: Actuation,
-        order: int,
-        motion: MotionProgram,
-        varied: Sequence[int],
-        held: Sequence[float] | None,
-    ) -> None:
-        super().__init__(mechanism, actuation, order, closes=False, held=held, motion=motion)
+    def __init__(self, order: int, motion: MotionProgram, varied: Sequence[int]) -> None:
+        super().__init__(motion.mechanism, motion.actuation, order, closes=False, motion=motion)
         self.varied = [f"c{i}" for i in varied]
         self.values |= {f"d{name}": 0.0 for name in self.varied}
         self.key = f"varied {self.varied} {self.key}"
