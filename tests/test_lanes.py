@@ -20,6 +20,8 @@ from robodyn.scene.description import from_text
 from robodyn.scene.scene_values import SceneValues
 from robodyn.sweeps.lane_single import single
 from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
+from robodyn.sweeps.sweep_plan import Plan
+from robodyn.sweeps.variation import Variation
 from robodyn.taylor import Status
 
 ENGINES = ["python"]
@@ -373,7 +375,8 @@ def test_flips_are_where_events_find_them(engine) -> None:
 def alone(mechanism: Mechanism, y, t_end, aims, ends, lane=0, angle=0.0) -> str:
     """A single motion without torques."""
     given = Motions(mechanism, y[None], np.zeros((1, mechanism.n)), np.array([angle]))
-    return single(given, 0, t_end, aims, ends, lane, {}, np.zeros(0))
+    plan = Plan("", "", Variation(()), (), (), t_end=t_end)
+    return single(plan, given, 0, aims, ends, lane, np.zeros(0))
 
 
 class TestSingle:

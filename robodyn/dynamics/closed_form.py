@@ -24,7 +24,7 @@ States are arrays (..., n); radians, SI units.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -263,12 +263,20 @@ class Points(NamedTuple):
 
 def points_of(mechanism: Mechanism, points: Sequence[PlanarPoint]) -> Points:
     """Points of the mechanism as arrays."""
-    constant = np.array([point.constant for point in points], complex)
-    c = np.zeros((len(points), mechanism.n), complex)
+    constant = dense([point.constant for point in points], complex)
+    each = dense([value for point in points for _, value in point.terms], complex)
+    c = np.zeros((len(points), mechanism.n), each.dtype)
+    values = iter(each)
     for row, point in zip(c, points, strict=True):
-        for k, value in point.terms:
-            row[k] = value
+        for k, _ in point.terms:
+            row[k] = next(values)
     return Points(constant, c)
+
+
+def dense(values: Sequence[Any], kind: type) -> NDArray[Any]:
+    """An array of this kind, or of objects where one is a formula."""
+    plain = all(isinstance(x, complex | float | int) for x in values)
+    return np.array(values, kind if plain else object)
 
 
 def point_motion(

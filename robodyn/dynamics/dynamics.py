@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -280,9 +280,15 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None
     `multipliers` (..., r) are those of `inverse_dynamics_and_forces` and the like.  Raises
     InputError without q (..., n) where a link that moves has a slot: its force turns with it.
     """
-    lam = np.asarray(multipliers, float)
-    forces = np.zeros((*lam.shape[:-1], len(mechanism.description.closures)), complex)
     E = None if q is None else placed(mechanism, q).E
+    forces = pins_at(mechanism, np.asarray(multipliers, float), E)
+    return np.stack([forces.real, forces.imag], axis=-1)
+
+
+def pins_at(mechanism: Mechanism, lam: NDArray[Any], E: NDArray[Any] | None) -> NDArray[Any]:
+    """The same as complex numbers (..., closures), of numbers or of `Planar` formulas lam, E."""
+    count = len(mechanism.description.closures)
+    forces = np.zeros((*lam.shape[:-1], count), complex).astype(np.result_type(lam, complex))
     for row, entry in enumerate(mechanism.rows):
         if entry.closure is None or entry.arm:
             continue
@@ -291,9 +297,9 @@ def pin_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike | None
             if E is None:
                 limit = "is needed: the force of a slot turns with its link"
                 raise InputError("q", where=mechanism.source, limit=limit)
-            force = force * E[..., entry.line]
+            force = np.multiply(force, E[..., entry.line])
         forces[..., entry.closure] += force
-    return np.stack([forces.real, forces.imag], axis=-1)
+    return forces
 
 
 def kept_moments(mechanism: Mechanism, multipliers: ArrayLike) -> Array:

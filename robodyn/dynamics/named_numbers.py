@@ -19,7 +19,7 @@ from robodyn.engines.derivative_formulas import KINDS, residuals
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import Formula, Recorded
 from robodyn.engines.planar_numbers import Planar
-from robodyn.engines.tangents import substituted, tangents
+from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import ClosureRow, Mechanism, constants, with_kept
 from robodyn.mechanics.modes import Mode, in_mode
@@ -42,8 +42,7 @@ def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) ->
     named = with_variable(mechanism, name, x, mode)
     state = Recorded(named, KINDS[1:], True, graph=graph)
     _, _, K, R = residuals(state)
-    slopes = [slope.get(name, 0.0) for slope in tangents(R, [name])]
-    outputs = substituted(slopes, {name: 0.0})
+    outputs = substituted(slopes_by(R, [name]), {name: 0.0})
     inputs = (*state.inputs, *(f"u{i}" for i in range(len(K))), *state.timed)
     return Formula(inputs, tuple(outputs), ())
 

@@ -77,7 +77,7 @@ class Placed(NamedTuple):
     def accelerations(self, mechanism: Mechanism, xd: Array, xdd: Array) -> Placed:
         """xdd, X'' and E''."""
         w, a = frame_rates(mechanism, xd), frame_rates(mechanism, xdd)
-        turned = 1j * a - w**2
+        turned = 1j * a - w * w
         bent = self.X * turned
         if not mechanism.slides:
             return Placed(xdd, bent, bent)

@@ -19,38 +19,159 @@ between links are internal; those at the ground are in F and M.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import Points, point_motion, points_of, scaled_jacobian
+from robodyn.dynamics.closed_form import Points, dense, points_of, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import RANK_CUT
-from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces
-from robodyn.dynamics.placed import absolute_rates, as_states, frame_rates, placed
+from robodyn.dynamics.dynamics import coupling_torques, kept_moments, pin_forces, pins_at
+from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
 from robodyn.engines.row_values import rows_of
 from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Moment, Point
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Part = Callable[[Mechanism], Mechanism]
 
 FELT = 1e-9  # part of the largest force of a null vector that is more than rounding
 
 
 class Bodies(NamedTuple):
-    """The point masses (centres of gravity and payloads) of a mechanism: b of them, n links."""
+    """The point masses (centres of gravity and payloads) of a mechanism: b of them, n links.
+
+    Numbers are floats, or formulas in arrays of objects.
+    """
 
     mass: Array  # (b,) kg
     points: Points
     below: Array  # (b, n), 1 where link k carries body b
+    carried: Array  # (n, n), 1 where link k is on the path to link j, itself included
     inertia: Array  # (n,) kg m^2
+    rotors: Array  # (m,) kg m^2
+    spins: Array  # (m, n): rates of rotors are spins @ qd
+
+
+class Felt:
+    """What joints and the ground feel of a motion, of numbers (...) or of formulas.
+
+    Formulas stand in arrays of objects, complex ones as `Planar`: where they are (`at`), X'' and
+    E'' (`bent`), x'' and qdd (n,).  `pins` (..., closures) N act on the sides named first, `kept`
+    (..., k) N m of those that keep an angle; `rows` gives what acts by a part (`parts.py`) and a
+    name (`RowValues`), forces as complex numbers.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        at: Placed,
+        bent: Placed,
+        xdd: Array,
+        qdd: Array,
+        pins: Complex,
+        kept: Array,
+        rows: Callable[[Part, str], NDArray[Any]],
+    ) -> None:
+        self.mechanism, self.bodies, self.at = mechanism, bodies_of(mechanism), at
+        self.pins, self.kept, self.rows = pins, kept, rows
+        bodies = self.bodies
+        # where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N
+        self.place = bodies.points.place(at)
+        self.load = (-bodies.points.moved(bent) + mechanism.gamma) * bodies.mass
+        self.turning = frame_rates(mechanism, xdd)
+        # the moment of each rotor's spin on what carries it, N m
+        self.spun = list(np.moveaxis(-((qdd @ bodies.spins.T) * bodies.rotors), -1, 0))
+
+    def reactions(self) -> Complex:
+        """Equation (2), (..., n)."""
+        forces: Complex = -(self.load @ self.bodies.below)
+        if self.mechanism.springs or self.mechanism.forces:
+            forces = forces - self.rows(parts.acting, "on links") @ self.bodies.carried
+        if self.mechanism.description.closures:
+            forces = forces - self.pins @ _sides(self.mechanism)
+        return forces
+
+    def slide_moments(self) -> list[Array]:
+        """Of each link that slides, about its origin."""
+        mechanism, bodies = self.mechanism, self.bodies
+        # forces and moments on what links carry, with their places
+        each = (np.moveaxis(x, -1, 0) for x in (self.place, self.load))
+        forces: list[tuple[Complex, Complex, Array]] = list(zip(*each, bodies.below, strict=True))
+        moments = -(self.turning * bodies.inertia)
+        for rotor, back in zip(mechanism.rotors, self.spun, strict=True):
+            above = mechanism.parent[rotor.joint]
+            if above is not None:
+                moments[..., above] += back
+        for entry in mechanism.description.loads:
+            if isinstance(entry, Moment):
+                moments[..., entry.link] += entry.torque
+        if mechanism.varying_moments:
+            values = np.moveaxis(self.rows(parts.loaded, "moments"), -1, 0)
+            for varying, value in zip(mechanism.varying_moments, values, strict=True):
+                moments[..., varying.link] += value
+        if mechanism.springs or mechanism.forces:
+            acting = iter(np.moveaxis(self.rows(parts.acting, "forces"), -1, 0))
+            for spring, force in zip(mechanism.springs, acting, strict=False):
+                ends = zip(spring.ends, (spring.first, spring.second), (force, -force), strict=True)
+                for point, link, pull in ends:
+                    if link is not None:
+                        forces.append((self._place(point), pull, bodies.carried[link]))
+            for given, force in zip(mechanism.forces, acting, strict=True):
+                forces.append((self._place(given.point), force, bodies.carried[given.link]))
+        kept = iter(np.moveaxis(self.kept, -1, 0))
+        pins, tree = np.moveaxis(self.pins, -1, 0), Tree(mechanism.description.links)
+        for closure, pin in zip(mechanism.description.closures, pins, strict=True):
+            there = self._place(tree.point(closure.first))
+            held = next(kept) if closure.aligned is not None else None
+            for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
+                if side.link is not None:
+                    forces.append((there, pin * sign, bodies.carried[side.link]))
+                    if held is not None:
+                        moments[..., side.link] += held * sign
+        found = []
+        for k in mechanism.slides:
+            origin = self._place(tree.point(Point(k, 0j)))
+            total = moments @ bodies.carried[:, k]
+            for there, force, below in forces:
+                turning = np.multiply((there - origin).conjugate(), force).imag
+                total = total + turning * below[k]
+            found.append(-total)
+        return found
+
+    def _place(self, point: PlanarPoint) -> Complex:
+        return np.moveaxis(points_of(self.mechanism, [point]).place(self.at), -1, 0)[0]  # type: ignore[no-any-return]
+
+    def shaking(self) -> tuple[Array, Array, Array]:
+        """Equation (3)."""
+        mechanism, bodies = self.mechanism, self.bodies
+        force = self.load.sum(axis=-1)
+        # those on links that cannot turn are no load of the mechanism's, but of the ground's
+        torques = sum(x.torque for x in mechanism.description.loads if isinstance(x, Moment))
+        moment = _imaginary(self.place.conj() * self.load).sum(axis=-1) + torques
+        moment = moment - self.turning @ bodies.inertia + sum(self.spun)
+        if mechanism.varying_moments:
+            moment = moment + self.rows(parts.loaded, "moments").sum(axis=-1)
+        if mechanism.forces:
+            F = self.rows(parts.loaded, "forces")
+            arms = points_of(mechanism, [x.point for x in mechanism.forces]).place(self.at)
+            force = force + F.sum(axis=-1)
+            moment = moment + _imaginary(arms.conj() * F).sum(axis=-1)
+        return force.real, force.imag, moment
+
+
+def _imaginary(z: NDArray[Any]) -> NDArray[Any]:
+    if z.dtype != object:
+        return z.imag
+    return np.array([x.imag for x in z], object)
 
 
 def reactions(
@@ -72,13 +193,7 @@ def reactions(
     if lam.shape[-1:] != (len(mechanism.rows),):
         limit = f"must have {len(mechanism.rows)} values along the last axis, one a closure row"
         raise InputError("multipliers.shape", value=lam.shape, limit=limit)
-    _, load = _motion(mechanism, q, qd, qdd)
-    forces: Complex = -(load @ bodies_of(mechanism).below)
-    if mechanism.springs or mechanism.forces:
-        on_links = rows_of(parts.acting, mechanism).planar("on links", q, qd, t)
-        forces = forces - on_links @ mechanism.arrays.carried
-    if mechanism.description.closures:
-        forces = forces - pin_forces(mechanism, lam, q) @ [1, 1j] @ _sides(mechanism)
+    forces = _of_numbers(mechanism, q, qd, qdd, t, lam).reactions()
     return np.stack([forces.real, forces.imag], axis=-1)
 
 
@@ -94,56 +209,10 @@ def slide_moments(
 
     It comes from what the link slides on, and keeps it from turning; arguments as of `reactions`.
     """
-    lam = np.asarray(multipliers, float)
-    place, load = _motion(mechanism, q, qd, qdd)
-    bodies, at, carried = bodies_of(mechanism), placed(mechanism, q), mechanism.arrays.carried
-    links = mechanism.description.links
-    # forces and moments on what links carry, with their places
-    forces: list[tuple[Complex, Complex, Array]] = [
-        (place[..., b], load[..., b], bodies.below[b]) for b in range(len(bodies.mass))
-    ]
-    moments = -bodies.inertia * frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
-    for rotor, back in zip(mechanism.rotors, _spun(mechanism, qdd), strict=True):
-        above = mechanism.parent[rotor.joint]
-        if above is not None:
-            moments[..., above] += back
-    for entry in mechanism.description.loads:
-        if isinstance(entry, Moment):
-            moments[..., entry.link] += entry.torque
-    if mechanism.varying_moments:
-        values = rows_of(parts.loaded, mechanism)("moments", q, qd, t)
-        for k, varying in enumerate(mechanism.varying_moments):
-            moments[..., varying.link] += values[..., k]
-    if mechanism.springs or mechanism.forces:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, t)
-        for k, spring in enumerate(mechanism.springs):
-            ends = zip(spring.ends, (spring.first, spring.second), (1.0, -1.0), strict=True)
-            for point, link, sign in ends:
-                if link is not None:
-                    there = points_of(mechanism, [point]).place(at)[..., 0]
-                    forces.append((there, sign * acting[..., k], carried[link]))
-        for k, given in enumerate(mechanism.forces, start=len(mechanism.springs)):
-            there = points_of(mechanism, [given.point]).place(at)[..., 0]
-            forces.append((there, acting[..., k], carried[given.link]))
-    kept = iter(np.moveaxis(kept_moments(mechanism, lam), -1, 0))
-    pins: Complex = pin_forces(mechanism, lam, q) @ np.array([1, 1j])
-    tree = Tree(links)
-    for c, closure in enumerate(mechanism.description.closures):
-        there = points_of(mechanism, [tree.point(closure.first)]).place(at)[..., 0]
-        held = next(kept) if closure.aligned is not None else None
-        for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
-            if side.link is not None:
-                forces.append((there, sign * pins[..., c], carried[side.link]))
-                if held is not None:
-                    moments[..., side.link] += sign * held
-    found = []
-    for k in mechanism.slides:
-        origin = points_of(mechanism, [tree.point(Point(k, 0j))]).place(at)[..., 0]
-        total = moments @ carried[:, k]
-        for there, force, below in forces:
-            total = total + below[k] * ((there - origin).conj() * force).imag
-        found.append(-total)
-    return np.stack(found, axis=-1) if found else np.zeros((*place.shape[:-1], 0))
+    felt = _of_numbers(mechanism, q, qd, qdd, t, np.asarray(multipliers, float))
+    if not mechanism.slides:
+        return np.zeros((*felt.place.shape[:-1], 0))
+    return np.stack(felt.slide_moments(), axis=-1)
 
 
 def shaking_force(
@@ -156,27 +225,30 @@ def shaking_force(
     it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s, at times t.
     Raises InputError for arrays that do not fit.
     """
-    place, load = _motion(mechanism, q, qd, qdd)
-    force = load.sum(axis=-1)
-    # those on links that cannot turn are no load of the mechanism's, but of the ground's
-    torques = sum(x.torque for x in mechanism.description.loads if isinstance(x, Moment))
-    moment = (place.conj() * load).imag.sum(axis=-1) + torques
-    spinning = frame_rates(mechanism, absolute_rates(mechanism, qdd, "qdd"))
-    moment = moment - spinning @ bodies_of(mechanism).inertia + sum(_spun(mechanism, qdd))
-    if mechanism.varying_moments:
-        moment = moment + rows_of(parts.loaded, mechanism)("moments", q, qd, t).sum(axis=-1)
-    if mechanism.forces:
-        F = rows_of(parts.loaded, mechanism).planar("forces", q, qd, t)
-        arms = point_motion(mechanism, [x.point for x in mechanism.forces], q)[0] @ [1, 1j]
-        force, moment = force + F.sum(axis=-1), moment + (arms.conj() * F).imag.sum(axis=-1)
-    return np.stack([force.real, force.imag, moment], axis=-1)
+    return np.stack(_of_numbers(mechanism, q, qd, qdd, t).shaking(), axis=-1)
 
 
-def _spun(mechanism: Mechanism, qdd: ArrayLike) -> list[Array]:
-    """The moment of each rotor's spin on what carries it, (...), N m."""
-    arrays = mechanism.arrays
-    spins = as_states(mechanism, "qdd", qdd) @ arrays.spins.T
-    return list(np.moveaxis(-arrays.rotors * spins, -1, 0))
+def _of_numbers(
+    mechanism: Mechanism,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    t: ArrayLike,
+    lam: Array | None = None,
+) -> Felt:
+    """Of numbers; what multipliers are needed for only where they are given."""
+    at, xd = placed(mechanism, q), absolute_rates(mechanism, qd)
+    xdd, joints = absolute_rates(mechanism, qdd, "qdd"), np.asarray(qdd, float)
+    pins, kept = np.zeros(0, complex), np.zeros(0)
+    if lam is not None:
+        pins, kept = pins_at(mechanism, lam, at.E), kept_moments(mechanism, lam)
+
+    def rows(part: Part, name: str) -> NDArray[Any]:
+        found = rows_of(part, mechanism)
+        return (found if name == "moments" else found.planar)(name, q, qd, t)
+
+    bent = at.accelerations(mechanism, xd, xdd)
+    return Felt(mechanism, at, bent, xdd, joints, pins, kept, rows)
 
 
 def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
@@ -215,38 +287,35 @@ def _felt(changes: NDArray[np.inexact], least: float) -> tuple[int, ...]:
     return tuple(np.flatnonzero((np.abs(changes) > least).any(axis=0)).tolist())
 
 
-def _motion(
-    mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
-) -> tuple[Complex, Complex]:
-    """Where the bodies are, (..., b) m, and the load m (gamma - a) of each, (..., b) N."""
-    bodies, at = bodies_of(mechanism), placed(mechanism, q)
-    rates, accelerations = (
-        absolute_rates(mechanism, qd),
-        absolute_rates(mechanism, qdd, "qdd"),
-    )
-    a = bodies.points.moved(at.accelerations(mechanism, rates, accelerations))
-    return bodies.points.place(at), bodies.mass * (mechanism.gamma - a)
-
-
 @lru_cache(maxsize=64)
 def bodies_of(mechanism: Mechanism) -> Bodies:
     """The bodies of a mechanism, at points summed from the ground."""
-    links = mechanism.description.links
+    links, n = mechanism.description.links, mechanism.n
     own = [(k, link.m, mechanism.centres[k]) for k, link in enumerate(links) if link.m]
     own += [(k, link.payload, mechanism.tips[k]) for k, link in enumerate(links) if link.payload]
+    carried = np.eye(n)
+    for k in mechanism.order:
+        above = mechanism.parent[k]
+        if above is not None:
+            carried[k] += carried[above]
+    spins = [mechanism.spins(rotor) for rotor in mechanism.rotors]
     return Bodies(
-        mass=np.array([mass for _, mass, _ in own], float),
+        mass=dense([mass for _, mass, _ in own], float),
         points=points_of(mechanism, [point for _, _, point in own]),
-        below=mechanism.arrays.carried[[k for k, _, _ in own]],
-        inertia=np.array([link.I for link in links], float),
+        below=carried[[k for k, _, _ in own]],
+        carried=carried,
+        inertia=dense([link.I for link in links], float),
+        rotors=dense([rotor.inertia for rotor in mechanism.rotors], float),
+        spins=dense([x.get(k, 0.0) for x in spins for k in range(n)], float).reshape(-1, n),
     )
 
 
 def _sides(mechanism: Mechanism) -> Array:
     """+1 and -1 where link k carries the first and the second side of a closure, (closures, n)."""
+    carried = bodies_of(mechanism).carried
     sides = np.zeros((len(mechanism.description.closures), mechanism.n))
     for row, closure in zip(sides, mechanism.description.closures, strict=True):
         for side, sign in ((closure.first, 1.0), (closure.second, -1.0)):
             if side.link is not None:
-                row += sign * mechanism.arrays.carried[side.link]
+                row += sign * carried[side.link]
     return sides

@@ -15,7 +15,7 @@ from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
 from robodyn.engines.frames import relative
 from robodyn.engines.series import Series
-from robodyn.engines.tangents import Tangents, substituted, tangents
+from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
 from robodyn.mechanics.planar_model import Mechanism
 
 KINDS = ("q", "qd", "tau")
@@ -79,6 +79,6 @@ def residual_derivatives_formula(mechanism: Mechanism) -> Formula:
     size = len(r)
     names = _directions(mechanism)
     outputs = [row.get(j, 0.0) for row in K for j in range(size)]
-    outputs += [slope.get(name, 0.0) for slope in tangents(R, names) for name in names]
+    outputs += slopes_by(R, names)
     inputs = (*state.inputs, *(f"u{i}" for i in range(size)), *state.timed)
     return Formula(inputs, tuple(outputs), ())

@@ -61,7 +61,7 @@ class MotionProgram:
         work: bool,
         held: Sequence[float] | None = None,
     ) -> None:
-        self.mechanism, self.actuation = mechanism, actuation
+        self.mechanism, self.actuation, self.held = mechanism, actuation, held
         equations = EquationsOfMotion(mechanism)
         self.program = equations.program
         slots = torque_slots(equations, actuation, held)

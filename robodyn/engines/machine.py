@@ -38,7 +38,6 @@ class Processor(NamedTuple):
     name: str
     features: str
     lanes: int  # doubles in a vector
-    fused: bool  # multiply-add in one instruction
     together: int = 0  # sums of eight numbers that its registers hold, with what these read
 
 
@@ -225,14 +224,12 @@ def this_processor(family: str = "") -> Processor:
     """The processor, and as many lanes as its vectors hold."""
     from llvmlite import binding as llvm
 
-    triple = llvm.get_process_triple()
     features = {} if family == PLAIN else dict(llvm.get_host_cpu_features())
     name = "" if family == PLAIN else llvm.get_host_cpu_name()
-    arm = triple.startswith(("aarch64", "arm64"))
     lanes = 8 if features.get("avx512f") else 4 if features.get("avx2") else 2
     listed = ",".join(f"{'+' if on else '-'}{f}" for f, on in sorted(features.items()))
     together = {8: 16, 4: 4, 2: 2}[lanes]
-    return Processor(name, listed, lanes, arm or bool(features.get("fma")), together)
+    return Processor(name, listed, lanes, together)
 
 
 @lru_cache(maxsize=1)

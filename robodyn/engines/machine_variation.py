@@ -26,9 +26,7 @@ from robodyn.engines.machine_series import (
 )
 from robodyn.engines.machine_steps import Scene
 from robodyn.engines.order_loop import LoopExpansion, Stored
-from robodyn.engines.tangents import Tangents, tangents
-from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.planar_model import Mechanism
+from robodyn.engines.tangents import Tangents, slopes_by, tangents
 
 WAY = "d"  # the one direction of a lane
 # what `vary` is told: addresses of the steps' begins, ends and states, of the rows' times, and of
@@ -69,16 +67,8 @@ class VariedScene(Scene):
     `varied` are the places of those that do.
     """
 
-    def __init__(
-        self,
-        mechanism: Mechanism,
-        actuation: Actuation,
-        order: int,
-        motion: MotionProgram,
-        varied: Sequence[int],
-        held: Sequence[float] | None,
-    ) -> None:
-        super().__init__(mechanism, actuation, order, closes=False, held=held, motion=motion)
+    def __init__(self, order: int, motion: MotionProgram, varied: Sequence[int]) -> None:
+        super().__init__(motion.mechanism, motion.actuation, order, closes=False, motion=motion)
         self.varied = [f"c{i}" for i in varied]
         self.values |= {f"d{name}": 0.0 for name in self.varied}
         self.key = f"varied {self.varied} {self.key}"
@@ -124,7 +114,7 @@ class VariedScene(Scene):
         for x in ("value", "slope"):
             known |= {f"{x} {j}": {WAY: graph.variable(f"d{x} {j}")} for j in range(2 * n)}
         states = ends(self.mechanism, turns, 0.0, (), False, graph.variable)
-        slopes = [slope.get(WAY, 0.0) for slope in tangents(states, known)]
+        slopes = slopes_by(states, known, [WAY])
         for name, word in zip(self.state, read_segment(self, k, block).write(slopes), strict=True):
             self.put(k, block, f"to_d{name}", word)
         k.done()

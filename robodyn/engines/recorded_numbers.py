@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 from robodyn.engines import expression
 from robodyn.engines.arithmetic import Arithmetic
@@ -38,3 +39,16 @@ RECORDED = Arithmetic(
     chosen=_chosen,
     functions={name: partial(expression.call, name) for name in expression.FUNCTIONS},
 )
+
+_WRITTEN: dict[str, object] = {
+    f"_{name}": partial(expression.call, name) for name in (*expression.FUNCTIONS, "abs")
+}
+_WRITTEN |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
+
+
+def evaluated(code: str, variables: Mapping[str, Value]) -> Any:
+    """What code of `scene.expressions.Written` is of recorded numbers.
+
+    NameError, TypeError, ValueError or AttributeError where it has what they have not.
+    """
+    return eval(code, {**_WRITTEN, **variables})

@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.sparse.linalg import splu
 
-from robodyn.dynamics.closed_form import other_forces
-from robodyn.engines.row_values import TableLeftError, rows_of
+from robodyn.engines.row_values import rows_of
 from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics import parts
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-Fallback = Callable[[float, Array], Any]
 
 SINGULAR = 1e-12  # ratio of pivots below which a factorisation is not trusted
 CONVERGED = 3e-15  # rad
@@ -82,10 +79,8 @@ class SparseMechanism:
         direction: NDArray[np.complex128] = np.exp(1j * (self.J @ q))
         return direction
 
-    def accelerations(
-        self, y: Array, tau: Array, baumgarte: float, t: float
-    ) -> tuple[Array, float]:
-        """qdd (n) and the ratio of the factorisation's pivots, small where it is near singular."""
+    def accelerations(self, baumgarte: float, t: float, y: Array, tau: Array) -> Array | None:
+        """qdd (n); None for states too near a singular configuration."""
         n = self.n
         E = self.directions(y[:n])
         rates = self.J @ y[n : 2 * n]
@@ -110,12 +105,17 @@ class SparseMechanism:
             bend = bend - 2 * baumgarte * gapd - baumgarte**2 * gap
         inertia = w.real + self.rotors if self.mechanism.rotors else w.real
         values = np.concatenate([inertia, inertia[self.off], slope, slope])
-        factors = self._system.factorise(values)
-        absolute = factors.solve(np.concatenate([force, bend]))[:n]
+        try:
+            factors = self._system.factorise(values)
+        except RuntimeError:  # splu: exactly singular
+            return None
         pivots = np.abs(factors.U.diagonal())
-        qdd = absolute.copy()
+        if not pivots.min() / pivots.max() > SINGULAR:
+            return None
+        absolute = factors.solve(np.concatenate([force, bend]))[:n]
+        qdd: Array = absolute.copy()
         qdd[self.child] -= absolute[self.above]
-        return qdd, float(pivots.min() / pivots.max())
+        return qdd
 
     def gap(self, PE: NDArray[np.complex128], alpha: Array) -> Array:
         """Re(P E) + angles alpha + offset, (r,)."""
@@ -162,44 +162,6 @@ def _with_places(
 
 class _Lost(Exception):
     """A factorisation is not to be trusted."""
-
-
-def rates(
-    system: SparseMechanism,
-    actuation: Actuation,
-    work: bool,
-    baumgarte: float,
-    fallback: Fallback,
-) -> Callable[[float, Array], Array]:
-    """dy/dt; states too near a singular configuration are left to `fallback`."""
-    n = system.n
-    torques = actuation.function(n)
-    forced = system.mechanism.has_state_forces
-
-    def derivative(t: float, y: Array) -> Array:
-        try:
-            found = torques(t, y.tolist())
-            tau = np.array(found[:n])
-        except (ArithmeticError, ValueError):  # outside the torque's domain
-            return np.full(len(y), np.nan)
-        if not np.isfinite(tau).all():
-            return np.full(len(y), np.nan)
-        try:
-            qdd, ratio = system.accelerations(y, tau, baumgarte, t)
-        except RuntimeError:  # splu: exactly singular
-            ratio = 0.0
-        except TableLeftError:
-            return np.full(len(y), np.nan)
-        if not ratio > SINGULAR:
-            result: Array = fallback(t, y)
-            return result
-        qd = y[n : 2 * n]
-        if work and forced:
-            tau = tau + other_forces(system.mechanism, y[:n], qd, t)
-        power = [tau @ qd - system.damping @ qd**2] if work else []
-        return np.concatenate([qd, qdd, found[n:], power])
-
-    return derivative
 
 
 def closing(system: SparseMechanism, fallback: Closing) -> Closing:

@@ -7,6 +7,7 @@ tangent in it, so that zeros which the structure of a mechanism makes cost nothi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from robodyn.engines import expression
@@ -76,6 +77,16 @@ def tangents(
     return [of(out) for out in outputs]
 
 
+def slopes_by(
+    outputs: Sequence[Value],
+    inputs: Sequence[str] | Mapping[str, Tangents],
+    names: Sequence[str] | None = None,
+) -> list[Value]:
+    """The derivatives of each output by each of the names, those of all inputs unless given."""
+    wanted = list(inputs) if names is None else names
+    return [slope.get(name, 0.0) for slope in tangents(outputs, inputs) for name in wanted]
+
+
 def _combined(parts: Any) -> Tangents:
     """The sum of factors times tangents."""
     found: Tangents = {}
@@ -112,30 +123,20 @@ def substituted(outputs: Sequence[Value], values: Mapping[str, Value]) -> list[V
         elif node.op == "par" or all(now(a) is a for a in node.args):
             found[node.index] = node
         else:
-            found[node.index] = _again(node.op, [now(a) for a in node.args])
+            again = _AGAIN.get(node.op) or partial(expression.call, node.op)
+            found[node.index] = again(*map(now, node.args))
     return [now(out) for out in outputs]
 
 
-def _again(op: str, x: Sequence[Any]) -> Value:
-    """An operation on other arguments, folded as operators fold."""
-    match op:
-        case "+":
-            return expression.add(x[0], x[1])
-        case "-":
-            return expression.add(x[0], expression.negate(x[1]))
-        case "*":
-            return expression.multiply(x[0], x[1])
-        case "/":
-            return expression.divide(x[0], x[1])
-        case "neg":
-            return expression.negate(x[0])
-        case "keep":
-            return expression.keep(x[0])
-        case "pow":
-            return expression.power(x[0], x[1])
-        case "choose":
-            return expression.choose(x[0], x[1], x[2], x[3])
-        case "atan2":
-            return expression.arctangent(x[0], x[1])
-        case _:
-            return expression.call(op, x[0])
+# operations on other arguments, folded as operators fold; functions are called by name
+_AGAIN: dict[str, Callable[..., Value]] = {
+    "+": expression.add,
+    "-": lambda a, b: expression.add(a, expression.negate(b)),
+    "*": expression.multiply,
+    "/": expression.divide,
+    "neg": expression.negate,
+    "keep": expression.keep,
+    "pow": expression.power,
+    "choose": expression.choose,
+    "atan2": expression.arctangent,
+}

@@ -11,7 +11,7 @@ outer centres and the slot's normal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -89,22 +89,28 @@ def transmission_angles(
 ) -> Array:
     """The transmission angle of each of some loops (l of them) at q (..., n), (..., l) rad."""
     at = placed(mechanism, q)
-    return np.stack([_angle(mechanism, at, *loop) for loop in loops], axis=-1)
+    turns = [turn_between(mechanism, at, *loop) for loop in loops]
+    return np.stack([np.abs(np.angle(turn)) for turn in turns], axis=-1)
 
 
-def _angle(mechanism: Mechanism, at: Placed, first: Pair, middle: Pair, last: Pair) -> Array:
-    def to(pair: Pair, origin: Pair) -> Complex:
+def turn_between(mechanism: Mechanism, at: Placed, first: Pair, middle: Pair, last: Pair) -> Any:
+    """A complex number whose angle is that from `last` to `first`, seen from the middle pair.
+
+    Of numbers (...), or of formulas where these are in `at`.
+    """
+
+    def to(pair: Pair, origin: Pair) -> Any:
         if pair.pin is None or origin.pin is None:
             return (pair if pair.pin is None else origin).direction(at)
         ends = points_of(mechanism, [pair.pin, origin.pin]).place(at)
-        return np.asarray(ends[..., 0] - ends[..., 1])
+        return ends[..., 0] - ends[..., 1]
 
     if middle.pin is None:
         outer = (last, first) if first.pin is not None else (first, last)
         one, two = to(*outer), middle.direction(at)
     else:
         one, two = to(first, middle), to(last, middle)
-    return np.abs(np.angle(one * two.conj()))
+    return np.multiply(one, two.conjugate())
 
 
 class Ratio(NamedTuple):

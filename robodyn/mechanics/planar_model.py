@@ -221,7 +221,6 @@ class Arrays(NamedTuple):
     A: NDArray[np.complex128]  # (n, n) Hermitian, kg m^2
     B: NDArray[np.complex128]  # (n,) kg m
     J: NDArray[np.float64]  # (n, n), x = J q
-    carried: NDArray[np.float64]  # (n, n), 1 where link k is on the path to link j, itself included
     P: NDArray[np.complex128]  # (r, n), gap = Re(conj(E_line) P X) + angles x + offset
     angles: NDArray[np.float64]  # (r, n) m
     units: NDArray[np.float64]  # (n,) 1, or the length that displacements are compared by, m
@@ -242,12 +241,11 @@ def _arrays(mechanism: Mechanism) -> Arrays:
     for j, k, value in mechanism.A:
         A[j, k] = value
         A[k, j] = value.conjugate()
-    J, carried = np.zeros((n, n)), np.zeros((n, n))
+    J = np.eye(n)
     for k in mechanism.order:
-        for sums, above in ((J, mechanism.above[k]), (carried, mechanism.parent[k])):
-            if above is not None:
-                sums[k] = sums[above]
-            sums[k, k] = 1.0
+        above = mechanism.above[k]
+        if above is not None:
+            J[k] += J[above]
     units = np.ones(n)
     units[list(mechanism.slides)] = mechanism.unit
     P = np.zeros((r, n), complex)
@@ -265,7 +263,6 @@ def _arrays(mechanism: Mechanism) -> Arrays:
         A=A,
         B=np.array(mechanism.B, complex),
         J=J,
-        carried=carried,
         P=P,
         angles=angles,
         units=units,

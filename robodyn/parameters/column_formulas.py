@@ -9,11 +9,10 @@ from typing import Any
 
 from robodyn.engines import expression
 from robodyn.engines.expression import Value
-from robodyn.engines.planar_numbers import Planar
-from robodyn.engines.tangents import SLOPES
+from robodyn.engines.recorded_numbers import evaluated
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import NamedPoint, named_points
-from robodyn.kinematics.transmission import Pair, transmission_loops
+from robodyn.kinematics.transmission import transmission_loops, turn_between
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
@@ -113,23 +112,8 @@ class ColumnFormulas(ForceFormulas):
 
     def _transmission(self, closure: int) -> Value:
         """The angle between the directions to the outer pairs, at the middle one."""
-        first, middle, last = transmission_loops(self.named)[closure]
-
-        def across(pair: Pair) -> Any:
-            turned = Planar(0.0, 1.0) * pair.along
-            return turned if pair.frame is None else turned * self._X[0][pair.frame]
-
-        def to(pair: Pair, origin: Pair) -> Any:
-            if pair.pin is None or origin.pin is None:
-                return across(pair if pair.pin is None else origin)
-            return self.moved(pair.pin, 0) - self.moved(origin.pin, 0)
-
-        if middle.pin is None:
-            outer = (last, first) if first.pin is not None else (first, last)
-            one, two = to(*outer), across(middle)
-        else:
-            one, two = to(first, middle), to(last, middle)
-        turn = one * two.conjugate()
+        loop = transmission_loops(self.named)[closure]
+        turn = turn_between(self.named, self.moving[0], *loop)
         return expression.arctangent(abs(turn.imag), turn.real)
 
     # -- conditions --------------------------------------------------------------------------------
@@ -160,14 +144,12 @@ class ColumnFormulas(ForceFormulas):
                 places[name] = self.column(name)
             return name if name in places else None
 
-        scope: dict[str, object] = {f"_{f}": partial(expression.call, f) for f in SLOPES}
-        scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
         sides: list[Any] = []
         try:
             for side in _RELATION.split(written):
                 codes = Written(side, rename, known).codes
                 check_smooth(codes)
-                sides.append(eval(codes[0], {**scope, **places}))
+                sides.append(evaluated(codes[0], places))
             left, right = sides
         except (ValueError, TypeError, NameError, ArithmeticError, AttributeError) as error:
             told = str(error).replace(NO_BENDS, "which bends or jumps")

@@ -23,7 +23,7 @@ from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.engines import array_blocks, straightline
 from robodyn.engines.expression import Value
 from robodyn.engines.formulas import Formula
-from robodyn.engines.tangents import tangents
+from robodyn.engines.tangents import slopes_by, tangents
 from robodyn.loops.assembly import assemble, by_dyads, scene_branches
 from robodyn.loops.assembly_plan import Plan, Step, assembly_plan
 from robodyn.loops.closing import CLOSED as ROUNDING
@@ -315,11 +315,6 @@ class LaneStates:
             q[..., joints] -= step[..., 0].reshape(*q.shape[:2], -1)
         missing = np.linalg.norm(gap[..., 0], axis=-1)
         return np.where(missing > MISSED * size, missing, 0.0).reshape(q.shape[:2])
-
-
-def slopes_by(nodes: Sequence[Value], names: Sequence[str]) -> list[Value]:
-    """The derivatives of each node by each name."""
-    return [slope.get(name, 0.0) for slope in tangents(nodes, list(names)) for name in names]
 
 
 def _solved(A: Array, b: Array) -> Array:

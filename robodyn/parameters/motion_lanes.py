@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.named_numbers import named_values
-from robodyn.engines.tangents import tangents
+from robodyn.engines.tangents import slopes_by, tangents
 from robodyn.errors import InputError, RobodynError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.loop_rates import loop_velocities
@@ -21,7 +21,7 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.fit_problem import Problem
 from robodyn.parameters.fitting import Fit, as_target, checked, solved
-from robodyn.parameters.lane_states import compiled, slopes_by
+from robodyn.parameters.lane_states import compiled
 from robodyn.simulation.simulation import simulate
 
 Array = NDArray[np.float64]

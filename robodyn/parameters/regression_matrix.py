@@ -20,7 +20,7 @@ from robodyn.dynamics.sticking import modes_of
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
-from robodyn.engines.tangents import substituted, tangents
+from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError, SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
@@ -126,10 +126,8 @@ def _rows(mechanism: Mechanism, solved: bool) -> FormulaRows | None:
             series = state.series([0.0] * n, accelerated=True)
             series.residuals(0)
             tau = balance(state, series)
-        slopes = tangents(tau, names)
         known = substituted(tau, dict.fromkeys(names, 0.0))
-        Y = [slope.get(name, 0.0) for slope in slopes for name in names]
-        return Formula(state.inputs + state.timed, (*Y, *known), pivots)
+        return Formula(state.inputs + state.timed, (*slopes_by(tau, names), *known), pivots)
 
     formula = cheapest(write)
     if formula is None:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -88,17 +89,22 @@ def right_hand_side(
             otherwise=otherwise,
         )
 
+    def dense(t: float, y: Array, tau: Array) -> Array:
+        n = mechanism.n
+        return dense_dynamics.forward(mechanism, y[:n], y[n : 2 * n], tau, baumgarte, t).qdd
+
     def solving(torques: Actuation) -> Rates:
         """The rates of a state as it is."""
-        fallback = _dense_rates(mechanism, torques, work, baumgarte)
+        fallback = _rates(mechanism, torques, work, dense)
         if kind == "sparse":
-            return sparse.rates(system, torques, work, baumgarte, fallback)
+            return _rates(mechanism, torques, work, sparsely, fallback)
         return fallback if kind == "dense" else straight(SINGULAR, fallback, torques)
 
     if kind == "sparse":
         from robodyn.engines import sparse
 
         system = sparse.SparseMechanism(mechanism)
+        sparsely = partial(system.accelerations, baumgarte)
     solved = solving(actuation)
     if not mechanism.rows:
         return RightHandSide(solved, None, kind)
@@ -171,14 +177,20 @@ def _best_kind(mechanism: Mechanism) -> str:
     return "straight-line" if loop_terms(mechanism) <= most else "sparse"
 
 
-def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgarte: float) -> Rates:
+def _rates(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    work: bool,
+    accelerated: Callable[[float, Array, Array], Array | None],
+    otherwise: Rates | None = None,
+) -> Rates:
+    """dy/dt by the qdd of t, y and tau; where that is None, what is had `otherwise`."""
     n = mechanism.n
     torques = actuation.function(n)
     damping = np.array(mechanism.damping)
     forced = mechanism.has_state_forces
 
-    def rates(t: float, y: Array) -> Array:
-        q, qd = y[:n], y[n : 2 * n]
+    def rates(t: float, y: Array) -> Any:
         try:
             found = torques(t, y.tolist())
             tau = np.array(found[:n])
@@ -186,8 +198,12 @@ def _dense_rates(mechanism: Mechanism, actuation: Actuation, work: bool, baumgar
             return np.full(len(y), np.nan)
         if not (np.isfinite(y).all() and np.isfinite(tau).all()):
             return np.full(len(y), np.nan)
+        q, qd = y[:n], y[n : 2 * n]
         try:
-            qdd = dense_dynamics.forward(mechanism, q, qd, tau, baumgarte, t).qdd
+            qdd = accelerated(t, y, tau)
+            if qdd is None:
+                assert otherwise is not None
+                return otherwise(t, y)
             if work and forced:
                 tau = tau + other_forces(mechanism, q, qd, t)
         except TableLeftError:  # a shorter step may not

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.named_numbers import size_of, with_variable
-from robodyn.engines import expression
 from robodyn.engines.derivative_formulas import KINDS, residuals
 from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formulas import Formula, Recorded, cheapest
 from robodyn.engines.frames import relative
+from robodyn.engines.recorded_numbers import evaluated
 from robodyn.engines.straightline import FloatFunction, compile_floats
-from robodyn.engines.tangents import SLOPES, Tangents, substituted, tangents
+from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.loop_rates import closing_rates, loop_accelerations
@@ -163,7 +163,7 @@ def _number(mechanism: Mechanism, name: str) -> Number:
     named = with_variable(mechanism, name, Graph().variable(CHANGE))
 
     def numbers(program: Program) -> tuple[list[float], list[float]]:
-        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(program.numbers, [CHANGE])]
+        slopes = slopes_by(program.numbers, [CHANGE])
         both = substituted([*program.numbers, *slopes], {CHANGE: 0.0})
         values = [float(x) for x in both]  # type: ignore[arg-type]  # nothing varies any more
         return values[: len(slopes)], values[len(slopes) :]
@@ -209,8 +209,8 @@ def _formula(
         else:
             by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
             fed += [f"f{k}_{j}" for j in mechanism.actuated]
-        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(residual, by)]
-        right = [-x for x in substituted(slopes, {CHANGE: 0.0, **u})]
+        slopes = substituted(slopes_by(residual, by, [CHANGE]), {CHANGE: 0.0, **u})
+        right = [-x for x in slopes]
         outputs += relative(mechanism, factors.solve(right)[:n])
     constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
     return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, constants)), ())
@@ -221,8 +221,6 @@ def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[V
     found: list[Value] = [0.0] * mechanism.n
     if actuation.constants is not None or actuation.linear or actuation.control is not None:
         return found
-    scope: dict[str, object] = {f"_{name}": partial(expression.call, name) for name in SLOPES}
-    scope |= {"_pow": expression.power, "_atan2": expression.arctangent, "__builtins__": {}}
     for line in (actuation.given or actuation).lines:
         names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
         state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
@@ -231,7 +229,7 @@ def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[V
         target, _, code = line.partition(" = ")
         variables = {x: graph.variable(x) for x in (*state, "t")}
         try:
-            found[int(target.removeprefix("tau"))] = eval(code, {**scope, **variables})
+            found[int(target.removeprefix("tau"))] = evaluated(code, variables)
         except (TypeError, NameError, ValueError, AttributeError):
             joint = target.removeprefix("tau")
             what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
@@ -254,8 +252,7 @@ def _thrown_back(
         series, _, _, R = residuals(state)
         factors = series.factorise()
         assert isinstance(factors, Factors)
-        by: dict[str, Tangents] = {f"tau{joint}": {CHANGE: 1.0}}
-        column = [-slope.get(CHANGE, 0.0) for slope in tangents(R, by)]
+        column = [-slope for slope in slopes_by(R, [f"tau{joint}"])]
         back = relative(moving, factors.solve(column)[:n])
         q, qd = state.relative["q"], state.relative["qd"]
         stop: Any = moving.description.links[joint].limits
@@ -274,8 +271,7 @@ def _thrown_back(
         if not _is_start(mechanism, name):
             named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
             by[CHANGE] = {CHANGE: size}
-        slopes = [slope.get(CHANGE, 0.0) for slope in tangents(after(named), by)]
-        outputs += substituted(slopes, {CHANGE: 0.0})
+        outputs += substituted(slopes_by(after(named), by, [CHANGE]), {CHANGE: 0.0})
     return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
 
 
@@ -285,12 +281,13 @@ def _end_slopes(
     """How far an end of a joint moves with each of the names, times its size."""
     slopes: list[Value] = []
     for name in names:
-        known: Tangents = {}
-        if not _is_start(mechanism, name):
+        if _is_start(mechanism, name):
+            slopes.append(0.0)
+        else:
             named = with_variable(mechanism, name, Graph().variable(CHANGE), Mode())
             stops: Any = named.description.links[joint].limits
-            known = tangents([dict(stops.ends)[side]], [CHANGE])[0]
-        slopes += substituted([known.get(CHANGE, 0.0)], {CHANGE: 0.0})
+            known = slopes_by([dict(stops.ends)[side]], [CHANGE])
+            slopes += substituted(known, {CHANGE: 0.0})
     found: Array = np.array(slopes, float) * sizes
     return found
 
@@ -334,9 +331,7 @@ def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[A
     series = state.series([0.0] * mechanism.n)
     series.residuals(0)
     rows = [series.real[slot] for slot in series.program.named["gap"]]
-    slopes = [
-        x.get(CHANGE, 0.0) for p in (0, 1) for x in tangents([row[p] for row in rows], [CHANGE])
-    ]
+    slopes = slopes_by([row[p] for p in (0, 1) for row in rows], [CHANGE])
     outputs = tuple(substituted(slopes, {CHANGE: 0.0}))
     function = compile_floats(Formula((*state.inputs, "t"), outputs, ()), "gaps")
     found = np.array(function(*q.tolist(), *qd.tolist(), 0.0))

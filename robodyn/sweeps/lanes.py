@@ -239,7 +239,7 @@ class _ArrayLanes(ArrayMachine):
     """Lanes in numpy; those that have ended leave the arrays, so that the last ones cost little."""
 
     def __init__(self, scene: Scene, observer: LaneObserver) -> None:
-        processor = Processor("", "", LANES, False)
+        processor = Processor("", "", LANES)
         text = machine_motion.text(scene, observer, processor)
         super().__init__(text, len(scene.loop.columns))
         self.scene = scene

@@ -86,7 +86,7 @@ class Variations:
             key = i, held, kind
             if key not in self._made:
                 make = MAKERS.get(kind, _compiled)
-                self._made[key] = make(self.mechanism, self.actuation, self.order, group, held)
+                self._made[key] = make(self.order, group)
             go = self._made[key]
             where = group.places
             at_ends[:, where], at_rows[:, where] = go(steps, torques, s[where])
@@ -149,26 +149,20 @@ def variations_of(
     return found, np.concatenate([y[:first], y[last:]])
 
 
-def _compiled(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    order: int,
-    group: Group,
-    held: Sequence[float] | None,
-) -> Along:
+def _compiled(order: int, group: Group) -> Along:
     """In machine code, a name in each lane; as text where there is none."""
     from robodyn.engines.machine_motion import aligned
     from robodyn.engines.machine_variation import TABLE, VariedScene, compile
 
     lanes = 1 if len(group.places) == 1 else 2 if len(group.places) == 2 else TOGETHER
-    scene = VariedScene(mechanism, actuation, order, group.motion, group.varied, held)
+    scene = VariedScene(order, group.motion, group.varied)
     code = compile(scene, lanes)
     if code is None:
-        return straight_steps(mechanism, actuation, order, group, held)
+        return straight_steps(order, group)
     block = aligned(code.items * lanes)
     items = block.reshape(-1, lanes)
     scene.fill(items, 1.0, 1.0)
-    place, n, count = scene.place, mechanism.n, len(group.places)
+    place, n, count = scene.place, scene.mechanism.n, len(group.places)
     for i in group.varied:
         items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
 

@@ -22,7 +22,6 @@ from robodyn.engines.expansion import MotionProgram, end_of_step
 from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS
 from robodyn.engines.tangents import SLOPES
-from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -56,9 +55,9 @@ Along = Callable[[Steps, Any, Array], tuple[Array, Array]]
 Expand = Callable[[float, list[complex], list[complex], Any, float], tuple[Any, Any]]
 
 
-def _one_by_one(mechanism: Mechanism, group: Group, varied: Sequence[int], expand: Expand) -> Along:
+def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
     """By steps of numbers x + dx i, a name after the other."""
-    n = mechanism.n
+    mechanism, n = group.motion.mechanism, group.motion.mechanism.n
     numbers = [
         [complex(group.numbers[i], SMALL * slopes[i]) for i in varied] for slopes in group.slopes
     ]
@@ -113,30 +112,26 @@ def _moved(mechanism: Mechanism, series: NDArray[Any], s: Array, x: Array) -> Ar
     return np.concatenate([s[:n] + way @ turned, rate @ turned], axis=-1)
 
 
-def straight_steps(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    order: int,
-    group: Group,
-    held: Sequence[float] | None,
-) -> Along:
+def straight_steps(order: int, group: Group) -> Along:
     """As text, which is kept for runs to come."""
-    varied = group.varied
+    varied, motion = group.varied, group.motion
+    actuation = motion.actuation
     steady = tuple(0.0 if i in varied else x for i, x in enumerate(group.numbers))
-    given = mechanism, actuation.constants, actuation.lines, order, held
-    key = given, tuple(varied), steady, group.motion.program.shape
+    given = motion.mechanism, actuation.constants, actuation.lines, order, motion.held
+    key = given, tuple(varied), steady, motion.program.shape
     if key not in _texts:
         while len(_texts) >= KEPT:
             _texts.pop(next(iter(_texts)))
-        _texts[key] = _text(mechanism, actuation, order, group)
-    return _one_by_one(mechanism, group, varied, _texts[key])
+        _texts[key] = _text(order, group)
+    return _one_by_one(group, varied, _texts[key])
 
 
 _texts: dict[object, Expand] = {}
 
 
-def _text(mechanism: Mechanism, actuation: Actuation, order: int, group: Group) -> Expand:
-    n, motion, start = mechanism.n, group.motion, group.motion.start()
+def _text(order: int, group: Group) -> Expand:
+    motion, start = group.motion, group.motion.start()
+    mechanism, actuation, n = motion.mechanism, motion.actuation, motion.mechanism.n
     variable, numbers = start.graph.variable, list(start.numbers)
     for i in group.varied:
         numbers[i] = variable(f"c{i}")
@@ -160,13 +155,7 @@ def _text(mechanism: Mechanism, actuation: Actuation, order: int, group: Group) 
     return function
 
 
-def row_steps(
-    mechanism: Mechanism,
-    actuation: Actuation,
-    order: int,
-    group: Group,
-    held: Sequence[float] | None,
-) -> Along:
+def row_steps(order: int, group: Group) -> Along:
     """By the rows."""
     motion = group.motion
 
@@ -177,7 +166,7 @@ def row_steps(
         series = motion.expand(BESIDE, numbers, order, start)
         return None, [*series.rho, *series.theta]
 
-    return _one_by_one(mechanism, group, range(len(group.numbers)), expand)
+    return _one_by_one(group, range(len(group.numbers)), expand)
 
 
 def _beside(name: str, function: Callable[[float], float]) -> Callable[[Any], Any]:
