@@ -162,7 +162,10 @@ def test_a_joint_without_inertia_is_named(robodyn: Run, scene: Callable[[str], P
     [
         ("robots/2r.yaml", ["--q", "missing"]),
         ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-        ("robots/2r.yaml --q 1,2 --tau 30deg,1", ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"]),
+        (
+            "robots/2r.yaml --q 1,2 --tau 30deg,1",
+            ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
+        ),
         ("robots/2r.yaml --q 1,2 --tau 1,inf", ["--tau", "entry 2 = inf", "finite"]),
         ("robots/2r.yaml --q 1,2 --qdd 1,2", ["--qdd"]),
         ("robots/four-bar.yaml --q 1 --tau 1,2", ["--tau", "2 values", "(crank)"]),

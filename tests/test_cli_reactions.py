@@ -334,7 +334,10 @@ def test_too_many_actuators(robodyn: Run, scene: Callable[[str], Path], four_bar
         ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
         ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
         ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
-        ("robots/2r.yaml --q 1,2 --tau 30deg,1", ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"]),
+        (
+            "robots/2r.yaml --q 1,2 --tau 30deg,1",
+            ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
+        ),
         ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
         ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
         ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
