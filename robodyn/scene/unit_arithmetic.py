@@ -184,7 +184,8 @@ class _Reader:
             return self.function(text)
         if self.joints and re.fullmatch(r"q\d{1,18}", text, re.ASCII):
             return Value(0.0, joints={int(text[1:]): Value(1.0)})
-        raise ValueError(f"is not a number: {_unknown(text)} at character {at + 1}")
+        place = f" at character {at + 1}" if at else ""
+        raise ValueError(f"is not a number: {_unknown(text)}{place}")
 
     def function(self, name: str) -> Value:
         if not self.took("("):
