@@ -23,19 +23,14 @@ import typer
 
 from robodyn import __version__
 from robodyn.cli import signals
+from robodyn.cli.command_groups import HEADINGS, SUMMARIES, Command, Commands, group_options
 from robodyn.errors import RobodynError, printable_lines
-from robodyn.scene.quantities import parse_quantity
 from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 # units of numbers by what stands for them in the help
 OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
-COMMANDS = (
-    *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
-    *("equilibrium", "linearize", "regressor", "identify", "fit"),
-    *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
-    *("plot", "draw", "animate", "init", "schema", "guide"),
-)
+COMMANDS = tuple(SUMMARIES)
 
 
 def main() -> NoReturn:
@@ -71,7 +66,7 @@ def run(arguments: list[str]) -> int:
             os.environ.pop(size, None)
     try:
         command = typer.main.get_command(_application(arguments))
-        _numbers(command)
+        _prepare(command)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
         return 130
@@ -113,24 +108,35 @@ def _described(error: Exception) -> str:
 
 
 def _application(arguments: list[str]) -> typer.Typer:
-    """The commands, only the one that is called where that is plain from the arguments."""
+    """The command that is called; where none is, the list of all, without their modules."""
     called = next((word for word in arguments if not word.startswith("-")), None)
     completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
     chosen = (called,) if called in COMMANDS and not completing else COMMANDS
-    if arguments == ["--version"]:  # no command's part in that is worth its import
-        chosen = COMMANDS[:1]
     application = typer.Typer(
+        cls=Commands,
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode="rich" if sys.stdout.isatty() else None,
         pretty_exceptions_enable=False,
     )
     application.callback()(_root)
-    asked = not {"--help", "-h"}.isdisjoint(arguments)
+    asked = called in COMMANDS and not {"--help", "-h"}.isdisjoint(arguments)
     for name in chosen:
-        function: Callable[..., None] = getattr(import_module(f"robodyn.cli.{name}"), name)
-        application.command(name, epilog=_more(name) if asked else None)(_guarded(function))
+        function: Callable[..., None] = _listed
+        if called in COMMANDS or completing:
+            function = _guarded(getattr(import_module(f"robodyn.cli.{name}"), name))
+        application.command(
+            name,
+            cls=Command,
+            short_help=SUMMARIES[name],
+            epilog=_more(name) if asked else None,
+            rich_help_panel=HEADINGS[name],
+        )(function)
     return application
+
+
+def _listed() -> None:
+    """Stands for a command in the list of them."""
 
 
 def _more(command: str) -> str:
@@ -139,8 +145,10 @@ def _more(command: str) -> str:
     return f"More: robodyn guide {page_of(command)}"
 
 
-def _numbers(group: Any) -> None:
-    """Let the options of all commands take the numbers that a scene may have, with units."""
+def _prepare(group: Any) -> None:
+    """Group the options; let them take the numbers that a scene may have, with units."""
+    for name, command in group.commands.items():
+        group_options(name, command.params)
     for parameter in (x for command in group.commands.values() for x in command.params):
         if parameter.type.name in ("float", "int", "integer"):
             parameter.type = kind = copy(parameter.type)
@@ -155,6 +163,8 @@ def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *plac
         with suppress(USAGE_ERROR):
             return convert(value, *place)
     if kind == "float":
+        from robodyn.scene.quantities import parse_quantity
+
         try:
             return parse_quantity(value.strip(), unit)
         except ValueError as error:
