@@ -65,7 +65,9 @@ def run(arguments: list[str]) -> int:
         if not (told.isdecimal() and len(told) < 5 and int(told)):
             os.environ.pop(size, None)
     try:
-        command = typer.main.get_command(_application(arguments))
+        completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
+        called = [] if completing else arguments
+        command = typer.main.get_command(_application(called, whole=completing))
         _prepare(command)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
@@ -107,11 +109,10 @@ def _described(error: Exception) -> str:
     return f"Error: {text}"
 
 
-def _application(arguments: list[str]) -> typer.Typer:
-    """The command that is called; where none is, the list of all, without their modules."""
-    called = next((word for word in arguments if not word.startswith("-")), None)
-    completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
-    chosen = (called,) if called in COMMANDS and not completing else COMMANDS
+def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
+    """The command that is called; where none is, all, `whole` or as a list of their names."""
+    called = next((word for word in arguments if not word.startswith("-")), "")
+    is_called = called in COMMANDS
     application = typer.Typer(
         cls=Commands,
         no_args_is_help=True,
@@ -120,10 +121,10 @@ def _application(arguments: list[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     application.callback()(_root)
-    asked = called in COMMANDS and not {"--help", "-h"}.isdisjoint(arguments)
-    for name in chosen:
+    asked = is_called and not {"--help", "-h"}.isdisjoint(arguments)
+    for name in [called] if is_called else COMMANDS:
         function: Callable[..., None] = _listed
-        if called in COMMANDS or completing:
+        if is_called or whole:
             function = _guarded(getattr(import_module(f"robodyn.cli.{name}"), name))
         application.command(
             name,
@@ -177,6 +178,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     A parameter that is a dataclass stands for its fields, one option each.
     """
+    from robodyn.cli import files
+
     groups: dict[str, Any] = {}
     options: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
@@ -186,12 +189,16 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             options += inspect.signature(kind, eval_str=True).parameters.values()
         else:
             options.append(parameter)
+    if any(files.reads_rows(option.annotation) for option in options):
+        where = {"default": None, "annotation": files.Delimiter}
+        options.append(inspect.Parameter("delimiter", inspect.Parameter.KEYWORD_ONLY, **where))
 
     @functools.wraps(function)
     def guarded(**given: Any) -> None:
         from robodyn.cli.output import numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
+        files.delimiter.set(given.pop("delimiter", ","))
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         try:
@@ -232,7 +239,7 @@ def _root(
 
     \b
     Examples:
-      robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
-      robodyn terms robots/four-bar.yaml --q 60deg --qd 5
-      robodyn torque robots/2r.yaml - < states.csv > torques.csv
+      robodyn torque 2r --q 30deg,45deg --qd 1,0.5 --qdd 0,0
+      robodyn terms four-bar --q 60deg --qd 5
+      robodyn torque 2r - < states.csv > torques.csv
     """

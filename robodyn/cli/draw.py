@@ -96,9 +96,9 @@ def draw(
 
     \b
     Examples:
-      robodyn draw robots/four-bar.yaml --q 60deg --labels names -o four-bar.svg
-      robodyn draw robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
-      robodyn draw robots/five-bar.yaml --q 120deg,60deg --format text
+      robodyn draw four-bar --q 60deg --labels names -o four-bar.svg
+      robodyn draw 2r --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
+      robodyn draw five-bar --q 120deg,60deg --format text
     """
     mechanism = model.load()
     extent, dpi = parse_size(size), check_dpi(dpi)

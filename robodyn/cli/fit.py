@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_argument, input_file, output_file
+from robodyn.cli.files import output_file, rows_argument, rows_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
 from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, vector
 from robodyn.cli.output import Grid, note, row_writer, write_structure
@@ -43,8 +43,8 @@ _OUT = "Write the scene with these numbers here; comments and order stay."
 def fit(
     model: Model,
     vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
-    states: Annotated[Text, input_argument("[STATES]", _STATES)] = None,
-    match: Annotated[Text, input_file("--match", _MATCH)] = None,
+    states: Annotated[Text, rows_argument("[STATES]", _STATES)] = None,
+    match: Annotated[Text, rows_file("--match", _MATCH)] = None,
     columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None,
     minimize: Annotated[
         list[str] | None, Option("--minimize", metavar="COLUMNS", help=_MINIMIZE)
@@ -81,11 +81,11 @@ def fit(
 
     \b
     Examples:
-      robodyn fit robots/hoeken.yaml --match line.csv --vary links.coupler.l=0.3:0.7 \\
+      robodyn fit hoeken --match line.csv --vary links.coupler.l=0.3:0.7 \\
         --vary links.rocker.l=0.15:0.4 --of P=coupler -o straight.yaml
-      robodyn fit robots/2r.yaml --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 73 | \\
-        robodyn fit robots/four-bar.yaml - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
+      robodyn fit 2r --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --points 73 | \\
+        robodyn fit four-bar - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
     """
     if (match is None) == (not minimize):
         limit = "give one of them: columns follow a file, or become least"

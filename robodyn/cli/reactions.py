@@ -58,12 +58,12 @@ def reactions(
 
     \b
     Examples:
-      robodyn reactions robots/2r.yaml --q 30deg,45deg --qd 1,0.5
-      robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
-      robodyn reactions robots/2r.yaml states.csv --format json
-      robodyn reactions robots/2r.yaml states.csv --extremes
-      robodyn trajectory robots/slider-crank.yaml --speed 300rpm --turns 1 --points 361 | \\
-        robodyn reactions robots/slider-crank.yaml - --harmonics 6
+      robodyn reactions 2r --q 30deg,45deg --qd 1,0.5
+      robodyn reactions four-bar --q 60deg --qd 5 --tau 1.5
+      robodyn reactions 2r states.csv --format json
+      robodyn reactions 2r states.csv --extremes
+      robodyn trajectory slider-crank --speed 300rpm --turns 1 --points 361 | \\
+        robodyn reactions slider-crank - --harmonics 6
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"

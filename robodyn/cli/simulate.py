@@ -89,18 +89,18 @@ def simulate(
 
     \b
     Examples:
-      robodyn simulate robots/2r.yaml --q 30deg,45deg --time 10 > motion.csv
-      robodyn simulate robots/four-bar.yaml --q 60deg --tau "2*sin(3*t)" --every 0.01 -o run.csv
-      robodyn simulate robots/2r.yaml --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
-      robodyn simulate robots/2r.yaml --q 0,0 --quiet | robodyn torque robots/2r.yaml - | tail -1
-      robodyn simulate robots/2r.yaml --q 0,0 --force forearm=0,-20 --extremes
-      robodyn simulate robots/2r.yaml --q 0,0 --time 1 --sensitivity links.forearm.m,q1
-      robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 > ref.csv
-      robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
+      robodyn simulate 2r --q 30deg,45deg --time 10 > motion.csv
+      robodyn simulate four-bar --q 60deg --tau "2*sin(3*t)" --every 0.01 -o run.csv
+      robodyn simulate 2r --q 0,0 --until "q1 < -90deg" --event apex=qd1 > swing.csv
+      robodyn simulate 2r --q 0,0 --quiet | robodyn torque 2r - | tail -1
+      robodyn simulate 2r --q 0,0 --force forearm=0,-20 --extremes
+      robodyn simulate 2r --q 0,0 --time 1 --sensitivity links.forearm.m,q1
+      robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time 2 > ref.csv
+      robodyn simulate 2r --q 0,0 --track ref.csv --control pd+g --kp 200,100 \\
         --kd 30,10 --tau-max 40
-      robodyn simulate robots/2r.yaml --q 0,0 --track ref.csv --control computed-torque \\
+      robodyn simulate 2r --q 0,0 --track ref.csv --control computed-torque \\
         --kp 100 --kd 20 --control-rate 100 --control-model believed.yaml
-      robodyn simulate robots/2r.yaml --q 0,0 --hold 90deg,0 --control pid --kp 80,20 \\
+      robodyn simulate 2r --q 0,0 --hold 90deg,0 --control pid --kp 80,20 \\
         --kd 16,1 --ki 60,20
     """
     mechanism = load_with(model, force)

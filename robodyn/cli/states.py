@@ -11,8 +11,9 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, cast
 
+from robodyn.cli.files import delimiter
 from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
@@ -21,6 +22,7 @@ from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import EXAMPLES, parse_quantity, parse_vector
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.delimited import Delimited, columns_told
 
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
@@ -130,11 +132,12 @@ def table_source(
     if driven and set(driven) == set(present):
         return Source(quantity, [], driven, False)
     missing = [name for name in everything if name not in present]
+    there = columns_told(header, missing[0])
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
         f"column {missing[0]} is missing",
         where=source,
-        limit=f"needs {', '.join(everything)}{either}; the header has {', '.join(header)}",
+        limit=f"needs {', '.join(everything)}{either}; the header has {there}",
     )
 
 
@@ -323,7 +326,15 @@ def read_columns(
 
 @contextmanager
 def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
-    """The binary stream and the name of a CSV file, `-` for stdin."""
+    """The binary stream and the name of a CSV file, `-` for stdin; its rows with commas."""
+    with open_file(states) as (stream, name):
+        mark = delimiter.get()
+        yield (stream if mark == "," else cast(BinaryIO, Delimited(stream, mark))), name
+
+
+@contextmanager
+def open_file(states: str) -> Iterator[tuple[BinaryIO, str]]:
+    """The binary stream and the name of a file as it is, `-` for stdin."""
     if states == "-":
         if sys.stdin is None:
             raise InputError("is closed", where="stdin")

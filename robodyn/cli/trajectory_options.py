@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_file
+from robodyn.cli.files import rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
 from robodyn.cli.states import (
     Quantity,
@@ -72,7 +72,7 @@ class TrajectoryOptions:
 
     from_: Annotated[Text, vector("--from", _FROM)] = None
     to: Annotated[Text, vector("--to", f"Angles at the end: {_WHICH}.")] = None
-    via: Annotated[Text, input_file("--via", _VIA)] = None
+    via: Annotated[Text, rows_file("--via", _VIA)] = None
     time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
     profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
     acceleration: Annotated[Number, Option("--acceleration", metavar="PART", help=_PART)] = None
@@ -87,7 +87,7 @@ class TrajectoryOptions:
     of: Annotated[Text, Option("--of", metavar="POINT", help=_OF)] = None
     to_xy: Annotated[Text, Option("--to-xy", metavar="X,Y", help=_TO_XY)] = None
     arc: Annotated[Text, Option("--arc", metavar="CENTRE:ANGLE", help=_ARC)] = None
-    path: Annotated[Text, input_file("--path", _PATH)] = None
+    path: Annotated[Text, rows_file("--path", _PATH)] = None
     posture: Annotated[Text, vector("--posture", _POSTURE)] = None
     max_speed: Annotated[Text, Option("--max-speed", metavar="V", help=_MAX_SPEED)] = None
 

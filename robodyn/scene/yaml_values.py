@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from robodyn.errors import MOST_FAULTS, Fault
+from robodyn.errors import MOST_FAULTS, Fault, nearest_first
 from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WITH_UNIT, WORDS, Key, excluded, form_of
 from robodyn.scene.quantities import is_plain, parse_quantity
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
@@ -192,5 +192,6 @@ def nearest(word: str, known: list[str], guess: bool = True) -> str:
         close = get_close_matches(word, [x for x in known if len(x) <= LONGEST_GUESS], n=1)
         if close:
             return f"; did you mean {close[0]}?"
+    known = list(nearest_first(word, known)) if guess else known
     shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; known: {shown}" if known else ""
