@@ -19,7 +19,9 @@ from conftest import ROOT, Outcome
 
 from robodyn import cli
 from robodyn.cli import command_groups
+from robodyn.scene import other_conventions
 from robodyn.scene.example_scenes import example_file
+from robodyn.scene.grammar import FORMS, MAPPINGS
 from robodyn.tables.delimited import Delimited
 
 Run = Callable[..., Outcome]
@@ -233,3 +235,44 @@ def test_lists_of_an_error_begin_with_what_is_like_the_name(robodyn: Run, tmp_pa
     given.fails(2, "column q2 is missing", "the header has q_2, column0")
     given = robodyn("sweep", "robots/watt-six-bar.yaml", "--vary", "links.cuopler.m=1,2")
     given.fails(2, "known: links.coupler.m, ")
+
+
+# Other conventions
+
+
+def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "g: 9.81\nlinks:\n"
+        "  - {name: a, mass: 1, length: 1, com: 0.5, inertia: 0.1, limits: [-1, 1]}\n"
+        "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1, type: prismatic, parent: a, origin: [0, 0]}\n"
+        "  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1, a: 1, alpha: 0, d: 0, theta: 1, lenght: 2}\n"
+        "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1, limits: {lower: 0, upper: 1}}\n"
+    )
+    told = robodyn("check", scene)
+    for key, way in {
+        "g": "gravity",
+        "mass": "the mass is m",
+        "length": "the length is l",
+        "com": "the centre of gravity is r",
+        "inertia": "is I",
+        "type": "joint: prismatic and axis: [dx, dy]",
+        "parent": "is from: NAME",
+        "origin": "is from: NAME",
+        "a": "Denavit-Hartenberg rows are not read",
+        "theta": "Denavit-Hartenberg rows are not read",
+        "lenght": "known: ",
+        "lower": "the lower end is min",
+        "upper": "the upper end is max",
+    }.items():
+        line = next(
+            x for x in told.err.splitlines() if re.search(rf"[ .]{key}: is an unknown key", x)
+        )
+        assert way in line
+    told.fails(2, "[lower, upper] is {min: lower, max: upper}")
+
+
+@pytest.mark.parametrize("kind", other_conventions.KEYS)
+def test_no_key_of_another_convention_is_one_of_the_grammar(kind: str) -> None:
+    forms = [FORMS[name] for name in MAPPINGS.get(kind, {kind: ()})]
+    assert not set(other_conventions.KEYS[kind]) & {key for form in forms for key in form.keys}
