@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,6 +27,7 @@ from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.tables.csv_fields import quoted
 from robodyn.tables.table_writer import Writer
 
+Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
@@ -33,15 +35,38 @@ _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each resul
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
+@dataclass(frozen=True)
+class WorkOptions:
+    """Who computes."""
+
+    workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None
+    scheduler: Annotated[
+        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
+    ] = None
+    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None
+
+    def check(self) -> None:
+        """InputError naming the option that is wrong."""
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers", value=self.workers, limit="must be >= 1")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError("--workers and --scheduler", limit="exclude each other")
+        if self.patience is not None and self.scheduler is None:
+            raise InputError("--patience", value=self.patience, limit="is for --scheduler")
+        if self.patience is not None and not self.patience >= 0.0:
+            raise InputError("--patience", value=self.patience, limit="must be >= 0, s")
+
+    def results(self, plan: Plan, begin: int) -> Generator[Rows]:
+        """The chunks of the plan from the one that begins."""
+        patience = PATIENCE if self.patience is None else self.patience
+        return results(plan, begin, self.workers, self.scheduler, patience, note)
+
+
 def sweep(
     model: Model,
     given: SweepOptions,
     control: ControlOptions = ControlOptions(),
-    workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None,
-    scheduler: Annotated[
-        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
-    ] = None,
-    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None,
+    work: WorkOptions = WorkOptions(),
     extremes: Extremes = False,
     correlations: Annotated[bool, Option("--correlations", help=_CORRELATIONS)] = False,
     quiet: Quiet = False,
@@ -70,14 +95,7 @@ def sweep(
       robodyn sweep 2r --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
     """
     plan = plan_of(model, given, control)
-    if workers is not None and workers < 1:
-        raise InputError("--workers", value=workers, limit="must be >= 1")
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler", limit="exclude each other")
-    if patience is not None and scheduler is None:
-        raise InputError("--patience", value=patience, limit="is for --scheduler")
-    if patience is not None and not patience >= 0.0:
-        raise InputError("--patience", value=patience, limit="must be >= 0, s")
+    work.check()
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
@@ -88,11 +106,10 @@ def sweep(
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
         first = begin * plan.chunk
-        patient = PATIENCE if patience is None else patience
         with (
             named_options(("scheduler",)),
             progress("sweeping", quiet, 0.0) as show,
-            closing(results(plan, begin, workers, scheduler, patient, note)) as chunks,
+            closing(work.results(plan, begin)) as chunks,
         ):
             for rows in chunks:
                 write(rows)
@@ -113,22 +130,29 @@ def sweep(
             compute(0, lambda rows: (stream.write(_lines(rows)), stream.flush()))
     else:
         with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
-            done = min(file.done * plan.chunk, size)
-            if file.doubted:
-                text = f"what follows the first {done} points in {file.partial}"
-                note(f"Warning: {text} does not match its digests: computed again")
-            if done and not quiet:
-                note(f"{file.partial} has {done} of {size} points: going on from there")
-            try:
-                compute(file.done, lambda rows: file.append(_lines(rows)))
-            except BaseException:
-                done += outcomes.total()
-                text = f"{done} of {size} points are in {file.partial}: the same command goes on"
-                note(text)
-                raise
-            file.finish()
+            _go_on(file, plan, compute, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
+
+
+def _go_on(
+    file: ResumableFile, plan: Plan, compute: Compute, outcomes: Counter[str], quiet: bool
+) -> None:
+    """Compute what the file has not yet; notes tell where it begins, and where it is cut off."""
+    size = plan.variation.size
+    done = min(file.done * plan.chunk, size)
+    if file.doubted:
+        text = f"what follows the first {done} points in {file.partial}"
+        note(f"Warning: {text} does not match its digests: computed again")
+    if done and not quiet:
+        note(f"{file.partial} has {done} of {size} points: going on from there")
+    try:
+        compute(file.done, lambda rows: file.append(_lines(rows)))
+    except BaseException:
+        done += outcomes.total()
+        note(f"{done} of {size} points are in {file.partial}: the same command goes on")
+        raise
+    file.finish()
 
 
 def _correlations(*given: Any, varied: int) -> Writer:

@@ -89,11 +89,7 @@ def torque(
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
     plain = states is None and not (loops or rows.differentiate)
     if plain and mechanism.n <= MAX_GENERATED:
-        tau, rates = _single_state(mechanism, quantities)
-        row = [*tau, *motor_values(mechanism, tau, rates)]
-        row += [x * v for x, v in zip(tau, rates, strict=True) if power]
-        if not all(map(math.isfinite, row)):
-            raise overflow()
+        row = _single_row(mechanism, quantities, power)
         with rows.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
@@ -112,6 +108,16 @@ def torque(
         return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
     evaluate(mechanism, states, quantities, torque_columns(mechanism) + powers, compute, rows)
+
+
+def _single_row(mechanism: Mechanism, quantities: list[Quantity], power: bool) -> list[float]:
+    """The values of all columns at the one state that the options give."""
+    tau, rates = _single_state(mechanism, quantities)
+    row = [*tau, *motor_values(mechanism, tau, rates)]
+    row += [x * v for x, v in zip(tau, rates, strict=True) if power]
+    if not all(map(math.isfinite, row)):
+        raise overflow()
+    return row
 
 
 def _single_state(
