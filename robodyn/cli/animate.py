@@ -14,14 +14,8 @@ from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
-from robodyn.cli.states import (
-    Quantity,
-    complete,
-    open_input,
-    remarks,
-    single_state,
-    table_source,
-)
+from robodyn.cli.row_files import open_input
+from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism

@@ -30,12 +30,12 @@ from robodyn.cli.options import (
 )
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
+from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
     overflow,
-    read_columns,
     remarks,
     single_state,
     table_source,

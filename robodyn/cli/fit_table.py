@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, option_source, read_columns
+from robodyn.cli.row_files import read_columns
+from robodyn.cli.states import Quantity, option_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.delimited import columns_told

@@ -21,7 +21,7 @@ from robodyn.cli.figures import (
 from robodyn.cli.files import model_file, rows_argument
 from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
-from robodyn.cli.states import open_input
+from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of

@@ -13,14 +13,13 @@ from typer import Option
 
 from robodyn.cli.files import input_file, model_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
+from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
     joint_values,
-    open_file,
     option_source,
-    read_columns,
     without_units,
 )
 from robodyn.cli.times import value_from

@@ -13,13 +13,8 @@ from typer import Option
 
 from robodyn.cli.files import rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
-from robodyn.cli.states import (
-    Quantity,
-    joint_values,
-    option_source,
-    read_columns,
-    table_source,
-)
+from robodyn.cli.row_files import read_columns
+from robodyn.cli.states import Quantity, joint_values, option_source, table_source
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism

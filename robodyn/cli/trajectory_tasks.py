@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.cli.states import read_columns
+from robodyn.cli.row_files import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import AssemblyError, InputError, RobodynError

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import BinaryIO
 
 from robodyn.errors import nearest_first
-from robodyn.tables.csv_fields import shown
+from robodyn.tables.csv_fields import LONGEST_SHOWN, shown
 
 DELIMITERS = {";": ";", "tab": "\t", ",": ","}
 READ_BYTES = 1 << 17  # asked of the stream at once
@@ -69,8 +69,14 @@ class Delimited:
 
 
 def columns_told(header: Sequence[str], wanted: str = "") -> str:
-    """The columns that there are, those like the one wanted first; and the likely delimiter."""
-    return shown(", ".join(nearest_first(wanted, header))) + delimiter_hint(header)
+    """The columns that there are, in a long list those like the one wanted first.
+
+    And the likely delimiter, where it seems to be another one.
+    """
+    text = ", ".join(header)
+    if len(text) > LONGEST_SHOWN:
+        text = ", ".join(nearest_first(wanted, header))
+    return shown(text) + delimiter_hint(header)
 
 
 def delimiter_hint(header: Sequence[str]) -> str:
