@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections import Counter
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +25,6 @@ from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
-from robodyn.tables.csv_fields import quoted
 from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
@@ -99,7 +99,7 @@ def sweep(
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
-    header = (",".join(map(quoted, plan.columns())) + "\n").encode()
+    lines = _Lines(plan.columns())
     outcomes: Counter[str] = Counter()
     size = plan.variation.size
     begun = time.perf_counter()
@@ -126,17 +126,22 @@ def sweep(
         from robodyn.tables.output_file import open_output
 
         with open_output(out) as stream:
-            stream.write(header)
-            compute(0, lambda rows: (stream.write(_lines(rows)), stream.flush()))
+            stream.write(lines.header)
+            compute(0, lambda rows: (stream.write(lines.of(rows)), stream.flush()))
     else:
-        with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
-            _go_on(file, plan, compute, outcomes, quiet)
+        with ResumableFile(out, lines.header, plan.facts(), size, plan.chunk) as file:
+            _go_on(file, plan, compute, lines, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
 
 
 def _go_on(
-    file: ResumableFile, plan: Plan, compute: Compute, outcomes: Counter[str], quiet: bool
+    file: ResumableFile,
+    plan: Plan,
+    compute: Compute,
+    lines: _Lines,
+    outcomes: Counter[str],
+    quiet: bool,
 ) -> None:
     """Compute what the file has not yet; notes tell where it begins, and where it is cut off."""
     size = plan.variation.size
@@ -147,7 +152,7 @@ def _go_on(
     if done and not quiet:
         note(f"{file.partial} has {done} of {size} points: going on from there")
     try:
-        compute(file.done, lambda rows: file.append(_lines(rows)))
+        compute(file.done, lambda rows: file.append(lines.of(rows)))
     except BaseException:
         done += outcomes.total()
         note(f"{done} of {size} points are in {file.partial}: the same command goes on")
@@ -161,13 +166,19 @@ def _correlations(*given: Any, varied: int) -> Writer:
     return RankCorrelations(*given, varied=varied)
 
 
-def _lines(rows: Rows) -> bytes:
-    """CSV lines; what is missing is empty."""
-    parts = []
-    for numbers, outcome in zip(rows.values.tolist(), rows.outcomes, strict=True):
-        fields = [repr(x) if x == x else "" for x in numbers]
-        parts.append(",".join([*fields, outcome]))
-    return ("\n".join(parts) + "\n").encode()
+class _Lines:
+    """CSV lines as bytes, the header's first; what is missing is empty."""
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self._stream = io.BytesIO()
+        self._writer = Writer(self._stream, columns)
+        self.header = self._stream.getvalue()
+
+    def of(self, rows: Rows) -> bytes:
+        self._stream.seek(0)
+        self._stream.truncate()
+        self._writer.write_ended(rows.values, rows.outcomes)
+        return self._stream.getvalue()
 
 
 def _summary(plan: Plan, outcomes: Counter[str], seconds: float) -> None:
