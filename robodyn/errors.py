@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 LONGEST_PART = 1000  # characters of a part of a message; names of the input may be many or long
+MOST_COMPARED = 2000  # names that are put in an order for a message
+ALIKE = 0.6  # of two names, by difflib
+LONGEST_COMPARED = 60  # characters of each
 MOST_FAULTS = 200  # of a scene; it is read no further
 
 
@@ -66,6 +69,21 @@ def _message(where: str, what: str, value: object, limit: str) -> str:
         for part in (where, subject, limit)
     )
     return printable(": ".join(part for part in parts if part))
+
+
+def nearest_first(word: str, names: Sequence[str]) -> Sequence[str]:
+    """The names, those like the word first, the others (or too many) in the order they have."""
+    if not word or len(names) > MOST_COMPARED:
+        return names
+    from difflib import SequenceMatcher  # only an error pays for the import
+
+    matcher = SequenceMatcher(b=word)
+
+    def unlike(name: str) -> float:
+        matcher.set_seq1(name[:LONGEST_COMPARED])
+        return -matcher.ratio() if matcher.ratio() >= ALIKE else 0.0
+
+    return sorted(names, key=unlike)
 
 
 def printable(text: str) -> str:

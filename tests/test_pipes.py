@@ -620,11 +620,10 @@ def test_help_in_a_pipe_has_no_colours(shell: Run) -> None:
 def test_the_examples_of_the_help_work(
     robodyn: Run, shell: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    """But those that begin with a file of states are given one."""
+    """Without a file of this project; those that begin with a file of states are given one."""
     text = robodyn(command, "--help").succeeds().out.replace("\\\n", " ")
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("robodyn ")]
     assert len(lines) >= 2
-    (tmp_path / "robots").symlink_to(ROOT / "robots")
     for name in ("states.csv", "motion.csv"):
         (tmp_path / name).write_text("t,q1,q2,qd1,qd2\n0,0.1,0.2,0.3,0.4\n1,0.2,0.3,0.4,0.5\n")
     monkeypatch.chdir(tmp_path)

@@ -23,19 +23,14 @@ import typer
 
 from robodyn import __version__
 from robodyn.cli import signals
+from robodyn.cli.command_groups import HEADINGS, SUMMARIES, Command, Commands, group_options
 from robodyn.errors import RobodynError, printable_lines
-from robodyn.scene.quantities import parse_quantity
 from robodyn.tables.csv_fields import plain_digits
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 # units of numbers by what stands for them in the help
 OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
-COMMANDS = (
-    *("torque", "accel", "reactions", "points", "simulate", "trajectory"),
-    *("equilibrium", "linearize", "regressor", "identify", "fit"),
-    *("terms", "equations", "assemble", "energy", "check", "bench", "sweep", "export"),
-    *("plot", "draw", "animate", "init", "schema", "guide"),
-)
+COMMANDS = tuple(SUMMARIES)
 
 
 def main() -> NoReturn:
@@ -70,8 +65,10 @@ def run(arguments: list[str]) -> int:
         if not (told.isdecimal() and len(told) < 5 and int(told)):
             os.environ.pop(size, None)
     try:
-        command = typer.main.get_command(_application(arguments))
-        _numbers(command)
+        completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
+        called = [] if completing else arguments
+        command = typer.main.get_command(_application(called, whole=completing))
+        _prepare(command)
         code = command(arguments, prog_name="robodyn", standalone_mode=False)
     except KeyboardInterrupt:
         return 130
@@ -112,25 +109,35 @@ def _described(error: Exception) -> str:
     return f"Error: {text}"
 
 
-def _application(arguments: list[str]) -> typer.Typer:
-    """The commands, only the one that is called where that is plain from the arguments."""
-    called = next((word for word in arguments if not word.startswith("-")), None)
-    completing = any(name.startswith("_ROBODYN_COMPLETE") for name in os.environ)
-    chosen = (called,) if called in COMMANDS and not completing else COMMANDS
-    if arguments == ["--version"]:  # no command's part in that is worth its import
-        chosen = COMMANDS[:1]
+def _application(arguments: list[str], whole: bool = True) -> typer.Typer:
+    """The command that is called; where none is, all, `whole` or as a list of their names."""
+    called = next((word for word in arguments if not word.startswith("-")), "")
+    is_called = called in COMMANDS
     application = typer.Typer(
+        cls=Commands,
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode="rich" if sys.stdout.isatty() else None,
         pretty_exceptions_enable=False,
     )
     application.callback()(_root)
-    asked = not {"--help", "-h"}.isdisjoint(arguments)
-    for name in chosen:
-        function: Callable[..., None] = getattr(import_module(f"robodyn.cli.{name}"), name)
-        application.command(name, epilog=_more(name) if asked else None)(_guarded(function))
+    asked = is_called and not {"--help", "-h"}.isdisjoint(arguments)
+    for name in [called] if is_called else COMMANDS:
+        function: Callable[..., None] = _listed
+        if is_called or whole:
+            function = _guarded(getattr(import_module(f"robodyn.cli.{name}"), name))
+        application.command(
+            name,
+            cls=Command,
+            short_help=SUMMARIES[name],
+            epilog=_more(name) if asked else None,
+            rich_help_panel=HEADINGS[name],
+        )(function)
     return application
+
+
+def _listed() -> None:
+    """Stands for a command in the list of them."""
 
 
 def _more(command: str) -> str:
@@ -139,8 +146,10 @@ def _more(command: str) -> str:
     return f"More: robodyn guide {page_of(command)}"
 
 
-def _numbers(group: Any) -> None:
-    """Let the options of all commands take the numbers that a scene may have, with units."""
+def _prepare(group: Any) -> None:
+    """Group the options; let them take the numbers that a scene may have, with units."""
+    for name, command in group.commands.items():
+        group_options(name, command.params)
     for parameter in (x for command in group.commands.values() for x in command.params):
         if parameter.type.name in ("float", "int", "integer"):
             parameter.type = kind = copy(parameter.type)
@@ -155,6 +164,8 @@ def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *plac
         with suppress(USAGE_ERROR):
             return convert(value, *place)
     if kind == "float":
+        from robodyn.scene.quantities import parse_quantity
+
         try:
             return parse_quantity(value.strip(), unit)
         except ValueError as error:
@@ -167,6 +178,8 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
 
     A parameter that is a dataclass stands for its fields, one option each.
     """
+    from robodyn.cli import files
+
     groups: dict[str, Any] = {}
     options: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
@@ -176,12 +189,16 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             options += inspect.signature(kind, eval_str=True).parameters.values()
         else:
             options.append(parameter)
+    if any(files.reads_rows(option.annotation) for option in options):
+        where = {"default": None, "annotation": files.Delimiter}
+        options.append(inspect.Parameter("delimiter", inspect.Parameter.KEYWORD_ONLY, **where))
 
     @functools.wraps(function)
     def guarded(**given: Any) -> None:
         from robodyn.cli.output import numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
+        files.delimiter.set(given.pop("delimiter", ","))
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         try:
@@ -222,7 +239,7 @@ def _root(
 
     \b
     Examples:
-      robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
-      robodyn terms robots/four-bar.yaml --q 60deg --qd 5
-      robodyn torque robots/2r.yaml - < states.csv > torques.csv
+      robodyn torque 2r --q 30deg,45deg --qd 1,0.5 --qdd 0,0
+      robodyn terms four-bar --q 60deg --qd 5
+      robodyn torque 2r - < states.csv > torques.csv
     """

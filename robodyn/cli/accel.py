@@ -29,10 +29,10 @@ def accel(
 
     \b
     Examples:
-      robodyn accel robots/2r.yaml --q 30deg,45deg --tau 12,2
-      robodyn accel robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
-      robodyn accel robots/2r.yaml states.csv --format json
-      robodyn accel robots/2r.yaml states.csv --force tip2=0,-20 --extremes
+      robodyn accel 2r --q 30deg,45deg --tau 12,2
+      robodyn accel four-bar --q 60deg --qd 5 --tau 1.5
+      robodyn accel 2r states.csv --format json
+      robodyn accel 2r states.csv --force tip2=0,-20 --extremes
     """
     mechanism = load_with(model, force)
     columns = [f"qdd{k + 1}" for k in range(mechanism.n)] + loop_columns(mechanism)

@@ -10,25 +10,19 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
-from robodyn.cli.files import input_argument, output_file
+from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
-from robodyn.cli.states import (
-    Quantity,
-    complete,
-    open_input,
-    remarks,
-    single_state,
-    table_source,
-)
+from robodyn.cli.row_files import open_input
+from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.rails import at
-from robodyn.tables.csv_fields import shown
+from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
 SUFFIXES = (".gif", ".mp4", ".html")
@@ -42,7 +36,7 @@ _SPEED = "Seconds of the motion in one second."
 
 def animate(
     model: Model,
-    states: Annotated[Text, input_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
+    states: Annotated[Text, rows_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
     *,
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: Annotated[int | None, Option("--mode", metavar="K", help=_MODE)] = None,
@@ -66,9 +60,9 @@ def animate(
 
     \b
     Examples:
-      robodyn animate robots/four-bar.yaml run.csv --of coupler,centre2 -o run.html
-      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn animate robots/2r.yaml - -o arm.gif
-      robodyn animate robots/3r.yaml --mode 2 --q -90deg,0,0 -o mode2.html
+      robodyn animate four-bar run.csv --of coupler,centre2 -o run.html
+      robodyn simulate 2r --q 0,0 --time 3 | robodyn animate 2r - -o arm.gif
+      robodyn animate 3r --mode 2 --q -90deg,0,0 -o mode2.html
     """
     suffix = Path(out).suffix.lower()
     if suffix not in SUFFIXES:
@@ -132,8 +126,9 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
     with open_input(states) as (stream, name):
         reader = Reader(stream, name)
         if "t" not in reader.header:
-            limit = f"an animation needs the time of each row; there are {', '.join(reader.header)}"
-            raise InputError("column t is missing", where=name, limit=shown(limit))
+            limit = "an animation needs the time of each row; there are "
+            limit += columns_told(reader.header, "t")
+            raise InputError("column t is missing", where=name, limit=limit)
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
         sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
         sources = [source for source in sources if source.columns]

@@ -48,9 +48,9 @@ def assemble(
 
     \b
     Examples:
-      robodyn assemble robots/four-bar.yaml --q 60deg
-      robodyn assemble robots/slider-crank.yaml --q 50deg --qd 10 --format json
-      robodyn assemble robots/five-bar.yaml --q 120deg,60deg --range
+      robodyn assemble four-bar --q 60deg
+      robodyn assemble slider-crank --q 50deg --qd 10 --format json
+      robodyn assemble five-bar --q 120deg,60deg --range
     """
     mechanism = model.load()
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]

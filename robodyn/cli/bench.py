@@ -48,9 +48,9 @@ def bench(
 
     \b
     Examples:
-      robodyn bench robots/2r.yaml --q=-1.3,-0.2 --qd 0.5,0.25
-      robodyn bench robots/four-bar.yaml --q 60deg --qd 5 --time 5 --plot four-bar.png > bench.csv
-      robodyn bench robots/2r.yaml --evaluators
+      robodyn bench 2r --q=-1.3,-0.2 --qd 0.5,0.25
+      robodyn bench four-bar --q 60deg --qd 5 --time 5 --plot four-bar.png > bench.csv
+      robodyn bench 2r --evaluators
     """
     mechanism = model.load()
     if not 1 <= repeats <= MOST_REPEATS:

@@ -54,8 +54,8 @@ def check(model: Model, format: OutputStructured = None, out: Out = None) -> Non
 
     \b
     Examples:
-      robodyn check robots/four-bar.yaml
-      robodyn check robots/2r.yaml --format json
+      robodyn check four-bar
+      robodyn check 2r --format json
     """
     mechanism = model.load()
     free = in_mode(mechanism, Mode()) if mechanism.switches else mechanism

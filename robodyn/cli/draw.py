@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -30,12 +30,12 @@ from robodyn.cli.options import (
 )
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
+from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
     overflow,
-    read_columns,
     remarks,
     single_state,
     table_source,
@@ -54,6 +54,8 @@ from robodyn.pictures.drawing import (
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8
@@ -96,25 +98,14 @@ def draw(
 
     \b
     Examples:
-      robodyn draw robots/four-bar.yaml --q 60deg --labels names -o four-bar.svg
-      robodyn draw robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
-      robodyn draw robots/five-bar.yaml --q 120deg,60deg --format text
+      robodyn draw four-bar --q 60deg --labels names -o four-bar.svg
+      robodyn draw 2r --q 30deg,45deg --qd 1,0.5 --forces -o forces.png
+      robodyn draw five-bar --q 120deg,60deg --format text
     """
     mechanism = model.load()
     extent, dpi = parse_size(size), check_dpi(dpi)
-    if qdd is not None and tau is not None:
-        raise InputError("--qdd and --tau", limit="exclude each other")
-    if not forces:
-        for name, value in (("--qd", qd), ("--qdd", qdd), ("--tau", tau)):
-            if value is not None:
-                raise InputError(name, value=value, limit="is for --forces: give that too")
-    if states is not None and (forces or q is not None):
-        raise InputError("STATES", limit="are drawn without --q and --forces")
-    if not 1 <= poses <= MOST_POSES:
-        raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
     chosen = picture_format(format, out)
-    if forces and chosen == "text":
-        raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
+    _check(states, q, {"--qd": qd, "--qdd": qdd, "--tau": tau}, forces, poses, chosen)
     marked = points_given(mechanism, of)
     found: list[Force] = []
     traces: list[Trace] = []
@@ -145,6 +136,41 @@ def draw(
 
         write_characters(lines, ascii, out)
         return
+    save(_figure(mechanism, drawn, texts, found, traces, extent), out, chosen, dpi)
+
+
+def _check(
+    states: str | None,
+    q: str | None,
+    loads: Mapping[str, str | None],
+    forces: bool,
+    poses: int,
+    format: str,
+) -> None:
+    """InputError for options that do not go together; `loads` are those of --forces."""
+    if loads["--qdd"] is not None and loads["--tau"] is not None:
+        raise InputError("--qdd and --tau", limit="exclude each other")
+    if not forces:
+        for name, value in loads.items():
+            if value is not None:
+                raise InputError(name, value=value, limit="is for --forces: give that too")
+    if states is not None and (forces or q is not None):
+        raise InputError("STATES", limit="are drawn without --q and --forces")
+    if not 1 <= poses <= MOST_POSES:
+        raise InputError("--poses", value=poses, limit=f"must be from 1 to {MOST_POSES}")
+    if forces and format == "text":
+        raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
+
+
+def _figure(
+    mechanism: Mechanism,
+    drawn: Drawing,
+    texts: list[str],
+    found: list[Force],
+    traces: list[Trace],
+    extent: tuple[float, float] | None,
+) -> Figure:
+    """The picture, its last pose in full, with the arrows of the forces found."""
     from robodyn.cli.pictures import Picture
     from robodyn.pictures.force_arrows import arrows, metres_a_newton
 
@@ -159,7 +185,8 @@ def draw(
     picture.show(last)
     picture.trace(traces)
     picture.annotate(last, texts, found, placed)
-    save(picture.figure, out, chosen, dpi)
+    figure: Figure = picture.figure
+    return figure
 
 
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:

@@ -25,9 +25,9 @@ def energy(
 
     \b
     Examples:
-      robodyn energy robots/2r.yaml --q 30deg,45deg --qd 1,0.5
-      robodyn energy robots/2r.yaml motion.csv | cut -d, -f1,6-
-      robodyn energy robots/2r.yaml motion.csv --extremes
+      robodyn energy 2r --q 30deg,45deg --qd 1,0.5
+      robodyn energy 2r motion.csv | cut -d, -f1,6-
+      robodyn energy 2r motion.csv --extremes
     """
     mechanism = load_with(model, force)
 

@@ -45,10 +45,10 @@ def equations(
 
     \b
     Examples:
-      robodyn equations robots/2r.yaml
-      robodyn equations robots/four-bar.yaml --numeric
-      robodyn equations robots/four-bar.yaml --format latex > four-bar.tex
-      robodyn equations robots/3r.yaml --format c --out arm.c
+      robodyn equations 2r
+      robodyn equations four-bar --numeric
+      robodyn equations four-bar --format latex > four-bar.tex
+      robodyn equations 3r --format c --out arm.c
     """
     mechanism = model.load()
     if mechanism.dry:

@@ -40,9 +40,9 @@ def equilibrium(
 
     \b
     Examples:
-      robodyn equilibrium robots/2r.yaml --all
-      robodyn equilibrium robots/spring-slider-crank.yaml --q -2
-      robodyn equilibrium robots/cart-pole.yaml --q 0.2,80deg --hold cart
+      robodyn equilibrium 2r --all
+      robodyn equilibrium spring-slider-crank --q -2
+      robodyn equilibrium cart-pole --q 0.2,80deg --hold cart
     """
     mechanism = model.load()
     near = None if q is None else single_state(mechanism, [Quantity("q", q)])[0]

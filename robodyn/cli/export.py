@@ -33,8 +33,8 @@ def export(
 
     \b
     Examples:
-      robodyn export robots/2r.yaml --format urdf --out 2r.urdf
-      robodyn export robots/four-bar.yaml --format mjcf --q 60deg > four-bar.xml
+      robodyn export 2r --format urdf --out 2r.urdf
+      robodyn export four-bar --format mjcf --q 60deg > four-bar.xml
     """
     mechanism = model.load()
     if format == "urdf":

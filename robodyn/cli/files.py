@@ -9,19 +9,28 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from contextvars import ContextVar
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from robodyn.errors import InputError
+from robodyn.tables.delimited import DELIMITERS
 
 KEPT = (".partial", ".partial.json", ".partial.sums")  # beside a file that is not whole
 _DECLARED = "robodyn.files"
+_DELIMITER = "Where fields of rows that are read end: ; (with decimal commas) or tab."
+delimiter: ContextVar[str] = ContextVar("delimiter", default=",")  # of rows that are read
 
 
-def input_argument(metavar: str, help: str) -> Any:
-    """An argument that is a file to read."""
-    return typer.Argument(metavar=metavar, help=help, callback=_reads)
+def rows_argument(metavar: str, help: str) -> Any:
+    """An argument that is a CSV file to read: its command takes --delimiter."""
+    return _of_rows(typer.Argument(metavar=metavar, help=help, callback=_reads))
+
+
+def rows_file(flag: str, help: str) -> Any:
+    """An option that is a CSV file to read, as `rows_argument`."""
+    return _of_rows(input_file(flag, help))
 
 
 def input_file(flag: str, help: str) -> Any:
@@ -29,10 +38,57 @@ def input_file(flag: str, help: str) -> Any:
     return typer.Option(flag, metavar="FILE", help=help, callback=_reads)
 
 
+def _of_rows(declared: Any) -> Any:
+    declared.of_rows = True
+    return declared
+
+
+def reads_rows(annotation: Any) -> bool:
+    """Whether a parameter names a CSV file to read."""
+    return any(getattr(x, "of_rows", False) for x in getattr(annotation, "__metadata__", ()))
+
+
+def model_argument(help: str) -> Any:
+    """The argument that is a scene: a file, or where there is none the name of an example."""
+    return typer.Argument(metavar="MODEL", help=help, callback=_reads, parser=scene_file)
+
+
+def model_file(flag: str, help: str) -> Any:
+    """An option that is a scene, as `model_argument`."""
+    return typer.Option(flag, metavar="FILE", help=help, callback=_reads, parser=scene_file)
+
+
+def scene_file(name: str) -> str:
+    """The scene's file: as it is named, else that of the example of this name, which is noted."""
+    if os.path.lexists(name):
+        return name
+    from robodyn.scene.example_scenes import example_file
+
+    example = example_file(name)
+    if example is None:
+        return name
+    from robodyn.cli.output import note
+
+    note(f"Note: {name} is no file: the example scene of this name is taken")
+    return str(example)
+
+
 def output_file(*flags: str, help: str, kept: bool = False) -> Any:
     """An option that is a file to write, and the files that are `kept` beside it."""
     callback = _writes_and_keeps if kept else _writes
     return typer.Option(*flags, metavar="FILE", help=help, callback=callback)
+
+
+def _delimiter(value: str | None) -> str:
+    if value is not None and value not in DELIMITERS:
+        raise typer.BadParameter(f"{value!r} is not one of {', '.join(DELIMITERS)}")
+    return DELIMITERS[value or ","]
+
+
+Delimiter = Annotated[
+    str | None,
+    typer.Option("--delimiter", metavar="CHAR", help=_DELIMITER, callback=_delimiter),
+]
 
 
 def named(value: str | None) -> str | None:

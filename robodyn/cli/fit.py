@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_argument, input_file, output_file
+from robodyn.cli.files import output_file, rows_argument, rows_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
 from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, vector
 from robodyn.cli.output import Grid, note, row_writer, write_structure
@@ -27,6 +28,8 @@ from robodyn.tables.csv_fields import shown
 if TYPE_CHECKING:
     from robodyn.parameters.fitting import Fit
 
+Bounds = dict[str, tuple[float, float]]  # of each number by its name
+Tell = Callable[[float], object]
 _VARY = "A number and its bounds, NAME=LOW:HIGH, named as in `sweep`; repeatable."
 _STATES = "CSV file of the rows of --minimize (q1.., qd1.., qdd1..), or - for stdin."
 _MATCH = "CSV file whose columns are to be met, at its rows (q1.., t); - for stdin."
@@ -40,26 +43,86 @@ _RESIDUALS = "In place of the summary, rows: the columns as they are now, and le
 _OUT = "Write the scene with these numbers here; comments and order stay."
 
 
+@dataclass(frozen=True)
+class FitOptions:
+    """What is to be met, or to become least, and how it is searched for."""
+
+    match: Annotated[Text, rows_file("--match", _MATCH)] = None
+    columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None
+    minimize: Annotated[
+        list[str] | None, Option("--minimize", metavar="COLUMNS", help=_MINIMIZE)
+    ] = None
+    subject_to: Annotated[
+        list[str] | None, Option("--subject-to", metavar="EXPR", help=_SUBJECT)
+    ] = None
+    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None
+    q: Q = None
+    qd: Qd = None
+    qdd: Qdd = None
+    simulate: Annotated[bool, Option("--simulate", help=_SIMULATE)] = False
+    tau: Annotated[Text, vector("--tau", _TAU)] = None
+    starts: Annotated[int | None, Option("--starts", metavar="N", help=_STARTS)] = None
+    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random starts.")] = 0
+
+    def check(self, states: str | None) -> None:
+        """InputError for options that do not go together."""
+        if (self.match is None) == (not self.minimize):
+            limit = "give one of them: columns follow a file, or become least"
+            raise InputError("--match and --minimize", limit=limit)
+        if self.match is not None and states is not None:
+            limit = "is for --minimize; --match has rows itself"
+            raise InputError("STATES", value=states, limit=limit)
+        if self.columns is not None and self.match is None:
+            raise InputError("--columns", limit="is for --match")
+        if self.simulate and (self.subject_to or self.match is None):
+            raise InputError("--simulate", limit="is for --match, without --subject-to")
+        if self.tau is not None and not self.simulate:
+            raise InputError("--tau", limit="is for --simulate")
+
+    def rows(self, mechanism: Mechanism, states: str | None) -> FitRows:
+        """The rows at which columns are met, or become least."""
+        wanted = [name for text in self.minimize or () for name in _names(text, "--minimize")]
+        chosen = None if self.columns is None else _names(self.columns, "--columns")
+        table = self.match if self.match is not None else states
+        if table is None:
+            return rows_of_options(mechanism, wanted, self.q, self.qd, self.qdd)
+        given = {"q": self.q, "qd": self.qd, "qdd": self.qdd}
+        matched, moving = self.match is not None, self.simulate
+        return rows_given(mechanism, table, matched, wanted, chosen, self.of, given, moving)
+
+    def found(self, mechanism: Mechanism, bounds: Bounds, rows: FitRows, tell: Tell) -> Fit:
+        """The numbers within their bounds."""
+        common: dict[str, Any] = {
+            "target": rows.target,
+            "of": self.of or (),
+            "seed": self.seed,
+            "tell": tell,
+        }
+        if self.simulate:
+            from robodyn.cli.states import Quantity, option_source
+            from robodyn.parameters.motion_lanes import STARTS as FEW
+            from robodyn.parameters.motion_lanes import fit_motion
+
+            torques = None
+            if self.tau:
+                torques = option_source(mechanism, Quantity("tau", self.tau)).values
+            motion = rows.columns, rows.t, rows.q[0], rows.qd[0], torques
+            starts = FEW if self.starts is None else self.starts
+            return fit_motion(mechanism, bounds, *motion, starts=starts, **common)
+        from robodyn.parameters.fitting import STARTS
+        from robodyn.parameters.fitting import fit as fitted
+
+        states = rows.columns, rows.q, rows.qd, rows.qdd, rows.t
+        conditions = self.subject_to or ()
+        starts = STARTS if self.starts is None else self.starts
+        return fitted(mechanism, bounds, *states, starts=starts, subject_to=conditions, **common)
+
+
 def fit(
     model: Model,
     vary: Annotated[list[str], Option("--vary", metavar="NAME=LOW:HIGH", help=_VARY)],
-    states: Annotated[Text, input_argument("[STATES]", _STATES)] = None,
-    match: Annotated[Text, input_file("--match", _MATCH)] = None,
-    columns: Annotated[Text, Option("--columns", metavar="NAMES", help=_COLUMNS)] = None,
-    minimize: Annotated[
-        list[str] | None, Option("--minimize", metavar="COLUMNS", help=_MINIMIZE)
-    ] = None,
-    subject_to: Annotated[
-        list[str] | None, Option("--subject-to", metavar="EXPR", help=_SUBJECT)
-    ] = None,
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
-    q: Q = None,
-    qd: Qd = None,
-    qdd: Qdd = None,
-    simulate: Annotated[bool, Option("--simulate", help=_SIMULATE)] = False,
-    tau: Annotated[Text, vector("--tau", _TAU)] = None,
-    starts: Annotated[int | None, Option("--starts", metavar="N", help=_STARTS)] = None,
-    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random starts.")] = 0,
+    states: Annotated[Text, rows_argument("[STATES]", _STATES)] = None,
+    given: FitOptions = FitOptions(),
     residuals: Annotated[bool, Option("--residuals", help=_RESIDUALS)] = False,
     quiet: Quiet = False,
     format: OutputStructured = None,
@@ -81,74 +144,19 @@ def fit(
 
     \b
     Examples:
-      robodyn fit robots/hoeken.yaml --match line.csv --vary links.coupler.l=0.3:0.7 \\
+      robodyn fit hoeken --match line.csv --vary links.coupler.l=0.3:0.7 \\
         --vary links.rocker.l=0.15:0.4 --of P=coupler -o straight.yaml
-      robodyn fit robots/2r.yaml --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 73 | \\
-        robodyn fit robots/four-bar.yaml - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
+      robodyn fit 2r --simulate --match measured.csv --vary links.forearm.m=0.5:1.5
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --points 73 | \\
+        robodyn fit four-bar - --vary links.rocker.r=0:0.8 --minimize shake_fx,shake_fy
     """
-    if (match is None) == (not minimize):
-        limit = "give one of them: columns follow a file, or become least"
-        raise InputError("--match and --minimize", limit=limit)
-    if match is not None and states is not None:
-        raise InputError("STATES", value=states, limit="is for --minimize; --match has rows itself")
-    if columns is not None and match is None:
-        raise InputError("--columns", limit="is for --match")
-    if simulate and (subject_to or match is None):
-        raise InputError("--simulate", limit="is for --match, without --subject-to")
-    if tau is not None and not simulate:
-        raise InputError("--tau", limit="is for --simulate")
+    given.check(states)
     values = model.values()
     mechanism = model.load()
     bounds = _bounds(mechanism, values, vary)
-    wanted = [name for text in minimize or () for name in _names(text, "--minimize")]
-    chosen = None if columns is None else _names(columns, "--columns")
-    table = match if match is not None else states
-    if table is None:
-        rows = rows_of_options(mechanism, wanted, q, qd, qdd)
-    else:
-        given = {"q": q, "qd": qd, "qdd": qdd}
-        rows = rows_given(mechanism, table, match is not None, wanted, chosen, of, given, simulate)
+    rows = given.rows(mechanism, states)
     with remarks(), _of_the_table(rows), progress("fitting", quiet) as tell:
-        if simulate:
-            from robodyn.cli.states import Quantity, option_source
-            from robodyn.parameters.motion_lanes import STARTS as FEW
-            from robodyn.parameters.motion_lanes import fit_motion
-
-            torques = option_source(mechanism, Quantity("tau", tau)).values if tau else None
-            found = fit_motion(
-                mechanism,
-                bounds,
-                rows.columns,
-                rows.t,
-                rows.q[0],
-                rows.qd[0],
-                torques,
-                target=rows.target,
-                of=of or (),
-                starts=FEW if starts is None else starts,
-                seed=seed,
-                tell=tell,
-            )
-        else:
-            from robodyn.parameters.fitting import STARTS
-            from robodyn.parameters.fitting import fit as fitted
-
-            found = fitted(
-                mechanism,
-                bounds,
-                rows.columns,
-                rows.q,
-                rows.qd,
-                rows.qdd,
-                rows.t,
-                target=rows.target,
-                of=of or (),
-                subject_to=subject_to or (),
-                starts=STARTS if starts is None else starts,
-                seed=seed,
-                tell=tell,
-            )
+        found = given.found(mechanism, bounds, rows, tell)
     if out is not None:
         from robodyn.scene.rewrite import write_scene
 
@@ -170,11 +178,9 @@ def _of_the_table(rows: FitRows) -> Iterator[None]:
         raise
 
 
-def _bounds(
-    mechanism: Mechanism, values: SceneValues, vary: Sequence[str]
-) -> dict[str, tuple[float, float]]:
+def _bounds(mechanism: Mechanism, values: SceneValues, vary: Sequence[str]) -> Bounds:
     """The bounds of each number by its name."""
-    found: dict[str, tuple[float, float]] = {}
+    found: Bounds = {}
     for text in vary:
         name, _, ends = (part.strip() for part in text.rpartition("="))
         low, colon, high = ends.partition(":")
@@ -236,7 +242,7 @@ def _content(found: Fit) -> dict[str, object]:
     }
 
 
-def _tables(found: Fit, bounds: dict[str, tuple[float, float]]) -> list[Grid]:
+def _tables(found: Fit, bounds: Bounds) -> list[Grid]:
     numbers = [
         (name, found.before[name], value, *bounds[name], found.bounds.get(name, ""))
         for name, value in found.numbers.items()

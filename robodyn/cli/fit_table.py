@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, option_source, read_columns
+from robodyn.cli.row_files import read_columns
+from robodyn.cli.states import Quantity, option_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.scene.yaml_values import nearest
+from robodyn.tables.delimited import columns_told
 
 Array = NDArray[np.float64]
 KINDS = ("q", "qd", "qdd")
@@ -97,19 +98,19 @@ def rows_given(
                 states[kind] = names
             elif there or kind == "q":
                 missing = next(x for x in names if x not in there)
-                limit = f"the header has {', '.join(header)}"
+                limit = f"the header has {columns_told(header, missing)}"
                 raise InputError(f"column {missing} is missing", where=name, limit=limit)
         if moving and "t" not in header:
-            limit = f"a motion is met at times; the header has {', '.join(header)}"
+            limit = f"a motion is met at times; the header has {columns_told(header, 't')}"
             raise InputError("column t is missing", where=name, limit=limit)
         if match:
             formulas = ColumnFormulas(mechanism, [], of or ())
             columns = chosen or _fitted(mechanism, formulas, header, states, moving, name)
             for column in columns:
                 if column not in header:
-                    limit = f"{nearest(column, list(header))}; the header has {', '.join(header)}"
+                    limit = f"the header has {columns_told(header, column)}"
                     what = f"column {column} of --columns is missing"
-                    raise InputError(what, where=name, limit=limit.lstrip("; "))
+                    raise InputError(what, where=name, limit=limit)
         used = [x for names in states.values() for x in names]
         used += ["t"] if "t" in header else []
         return list(dict.fromkeys([*used, *(columns if match else [])]))
@@ -156,7 +157,7 @@ def _fitted(
                 given |= whole
     found = [x for x in header if x not in given and formulas.serves(x)]
     if not found:
-        limit = f"has no column that can be fitted besides; the header has {', '.join(header)}"
+        limit = f"has no column that can be fitted besides; the header has {columns_told(header)}"
         raise InputError("--match", where=name, limit=limit)
     left = [x for x in header if x not in given and x not in found]
     if left:

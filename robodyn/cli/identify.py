@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_argument, output_file
+from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options
 from robodyn.cli.output import Grid, note, row_writer, write_structure
@@ -31,7 +31,7 @@ LITTLE = 0.5  # of the torques' rms: where more is left, the scene does not tell
 
 def identify(
     model: Model,
-    data: Annotated[str, input_argument("DATA", _DATA)],
+    data: Annotated[str, rows_argument("DATA", _DATA)],
     of: Annotated[Text, Option("--of", metavar="NAMES", help=_OF)] = None,
     physical: Annotated[bool, Option("--physical", help=_PHYSICAL)] = False,
     cutoff: Annotated[Number, Option("--cutoff", metavar="HZ", help=_CUTOFF)] = None,
@@ -53,9 +53,9 @@ def identify(
 
     \b
     Examples:
-      robodyn identify robots/2r.yaml measured.csv --format table
-      robodyn identify robots/2r.yaml measured.csv --of links.forearm.m,links.forearm.I -o new.yaml
-      robodyn identify robots/2r.yaml measured.csv --cutoff 20 --physical --residuals left.csv
+      robodyn identify 2r measured.csv --format table
+      robodyn identify 2r measured.csv --of links.forearm.m,links.forearm.I -o new.yaml
+      robodyn identify 2r measured.csv --cutoff 20 --physical --residuals left.csv
     """
     mechanism = model.load()
     names = [] if of is None else [x.strip() for x in of.split(",")]

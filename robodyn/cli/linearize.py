@@ -66,8 +66,8 @@ def linearize(
 
     \b
     Examples:
-      robodyn linearize robots/2r.yaml --q -90deg,0 --format table
-      robodyn linearize robots/cart-pole.yaml --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
+      robodyn linearize 2r --q -90deg,0 --format table
+      robodyn linearize cart-pole --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
     """
     mechanism = model.load()
     given = [Quantity("q", q, True), Quantity("qd", qd)]

@@ -11,7 +11,8 @@ import numpy as np
 
 from robodyn.cli.found_rates import check_rising
 from robodyn.cli.output import note
-from robodyn.cli.states import Quantity, Source, complete, open_input, table_source
+from robodyn.cli.row_files import open_input
+from robodyn.cli.states import Quantity, Source, complete, table_source
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import shown

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Option
 
-from robodyn.cli.files import input_argument, output_file
+from robodyn.cli.files import model_argument, output_file, rows_argument
 from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.scene.quantities import is_plain
 from robodyn.tables.csv_fields import shown
@@ -32,7 +32,7 @@ _SET = "A number of the scene in place of its own: links.forearm.m=1.1; repeatab
 class Model:
     """The scene that a command is about."""
 
-    model: Annotated[str, input_argument("MODEL", "Scene file (YAML).")]
+    model: Annotated[str, model_argument("Scene file (YAML), or the name of an example: 2r.")]
     numbers: Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help=_SET)] = None
 
     def load(self) -> Mechanism:
@@ -110,7 +110,7 @@ class Model:
 
 
 _ROWS = "CSV file of states (columns q1.., qd1.., ...), or - for stdin; rows stream through."
-States = Annotated[Text, input_argument("[STATES]", _ROWS)]
+States = Annotated[Text, rows_argument("[STATES]", _ROWS)]
 
 
 def vector(flag: str, help: str) -> object:

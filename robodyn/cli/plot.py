@@ -18,10 +18,10 @@ from robodyn.cli.figures import (
     save,
     write_characters,
 )
-from robodyn.cli.files import input_argument, input_file
+from robodyn.cli.files import model_file, rows_argument
 from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size
 from robodyn.cli.output import note
-from robodyn.cli.states import open_input
+from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.pictures.chart import Chart, chart, choose_columns, choose_x, place_of
@@ -42,11 +42,11 @@ Colour = Annotated[str | None, Option("--colour", "--color", metavar="COLUMN", h
 
 
 def plot(
-    files: Annotated[list[str], input_argument("CSV...", "Files of rows; - is stdin.")],
+    files: Annotated[list[str], rows_argument("CSV...", "Files of rows; - is stdin.")],
     x: X = None,
     y: Y = None,
     colour: Colour = None,
-    model: Annotated[str | None, input_file("--model", _MODEL)] = None,
+    model: Annotated[str | None, model_file("--model", _MODEL)] = None,
     log: Annotated[bool, Option("--log", help="Logarithmic --colour.")] = False,
     degrees: Degrees = False,
     title: Annotated[str | None, Option("--title", metavar="TEXT", help="Above it.")] = None,
@@ -73,10 +73,10 @@ def plot(
     \b
     Examples:
       robodyn plot motion.csv --y "q*,energy"
-      robodyn simulate robots/2r.yaml --q 0,0 --time 3 | robodyn plot - -o motion.svg
+      robodyn simulate 2r --q 0,0 --time 3 | robodyn plot - -o motion.svg
       robodyn plot one.csv two.csv --x q1 --y qd1 -o phase.png
-      robodyn simulate robots/rp-arm.yaml --q 0,0.2 --time 1 | \\
-        robodyn plot - --model robots/rp-arm.yaml -o motion.svg
+      robodyn simulate rp-arm --q 0,0.2 --time 1 | \\
+        robodyn plot - --model rp-arm -o motion.svg
       robodyn plot sweep.csv --x q1 --y q2 --colour flip --log -o flips.png
     """
     extent, dpi = parse_size(size), check_dpi(dpi)

@@ -57,10 +57,10 @@ def points(
 
     \b
     Examples:
-      robodyn points robots/four-bar.yaml --q 60deg --qd 5 --of P=coupler@0.3,0.1
-      robodyn points robots/four-bar.yaml --q 60deg --of rocker --transmission --ratio rocker/crank
-      robodyn simulate robots/2r.yaml --q 0,0 --time 2 | robodyn points robots/2r.yaml - --of tip2
-      robodyn points robots/2r.yaml states.csv --of tip2 --extremes
+      robodyn points four-bar --q 60deg --qd 5 --of P=coupler@0.3,0.1
+      robodyn points four-bar --q 60deg --of rocker --transmission --ratio rocker/crank
+      robodyn simulate 2r --q 0,0 --time 2 | robodyn points 2r - --of tip2
+      robodyn points 2r states.csv --of tip2 --extremes
     """
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
@@ -69,13 +69,7 @@ def points(
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     more = jacobian or links or transmission or ratio or rows.differentiate
     if states is None and not (more or mechanism.rows or mechanism.passive):
-        motion = [option_source(mechanism, quantity).values for quantity in quantities]
-        try:
-            row = values_of_points(mechanism, places, *motion)
-        except ValueError:
-            raise overflow() from None
-        if not all(map(math.isfinite, row)):
-            raise overflow()
+        row = _single_row(mechanism, named, quantities)
         with rows.writer(columns, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
@@ -86,7 +80,6 @@ def points(
         link_columns,
         link_values,
         point_values,
-        transmission_columns,
         transmission_values,
     )
     from robodyn.kinematics.point_motion import point_jacobian, unit_rates
@@ -97,10 +90,7 @@ def points(
         columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
     if links:
         columns += link_columns(mechanism)
-    loops = transmission_columns(mechanism) if transmission else []
-    if transmission and not loops:
-        limit = "no loop of this scene is closed by three pairs in a row"
-        raise InputError("--transmission", where=mechanism.source, limit=limit)
+    loops = _loops(mechanism) if transmission else []
     columns += loops
     ratios = [ratio_named(mechanism, text) for text in ratio or ()]
     columns += [each.name for each in ratios]
@@ -119,6 +109,31 @@ def points(
         return np.concatenate(parts, axis=-1)
 
     evaluate(mechanism, states, quantities, columns, compute, rows, adds=True)
+
+
+def _loops(mechanism: Mechanism) -> list[str]:
+    """The columns of --transmission; InputError where there are none."""
+    from robodyn.dynamics.state_columns import transmission_columns
+
+    loops = transmission_columns(mechanism)
+    if not loops:
+        limit = "no loop of this scene is closed by three pairs in a row"
+        raise InputError("--transmission", where=mechanism.source, limit=limit)
+    return loops
+
+
+def _single_row(
+    mechanism: Mechanism, named: list[NamedPoint], quantities: list[Quantity]
+) -> list[float]:
+    """The values of all columns at the one state that the options give."""
+    motion = [option_source(mechanism, quantity).values for quantity in quantities]
+    try:
+        row = values_of_points(mechanism, [point.point for point in named], *motion)
+    except ValueError:
+        raise overflow() from None
+    if not all(map(math.isfinite, row)):
+        raise overflow()
+    return row
 
 
 def points_given(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
 
@@ -58,45 +59,19 @@ def reactions(
 
     \b
     Examples:
-      robodyn reactions robots/2r.yaml --q 30deg,45deg --qd 1,0.5
-      robodyn reactions robots/four-bar.yaml --q 60deg --qd 5 --tau 1.5
-      robodyn reactions robots/2r.yaml states.csv --format json
-      robodyn reactions robots/2r.yaml states.csv --extremes
-      robodyn trajectory robots/slider-crank.yaml --speed 300rpm --turns 1 --points 361 | \\
-        robodyn reactions robots/slider-crank.yaml - --harmonics 6
+      robodyn reactions 2r --q 30deg,45deg --qd 1,0.5
+      robodyn reactions four-bar --q 60deg --qd 5 --tau 1.5
+      robodyn reactions 2r states.csv --format json
+      robodyn reactions 2r states.csv --extremes
+      robodyn trajectory slider-crank --speed 300rpm --turns 1 --points 361 | \\
+        robodyn reactions slider-crank - --harmonics 6
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"
         raise InputError("--qdd and --tau are both given", limit=limit)
     mechanism = load_with(model, force)
     columns = reaction_columns(mechanism)
-    named = False  # whether it was told which forces are not unique
-
-    def compute(q: np.ndarray, qd: np.ndarray, **given: np.ndarray) -> np.ndarray:
-        nonlocal named
-        t = given.pop("t", 0.0)
-        with warnings.catch_warnings(record=True) as told:
-            if "tau" in given:
-                check_way_on(mechanism, q, qd)
-                solution = dynamics.forward_dynamics_and_forces(mechanism, q, qd, given["tau"], t)
-                qdd, multipliers = solution.qdd, solution.multipliers
-            else:
-                qdd = given["qdd"]
-                inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
-                multipliers = inverse.multipliers
-        if not np.isfinite(qdd).all():
-            raise overflow()
-        for warning in told:
-            warnings.warn(warning.message, stacklevel=2)
-        if told and mechanism.rows and not named:
-            dependent = reaction_forces.dependent_rows(mechanism, q)
-            named = bool(dependent.any())
-            if named:
-                _name(mechanism, q[np.argmax(dependent > 0)])
-        if len(given) == 2:
-            _check_agreement(qd, given["qdd"], qdd)
-        return reaction_values(mechanism, q, qd, qdd, multipliers, t)
-
+    compute = _Reactions(mechanism)
     quantities = [Quantity("q", q, True), Quantity("qd", qd)]
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
     if harmonics is None:
@@ -117,6 +92,38 @@ def reactions(
 
     summary, told = partial(HarmonicsWriter, most=harmonics), [f"q{k + 1}", *SHAKE]
     evaluate(mechanism, states, quantities, told, shaken, rows, either, summary=summary)
+
+
+@dataclass
+class _Reactions:
+    """The columns (T, columns) at states (T, n), with the accelerations or the torques there."""
+
+    mechanism: Mechanism
+    named: bool = False  # whether it was told which forces are not unique
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, **given: np.ndarray) -> np.ndarray:
+        mechanism, t = self.mechanism, given.pop("t", 0.0)
+        with warnings.catch_warnings(record=True) as told:
+            if "tau" in given:
+                check_way_on(mechanism, q, qd)
+                solution = dynamics.forward_dynamics_and_forces(mechanism, q, qd, given["tau"], t)
+                qdd, multipliers = solution.qdd, solution.multipliers
+            else:
+                qdd = given["qdd"]
+                inverse = dynamics.inverse_dynamics_and_forces(mechanism, q, qd, qdd, t)
+                multipliers = inverse.multipliers
+        if not np.isfinite(qdd).all():
+            raise overflow()
+        for warning in told:
+            warnings.warn(warning.message, stacklevel=2)
+        if told and mechanism.rows and not self.named:
+            dependent = reaction_forces.dependent_rows(mechanism, q)
+            self.named = bool(dependent.any())
+            if self.named:
+                _name(mechanism, q[np.argmax(dependent > 0)])
+        if len(given) == 2:
+            _check_agreement(qd, given["qdd"], qdd)
+        return reaction_values(mechanism, q, qd, qdd, multipliers, t)
 
 
 def _name(mechanism: Mechanism, q: np.ndarray) -> None:

@@ -48,10 +48,10 @@ def regressor(
 
     \b
     Examples:
-      robodyn regressor robots/2r.yaml --q 30deg,45deg --qd 1,0.5
-      robodyn regressor robots/four-bar.yaml --base --format table
-      robodyn trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 | \\
-        robodyn regressor robots/2r.yaml - --condition
+      robodyn regressor 2r --q 30deg,45deg --qd 1,0.5
+      robodyn regressor four-bar --base --format table
+      robodyn trajectory 2r --from 0,0 --to 1,2 --time 1 | \\
+        robodyn regressor 2r - --condition
     """
     mechanism = model.load()
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]

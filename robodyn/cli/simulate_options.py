@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_file
+from robodyn.cli.files import input_file, model_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
+from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
     joint_values,
-    open_input,
     option_source,
-    read_columns,
     without_units,
 )
 from robodyn.cli.times import value_from
@@ -60,7 +59,7 @@ class TorqueOptions:
     """Where torque comes from."""
 
     tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
-    tau_from: Annotated[Text, input_file("--tau-from", _TAU_FROM)] = None
+    tau_from: Annotated[Text, rows_file("--tau-from", _TAU_FROM)] = None
     volt: Annotated[Text, Option("--volt", metavar="VOLTS", help=_VOLT)] = None
 
 
@@ -69,7 +68,7 @@ class ControlOptions:
     """What makes the torques track a reference."""
 
     control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
-    track: Annotated[Text, input_file("--track", _TRACK)] = None
+    track: Annotated[Text, rows_file("--track", _TRACK)] = None
     hold: Annotated[Text, vector("--hold", _HOLD)] = None
     kp: Annotated[Text, vector("--kp", _KP)] = None
     kd: Annotated[Text, vector("--kd", _KD)] = None
@@ -78,7 +77,7 @@ class ControlOptions:
     at: Annotated[Text, vector("--at", _AT)] = None
     tau_max: Annotated[Text, vector("--tau-max", _TAU_MAX)] = None
     control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_SAMPLES)] = None
-    control_model: Annotated[Text, input_file("--control-model", _MODEL)] = None
+    control_model: Annotated[Text, model_file("--control-model", _MODEL)] = None
 
 
 def given_of(options: object, *names: str) -> list[str]:
@@ -237,7 +236,7 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     """What the file tells, at the pose of --at if that is given; the pose must close."""
     from robodyn.control.state_feedback import read_feedback
 
-    with open_input(file) as (stream, name):
+    with open_file(file) as (stream, name):
         found = read_feedback(mechanism, stream.read(), name)
     source = Source(Quantity("q", None), found.q, [], True)
     if at is not None:

@@ -6,14 +6,14 @@ actuated ones only (the rest is assembled).  An option stands for its columns in
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
+from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -21,6 +21,7 @@ from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import EXAMPLES, parse_quantity, parse_vector
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.delimited import columns_told
 
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
@@ -130,11 +131,12 @@ def table_source(
     if driven and set(driven) == set(present):
         return Source(quantity, [], driven, False)
     missing = [name for name in everything if name not in present]
+    there = columns_told(header, missing[0])
     either = "" if everything == driven else f", or only the actuated joints' {', '.join(driven)}"
     raise InputError(
         f"column {missing[0]} is missing",
         where=source,
-        limit=f"needs {', '.join(everything)}{either}; the header has {', '.join(header)}",
+        limit=f"needs {', '.join(everything)}{either}; the header has {there}",
     )
 
 
@@ -304,40 +306,6 @@ def evaluate(
                         writer.write_rows([line], computed)
             if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")
-
-
-def read_columns(
-    file: str, choose: Callable[[Sequence[str], str], Sequence[str]]
-) -> tuple[Array, Sequence[str], str]:
-    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its."""
-    import numpy as np
-
-    from robodyn.tables.table import Reader
-
-    with open_input(file) as (stream, name):
-        reader = Reader(stream, name)
-        names = choose(reader.header, name)
-        blocks = [chunk.values for chunk in reader.chunks(names)]
-    return np.concatenate([np.zeros((0, len(names))), *blocks]), names, name
-
-
-@contextmanager
-def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
-    """The binary stream and the name of a CSV file, `-` for stdin."""
-    if states == "-":
-        if sys.stdin is None:
-            raise InputError("is closed", where="stdin")
-        if sys.stdin.isatty():
-            note("reading CSV rows from the keyboard; end with Ctrl-D")
-        yield sys.stdin.buffer, "stdin"
-        return
-    try:
-        stream = open(states, "rb")  # noqa: SIM115 (closed by the with below)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError("cannot be read", where=states, limit=reason.lower()) from None
-    with stream:
-        yield stream, states
 
 
 def overflow() -> RobodynError:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,9 +25,9 @@ from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
 from robodyn.sweeps.sweep_workers import PATIENCE, results
-from robodyn.tables.csv_fields import quoted
 from robodyn.tables.table_writer import Writer
 
+Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
 _WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
@@ -33,15 +35,38 @@ _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each resul
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
+@dataclass(frozen=True)
+class WorkOptions:
+    """Who computes."""
+
+    workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None
+    scheduler: Annotated[
+        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
+    ] = None
+    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None
+
+    def check(self) -> None:
+        """InputError naming the option that is wrong."""
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers", value=self.workers, limit="must be >= 1")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError("--workers and --scheduler", limit="exclude each other")
+        if self.patience is not None and self.scheduler is None:
+            raise InputError("--patience", value=self.patience, limit="is for --scheduler")
+        if self.patience is not None and not self.patience >= 0.0:
+            raise InputError("--patience", value=self.patience, limit="must be >= 0, s")
+
+    def results(self, plan: Plan, begin: int) -> Generator[Rows]:
+        """The chunks of the plan from the one that begins."""
+        patience = PATIENCE if self.patience is None else self.patience
+        return results(plan, begin, self.workers, self.scheduler, patience, note)
+
+
 def sweep(
     model: Model,
     given: SweepOptions,
     control: ControlOptions = ControlOptions(),
-    workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None,
-    scheduler: Annotated[
-        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
-    ] = None,
-    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None,
+    work: WorkOptions = WorkOptions(),
     extremes: Extremes = False,
     correlations: Annotated[bool, Option("--correlations", help=_CORRELATIONS)] = False,
     quiet: Quiet = False,
@@ -62,37 +87,29 @@ def sweep(
 
     \b
     Examples:
-      robodyn sweep robots/2r.yaml --vary q1=0:360deg:10deg --vary q2=0:360deg:10deg -o flips.csv
-      robodyn sweep robots/2r.yaml --vary links.forearm.m=0.5:1.5 --sample 10000 --seed 1 --time 5
-      robodyn sweep robots/four-bar.yaml --vary q1=0:350deg:36 --kind torque --qd 5
-      robodyn sweep robots/four-bar.yaml --kind torque --track turn.csv --sample 1000 \\
+      robodyn sweep 2r --vary q1=0:360deg:10deg --vary q2=0:360deg:10deg -o flips.csv
+      robodyn sweep 2r --vary links.forearm.m=0.5:1.5 --sample 10000 --seed 1 --time 5
+      robodyn sweep four-bar --vary q1=0:350deg:36 --kind torque --qd 5
+      robodyn sweep four-bar --kind torque --track turn.csv --sample 1000 \\
         --vary "links.coupler.m=normal(1.3,0.02)" --result "max(tau1),rms(shake_fx)" --correlations
-      robodyn sweep robots/2r.yaml --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
+      robodyn sweep 2r --vary qd1=0:10:1001 --scheduler tcp://10.0.0.1:8786 -o far.csv
     """
     plan = plan_of(model, given, control)
-    if workers is not None and workers < 1:
-        raise InputError("--workers", value=workers, limit="must be >= 1")
-    if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler", limit="exclude each other")
-    if patience is not None and scheduler is None:
-        raise InputError("--patience", value=patience, limit="is for --scheduler")
-    if patience is not None and not patience >= 0.0:
-        raise InputError("--patience", value=patience, limit="must be >= 0, s")
+    work.check()
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
-    header = (",".join(map(quoted, plan.columns())) + "\n").encode()
+    lines = _Lines(plan.columns())
     outcomes: Counter[str] = Counter()
     size = plan.variation.size
     begun = time.perf_counter()
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
         first = begin * plan.chunk
-        patient = PATIENCE if patience is None else patience
         with (
             named_options(("scheduler",)),
             progress("sweeping", quiet, 0.0) as show,
-            closing(results(plan, begin, workers, scheduler, patient, note)) as chunks,
+            closing(work.results(plan, begin)) as chunks,
         ):
             for rows in chunks:
                 write(rows)
@@ -109,26 +126,38 @@ def sweep(
         from robodyn.tables.output_file import open_output
 
         with open_output(out) as stream:
-            stream.write(header)
-            compute(0, lambda rows: (stream.write(_lines(rows)), stream.flush()))
+            stream.write(lines.header)
+            compute(0, lambda rows: (stream.write(lines.of(rows)), stream.flush()))
     else:
-        with ResumableFile(out, header, plan.facts(), size, plan.chunk) as file:
-            done = min(file.done * plan.chunk, size)
-            if file.doubted:
-                text = f"what follows the first {done} points in {file.partial}"
-                note(f"Warning: {text} does not match its digests: computed again")
-            if done and not quiet:
-                note(f"{file.partial} has {done} of {size} points: going on from there")
-            try:
-                compute(file.done, lambda rows: file.append(_lines(rows)))
-            except BaseException:
-                done += outcomes.total()
-                text = f"{done} of {size} points are in {file.partial}: the same command goes on"
-                note(text)
-                raise
-            file.finish()
+        with ResumableFile(out, lines.header, plan.facts(), size, plan.chunk) as file:
+            _go_on(file, plan, compute, lines, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
+
+
+def _go_on(
+    file: ResumableFile,
+    plan: Plan,
+    compute: Compute,
+    lines: _Lines,
+    outcomes: Counter[str],
+    quiet: bool,
+) -> None:
+    """Compute what the file has not yet; notes tell where it begins, and where it is cut off."""
+    size = plan.variation.size
+    done = min(file.done * plan.chunk, size)
+    if file.doubted:
+        text = f"what follows the first {done} points in {file.partial}"
+        note(f"Warning: {text} does not match its digests: computed again")
+    if done and not quiet:
+        note(f"{file.partial} has {done} of {size} points: going on from there")
+    try:
+        compute(file.done, lambda rows: file.append(lines.of(rows)))
+    except BaseException:
+        done += outcomes.total()
+        note(f"{done} of {size} points are in {file.partial}: the same command goes on")
+        raise
+    file.finish()
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
@@ -137,13 +166,19 @@ def _correlations(*given: Any, varied: int) -> Writer:
     return RankCorrelations(*given, varied=varied)
 
 
-def _lines(rows: Rows) -> bytes:
-    """CSV lines; what is missing is empty."""
-    parts = []
-    for numbers, outcome in zip(rows.values.tolist(), rows.outcomes, strict=True):
-        fields = [repr(x) if x == x else "" for x in numbers]
-        parts.append(",".join([*fields, outcome]))
-    return ("\n".join(parts) + "\n").encode()
+class _Lines:
+    """CSV lines as bytes, the header's first; what is missing is empty."""
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self._stream = io.BytesIO()
+        self._writer = Writer(self._stream, columns)
+        self.header = self._stream.getvalue()
+
+    def of(self, rows: Rows) -> bytes:
+        self._stream.seek(0)
+        self._stream.truncate()
+        self._writer.write_ended(rows.values, rows.outcomes)
+        return self._stream.getvalue()
 
 
 def _summary(plan: Plan, outcomes: Counter[str], seconds: float) -> None:

@@ -23,7 +23,7 @@ from robodyn.cli.simulate_options import (
 from robodyn.cli.states import joint_values
 from robodyn.cli.times import DEFAULT_POINTS, value_from
 from robodyn.control.laws import controller
-from robodyn.errors import InputError
+from robodyn.errors import InputError, nearest_first
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.scene_values import SceneValues
@@ -267,7 +267,9 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
         link = mechanism.link_names[int(passive[1]) - 1]
         return f"joint {link} is passive: it follows from the actuated ones"
     known = [*joints, *scene.names]
-    listed = ", ".join(known[:MOST_NAMED]) + (", ..." if len(known) > MOST_NAMED else "")
+    listed = ", ".join(nearest_first(name, known)[:MOST_NAMED]) + (
+        ", ..." if len(known) > MOST_NAMED else ""
+    )
     return (
         f"is nothing that can vary{nearest(name, known).partition('; known')[0]}; known: {listed}"
     )

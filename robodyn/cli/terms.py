@@ -48,9 +48,9 @@ def terms(
 
     \b
     Examples:
-      robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5
-      robodyn terms robots/four-bar.yaml --q 60deg --qd 5 --format json | python -m json.tool
-      robodyn terms robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
+      robodyn terms 2r --q 30deg,45deg --qd 1,0.5
+      robodyn terms four-bar --q 60deg --qd 5 --format json | python -m json.tool
+      robodyn terms 2r --q 30deg,45deg --qd 1,0.5 --tau 3,1 --derivatives
     """
     mechanism = model.load()
     for name, given in (("--by", by), ("--qdd", qdd), ("--tau", tau)):

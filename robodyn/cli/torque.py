@@ -63,15 +63,15 @@ def torque(
 
     \b
     Examples:
-      robodyn torque robots/2r.yaml --q 30deg,45deg --qd 1,0.5 --qdd 0,0
-      robodyn torque robots/four-bar.yaml --q 60deg --qd 5
-      robodyn torque robots/2r.yaml - < states.csv | head -3
-      robodyn torque robots/2r.yaml states.csv --power --extremes
-      robodyn trajectory robots/2r.yaml --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
-        robodyn torque robots/2r.yaml - --differentiate
-      robodyn torque robots/2r.yaml --q 30deg,45deg --force tip2=0,-20
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361 | \\
-        robodyn torque robots/four-bar.yaml - --fluctuation 0.02
+      robodyn torque 2r --q 30deg,45deg --qd 1,0.5 --qdd 0,0
+      robodyn torque four-bar --q 60deg --qd 5
+      robodyn torque 2r - < states.csv | head -3
+      robodyn torque 2r states.csv --power --extremes
+      robodyn trajectory 2r --from 0,0 --to 1,2 --time 1 | cut -d, -f1-3 | \\
+        robodyn torque 2r - --differentiate
+      robodyn torque 2r --q 30deg,45deg --force tip2=0,-20
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361 | \\
+        robodyn torque four-bar - --fluctuation 0.02
     """
     mechanism = load_with(model, force)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
@@ -89,11 +89,7 @@ def torque(
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
     plain = states is None and not (loops or rows.differentiate)
     if plain and mechanism.n <= MAX_GENERATED:
-        tau, rates = _single_state(mechanism, quantities)
-        row = [*tau, *motor_values(mechanism, tau, rates)]
-        row += [x * v for x, v in zip(tau, rates, strict=True) if power]
-        if not all(map(math.isfinite, row)):
-            raise overflow()
+        row = _single_row(mechanism, quantities, power)
         with rows.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
@@ -112,6 +108,16 @@ def torque(
         return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
     evaluate(mechanism, states, quantities, torque_columns(mechanism) + powers, compute, rows)
+
+
+def _single_row(mechanism: Mechanism, quantities: list[Quantity], power: bool) -> list[float]:
+    """The values of all columns at the one state that the options give."""
+    tau, rates = _single_state(mechanism, quantities)
+    row = [*tau, *motor_values(mechanism, tau, rates)]
+    row += [x * v for x, v in zip(tau, rates, strict=True) if power]
+    if not all(map(math.isfinite, row)):
+        raise overflow()
+    return row
 
 
 def _single_state(

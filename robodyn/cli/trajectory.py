@@ -64,14 +64,14 @@ def trajectory(
 
     \b
     Examples:
-      robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 --every 0.01
-      robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
-      robodyn trajectory robots/2r.yaml --via motion.csv --profile cubic --max-qd 90deg/s
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --points 361
-      robodyn trajectory robots/four-bar.yaml --speed 60rpm --turns 1 --extremes
-      robodyn trajectory robots/2r.yaml --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
-      robodyn trajectory robots/2r.yaml --profile sweep --from 30deg,45deg --amplitude 5deg \\
-        --frequencies 0.2,5 --time 20 | robodyn torque robots/2r.yaml -
+      robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time 2 --every 0.01
+      robodyn trajectory 2r --from 0,0 --to 90deg,45deg --time min --max-tau 25,8
+      robodyn trajectory 2r --via motion.csv --profile cubic --max-qd 90deg/s
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --points 361
+      robodyn trajectory four-bar --speed 60rpm --turns 1 --extremes
+      robodyn trajectory 2r --from 0,90deg --of tip2 --to-xy 0.4,0.9 --time 2
+      robodyn trajectory 2r --profile sweep --from 30deg,45deg --amplitude 5deg \\
+        --frequencies 0.2,5 --time 20 | robodyn torque 2r -
     """
     mechanism = model.load()
     duration = given.duration()

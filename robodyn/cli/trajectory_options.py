@@ -11,15 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 from typer import Option
 
-from robodyn.cli.files import input_file
+from robodyn.cli.files import rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, vector
-from robodyn.cli.states import (
-    Quantity,
-    joint_values,
-    option_source,
-    read_columns,
-    table_source,
-)
+from robodyn.cli.row_files import read_columns
+from robodyn.cli.states import Quantity, joint_values, option_source, table_source
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -72,7 +67,7 @@ class TrajectoryOptions:
 
     from_: Annotated[Text, vector("--from", _FROM)] = None
     to: Annotated[Text, vector("--to", f"Angles at the end: {_WHICH}.")] = None
-    via: Annotated[Text, input_file("--via", _VIA)] = None
+    via: Annotated[Text, rows_file("--via", _VIA)] = None
     time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
     profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
     acceleration: Annotated[Number, Option("--acceleration", metavar="PART", help=_PART)] = None
@@ -87,7 +82,7 @@ class TrajectoryOptions:
     of: Annotated[Text, Option("--of", metavar="POINT", help=_OF)] = None
     to_xy: Annotated[Text, Option("--to-xy", metavar="X,Y", help=_TO_XY)] = None
     arc: Annotated[Text, Option("--arc", metavar="CENTRE:ANGLE", help=_ARC)] = None
-    path: Annotated[Text, input_file("--path", _PATH)] = None
+    path: Annotated[Text, rows_file("--path", _PATH)] = None
     posture: Annotated[Text, vector("--posture", _POSTURE)] = None
     max_speed: Annotated[Text, Option("--max-speed", metavar="V", help=_MAX_SPEED)] = None
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.cli.states import read_columns
+from robodyn.cli.row_files import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
 from robodyn.errors import AssemblyError, InputError, RobodynError
@@ -16,6 +16,7 @@ from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.delimited import columns_told
 from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
 from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
@@ -168,7 +169,8 @@ def _read(file: str) -> _File:
     def columns(header: Sequence[str], name: str) -> list[str]:
         for wanted in ("x", "y"):
             if wanted not in header:
-                limit = f"needs x, y, and perhaps t and angle; the header has {', '.join(header)}"
+                limit = "needs x, y, and perhaps t and angle; the header has "
+                limit += columns_told(header, wanted)
                 raise InputError(f"column {wanted} is missing", where=name, limit=limit)
         return [x for x in ("x", "y", "angle", "t") if x in header]
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import TURNING, quantity_of, unit_of, with_unit
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.delimited import columns_told
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def choose_x(header: Sequence[str], wanted: str | None, source: str) -> str | No
 def place_of(name: str, option: str, header: Sequence[str], source: str) -> int:
     """Where in the header a column is; InputError, with those that are there, where it is not."""
     if name not in header:
-        limit = f"is no column; there are {shown(', '.join(header))}"
+        limit = f"is no column; there are {columns_told(header, name)}"
         raise InputError(option, where=source, value=shown(name), limit=limit)
     return header.index(name)
 

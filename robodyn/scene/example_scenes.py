@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 from robodyn.errors import InputError
+
+MOST_LISTED = 1000  # files of a folder that are looked at for a like name
 
 _HERE = Path(__file__).resolve().parent.parent
 # an installed package has them inside; a checkout beside it
@@ -21,6 +24,25 @@ def scene_text(name: str) -> str:
     if name not in scene_names():
         raise InputError("NAME", value=name, limit=f"must be one of {', '.join(scene_names())}")
     return (_directory() / f"{name}.yaml").read_text(encoding="utf-8")
+
+
+def example_file(name: str) -> Path | None:
+    """The example that a bare word names, None where it names none: no folder, no suffix."""
+    bare = Path(name).name == name and not Path(name).suffix
+    return _directory() / f"{name}.yaml" if bare and name in scene_names() else None
+
+
+def like(missing: Path) -> str:
+    """What the name of a file that is not there may mean: a scene beside it, or an example."""
+    from difflib import get_close_matches  # only a faulty name pays for the import
+
+    if missing.stem in scene_names():
+        return f"; the example of this name is {missing.stem}, without a folder or .yaml"
+    beside = [path.name for path in islice(missing.parent.glob("*.yaml"), MOST_LISTED)]
+    files = get_close_matches(missing.name, beside, n=1)
+    near = [str(missing.parent / name) for name in files]
+    near += [f"the example {x}" for x in get_close_matches(missing.stem, scene_names(), n=1)]
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def summary(text: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import yaml
 
 from robodyn.errors import DescriptionError, Fault
+from robodyn.scene.example_scenes import like
 
 MAX_BYTES = 16 * 2**20
 MAX_DEPTH = 40
@@ -70,7 +71,7 @@ def read_text(path: Path) -> str:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise refuse("no such file") from None
+        raise refuse(f"no such file{like(path)}") from None
     except IsADirectoryError:
         raise refuse("is a directory, not a scene file") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path

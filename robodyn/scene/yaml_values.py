@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from robodyn.errors import MOST_FAULTS, Fault
+from robodyn.errors import MOST_FAULTS, Fault, nearest_first
+from robodyn.scene import other_conventions
 from robodyn.scene.grammar import NUMBERS, OR_VECTOR, WITH_UNIT, WORDS, Key, excluded, form_of
 from robodyn.scene.quantities import is_plain, parse_quantity
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
@@ -42,13 +43,17 @@ class ValueReader:
         optional: list[str],
         kind: str = "key",
         beside: dict[str, str] | None = None,
+        form: str = "",
     ) -> dict[str, Node]:
         """The known keys of a mapping; faults for unknown, repeated and missing ones.
 
-        `beside` has keys that one of the known ones excludes, and which.
+        `beside` has keys that one of the known ones excludes, and which; `form` is the kind of the
+        grammar that the mapping is of.
         """
         if not isinstance(node, Mapping):
             limit = f"must be a mapping with {', '.join(needed + optional)}"
+            if isinstance(node, Sequence):
+                limit += other_conventions.LISTS.get(form, "")
             self.fault(place, node, limit, self.shown(node))
             return {}
         known = dict.fromkeys(needed + optional)
@@ -56,7 +61,9 @@ class ValueReader:
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                limit = f"is an unknown {kind}{self.nearest(key.text, list(known))}"
+                here = other_conventions.KEYS.get(form, {}).get(key.text)
+                near = f"; {here}" if here else self.nearest(key.text, list(known))
+                limit = f"is an unknown {kind}{near}"
                 if beside and key.text in beside:
                     limit = f"and {beside[key.text]} exclude each other: give one"
                 self.fault(prefix + key.text, key, limit)
@@ -74,7 +81,7 @@ class ValueReader:
         given = {key.text for key, _ in node.pairs} if isinstance(node, Mapping) else ()
         form = form_of(kind, given)
         names = form.named(needed=True), form.named(needed=False)
-        found = self.keys(node, place, *names, beside=excluded(kind, given))
+        found = self.keys(node, place, *names, beside=excluded(kind, given), form=kind)
         prefix = f"{place}." if place else ""
         given_one = [name for name in form.one if name in found]
         if form.one and not given_one and isinstance(node, Mapping):
@@ -192,5 +199,6 @@ def nearest(word: str, known: list[str], guess: bool = True) -> str:
         close = get_close_matches(word, [x for x in known if len(x) <= LONGEST_GUESS], n=1)
         if close:
             return f"; did you mean {close[0]}?"
+    known = list(nearest_first(word, known)) if guess else known
     shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
     return f"; known: {shown}" if known else ""

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
 from robodyn.tables.csv_fields import ends_open, finite, shown, split_fields, unquoted
+from robodyn.tables.delimited import columns_told, delimiter_hint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,7 +109,7 @@ class Reader:
         missing = [name for name in names if name not in self._place]
         if missing:
             what = f"column {shown(', '.join(missing))} is missing"
-            limit = f"the header has {shown(', '.join(self.header))}"
+            limit = f"the header has {columns_told(self.header, missing[0])}"
             raise InputError(what, where=self.source, limit=limit)
 
     def chunks(self, names: Sequence[str]) -> Iterator[Chunk]:
@@ -158,7 +159,8 @@ class Reader:
                         empty = not text.strip()
                         limit = "the field is empty, not" if empty else "must be"
                         told = None if empty else shown(text)
-                        raise self._fault(number, name, told, f"{limit} a finite number")
+                        limit += f" a finite number{delimiter_hint(self.header)}"
+                        raise self._fault(number, name, told, limit)
                 values.append(found)
         except InputError as error:
             fault = error

@@ -48,6 +48,17 @@ class Writer:
         """
         self._write_rows([tuple(map(self._text, values))])
 
+    def write_ended(self, values: Array, ends: Sequence[str]) -> None:
+        """Write n rows of numbers (n, k - 1), empty where they are NaN, each with a text after."""
+        import numpy as np  # here, so that a command that writes one row starts without it
+
+        known = values == values
+        lines = self._repr(values if known.all() else np.where(known, values, 0.0))
+        for k in np.flatnonzero(~known.all(axis=1)):
+            fields = zip(lines[k].split(","), known[k], strict=True)
+            lines[k] = ",".join(field if there else "" for field, there in fields)
+        self._write_rows(zip(lines, map(quoted, ends), strict=True))
+
     def write_columns(self, values: Array) -> None:
         """Write n rows that are computed columns alone, (n, k)."""
         if self.converts:
@@ -87,6 +98,9 @@ class Writer:
         """The computed values (n, k) as text, row by row, with commas between them."""
         if values.ndim != 2 or values.shape[1] != len(self._places):
             raise ValueError(f"values: shape (n, {len(self._places)}), not {values.shape}")
+        return self._repr(values)
+
+    def _repr(self, values: Array) -> list[str]:
         if values.size < FEW:
             return [",".join(map(repr, row)) for row in values.tolist()]
         from robodyn.tables.shortest import shortest

@@ -1,0 +1,140 @@
+"""The help, grouped by what is asked: the commands, and the options of each.
+
+The list of commands needs none of their modules: their summaries stand here as well, the first
+paragraphs of the docstrings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from typer.core import TyperCommand, TyperGroup
+
+GROUPS = {
+    "States": {
+        "torque": "The torques that a motion needs, and the pin forces.",
+        "accel": "The accelerations that torques cause, and the pin forces.",
+        "reactions": "The force in every pin, and the shaking force and moment on the ground.",
+        "points": "Where points are, how fast they move, and how they speed up.",
+        "assemble": "Close the loops: all angles, rates and points.",
+        "terms": "M, C, G, the closures' Psi, and the energies at a state.",
+        "energy": "Kinetic energy, potential energy and their sum.",
+    },
+    "Motions": {
+        "simulate": "The motion that torques cause, as CSV.",
+        "trajectory": "A reference motion of the joints, as CSV for `torque`.",
+        "sweep": "The same simulation, or torque, over a grid or a random sample, as one CSV.",
+        "bench": "Speed against error of every method on one motion.",
+    },
+    "Analysis": {
+        "equilibrium": "Where the mechanism rests: near a pose, or everywhere.",
+        "linearize": "How it moves near a state: A, B, natural frequencies, damping, mode shapes.",
+        "regressor": "Y(q, qd, qdd): the torques are linear in masses, moments, dampers and "
+        "springs, tau = Y pi.",
+        "identify": "The parameters of a mechanism from its torques along a motion, by least "
+        "squares.",
+        "fit": "Numbers of a scene for which columns follow a table, or are as small as they can "
+        "be.",
+        "equations": "The equations of motion in closed form, with their symbols.",
+    },
+    "Pictures": {
+        "plot": "Columns of CSV files against time, or against each other; a map of one over two "
+        "others.",
+        "draw": "The mechanism in a pose, to scale.",
+        "animate": "A motion as a moving picture, in real time.",
+    },
+    "Scenes": {
+        "init": "Write a commented scene to start from.",
+        "check": "What was read from a scene, and a self-test.",
+        "schema": "The scene format as a JSON Schema (draft 2020-12).",
+        "export": "The same mechanism as URDF or MJCF, for other tools.",
+        "guide": "The pages of the guide, or one of them.",
+    },
+}
+SUMMARIES = {name: text for group in GROUPS.values() for name, text in group.items()}
+HEADINGS = {name: heading for heading, group in GROUPS.items() for name in group}
+
+_OUTPUT = (
+    "--every --points --sensitivity --event --events --differentiate --extremes --degrees --quiet "
+    "--report --size --dpi --ascii --format --out"
+)
+_CONTROL = "--control --track --hold --kp --kd --ki --gain --at --tau-max --control-rate "
+_CONTROL += "--control-model"
+_OPTIONS = {
+    "simulate": {
+        "Start": "--q --qd --assemble",
+        "Torques": "--force --tau --tau-from --volt",
+        "Control": _CONTROL,
+        "Integration": "--time --until --method --rtol --atol --max-step --accuracy "
+        "--estimate-error --order --engine --stabilize --baumgarte-rate --max-evals",
+        "Output": _OUTPUT,
+    },
+    "sweep": {
+        "What varies": "--vary --sample --seed",
+        "Start and torques": "--kind --q --qd --qdd --tau",
+        "Control": _CONTROL,
+        "Integration": "--time --rtol --atol --max-steps --engine",
+        "Results": "--result --of --points --event --flip --correlations --extremes",
+        "Work": "--workers --scheduler --patience",
+        "Output": "--quiet --out",
+    },
+    "trajectory": {
+        "Joints": "--from --to --via --ends --speed --turns",
+        "A point in the plane": "--of --to-xy --arc --path --posture",
+        "Time": "--time --profile --acceleration",
+        "Sine sweep": "--amplitude --frequencies",
+        "Limits": "--max-qd --max-qdd --max-tau --max-speed",
+        "Output": _OUTPUT,
+    },
+}
+_OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
+OWN = "Options"  # of a command, which stand first; typer's word, too
+
+
+def group_options(command: str, parameters: Iterable[Any]) -> None:
+    """Give each option its heading in the help of the command."""
+    of_flag = {
+        flag: heading
+        for heading, flags in _OPTIONS.get(command, _OTHERS).items()
+        for flag in flags.split()
+    }
+    for parameter in parameters:
+        flags = [flag for flag in parameter.opts if flag in of_flag]
+        if flags:
+            parameter.rich_help_panel = of_flag[flags[0]]
+
+
+def _heading(parameter: Any) -> str:
+    if parameter.param_type_name == "argument":
+        return "Arguments"
+    return getattr(parameter, "rich_help_panel", None) or OWN
+
+
+class Command(TyperCommand):
+    """A command whose help is grouped, in a pipe too."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        order = ["Arguments", OWN, *_OPTIONS.get(self.name or "", _OTHERS)]
+        self.params.sort(key=lambda parameter: order.index(_heading(parameter)))
+        super().format_help(ctx, formatter)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        told: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            if record := parameter.get_help_record(ctx):
+                told.setdefault(_heading(parameter), []).append(record)
+        for heading, records in told.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+class Commands(TyperGroup):
+    """The list of commands, grouped in a pipe too."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        column = max(map(len, self.commands))
+        for heading, group in GROUPS.items():
+            rows = [(name.ljust(column), text) for name, text in group.items()]
+            with formatter.section(heading):
+                formatter.write_dl([row for row in rows if row[0].strip() in self.commands])

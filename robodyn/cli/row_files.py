@@ -1,0 +1,58 @@
+"""Files of rows, opened: with whatever delimiter, from stdin too."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, BinaryIO, cast
+
+from robodyn.cli.files import delimiter
+from robodyn.cli.output import note
+from robodyn.errors import InputError
+from robodyn.tables.delimited import Delimited
+
+if TYPE_CHECKING:
+    from robodyn.tables.table import Array
+
+
+def read_columns(
+    file: str, choose: Callable[[Sequence[str], str], Sequence[str]]
+) -> tuple[Array, Sequence[str], str]:
+    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its."""
+    import numpy as np
+
+    from robodyn.tables.table import Reader
+
+    with open_input(file) as (stream, name):
+        reader = Reader(stream, name)
+        names = choose(reader.header, name)
+        blocks = [chunk.values for chunk in reader.chunks(names)]
+    return np.concatenate([np.zeros((0, len(names))), *blocks]), names, name
+
+
+@contextmanager
+def open_input(states: str) -> Iterator[tuple[BinaryIO, str]]:
+    """The binary stream and the name of a CSV file, `-` for stdin; its rows with commas."""
+    with open_file(states) as (stream, name):
+        mark = delimiter.get()
+        yield (stream if mark == "," else cast(BinaryIO, Delimited(stream, mark))), name
+
+
+@contextmanager
+def open_file(states: str) -> Iterator[tuple[BinaryIO, str]]:
+    """The binary stream and the name of a file as it is, `-` for stdin."""
+    if states == "-":
+        if sys.stdin is None:
+            raise InputError("is closed", where="stdin")
+        if sys.stdin.isatty():
+            note("reading CSV rows from the keyboard; end with Ctrl-D")
+        yield sys.stdin.buffer, "stdin"
+        return
+    try:
+        stream = open(states, "rb")  # noqa: SIM115 (closed by the with below)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError("cannot be read", where=states, limit=reason.lower()) from None
+    with stream:
+        yield stream, states

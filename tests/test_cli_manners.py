@@ -1,0 +1,295 @@
+"""Manners of the command line: its help, what it imports, scenes by name."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import io
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from conftest import ROOT, Outcome
+
+from robodyn import cli
+from robodyn.cli import command_groups
+from robodyn.scene import other_conventions
+from robodyn.scene.example_scenes import example_file
+from robodyn.scene.grammar import FORMS, MAPPINGS
+from robodyn.tables.delimited import Delimited
+
+Run = Callable[..., Outcome]
+
+
+def function_of(command: str) -> Any:
+    return getattr(import_module(f"robodyn.cli.{command}"), command)
+
+
+def test_the_summaries_are_those_of_the_docstrings() -> None:
+    for name, text in command_groups.SUMMARIES.items():
+        told = inspect.getdoc(function_of(name)) or ""
+        assert text == " ".join(told.split("\n\n")[0].split()), name
+
+
+def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
+    out = robodyn("--help").succeeds().out
+    assert "..." not in out.partition("States:")[2]
+    shown = out.partition("States:")[2]
+    for name, text in command_groups.SUMMARIES.items():
+        words = r"\s+".join(map(re.escape, text.split()))
+        assert re.search(rf"^  {name} +{words}$", shown, re.M)
+    headings = re.findall(r"^(\w+):$", out, re.M)
+    assert headings == ["Options", *command_groups.GROUPS]
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_option_stands_once_under_its_heading(robodyn: Run, name: str) -> None:
+    out = robodyn(name, "--help").succeeds().out
+    options: dict[str, list[str]] = {}
+    for heading, body in re.findall(r"^(\w[^\n:]*):\n((?:  .*\n|\n(?=  ))+)", out, re.M):
+        options[heading] = re.findall(r"^  (?:-\w, )?(--[\w-]+)", body, re.M)
+    told = [flag for heading in options for flag in options[heading]]
+    group: Any = typer.main.get_command(cli._application([name]))
+    known = [p.opts[0] for p in group.commands[name].params if p.param_type_name == "option"]
+    assert sorted(told) == sorted([*known, "--help"])
+    if name in ("simulate", "sweep", "trajectory"):
+        assert set(options["Options"]) <= {"--set", "--delimiter", "--help"}
+        assert list(options)[-1] == "Output"
+    if name == "simulate":
+        wanted = ["Arguments", "Options", "Start", "Torques", "Control", "Integration", "Output"]
+        assert list(options) == wanted
+
+
+def imported(*words: str) -> set[str]:
+    line = [sys.executable, "-X", "importtime", "-m", "robodyn", *words]
+    told = subprocess.run(line, capture_output=True, text=True).stderr
+    return set(re.findall(r"\| +([\w.]+)$", told, re.M))
+
+
+@pytest.mark.parametrize("words", [["--version"], [], ["--help"]])
+def test_nothing_is_imported_that_is_not_shown(words: list[str]) -> None:
+    found = imported(*words)
+    assert "robodyn.cli" in found
+    assert not {"numpy", "yaml", "rich", "scipy", "robodyn.scene"} & found
+    assert not {f"robodyn.cli.{name}" for name in cli.COMMANDS} & found
+
+
+# Scenes by name
+
+
+@pytest.fixture
+def elsewhere(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder that is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_bare_word_is_the_example_of_this_name(robodyn: Run, elsewhere: Path) -> None:
+    by_file = robodyn("torque", ROOT / "robots/2r.yaml", "--q", "1,2").succeeds()
+    named = robodyn("torque", "2r", "--q", "1,2")
+    assert (named.code, named.out) == (0, by_file.out)
+    assert named.err == "Note: 2r is no file: the example scene of this name is taken\n"
+    changed = ["--set", "links.forearm.m=1.1"]
+    assert robodyn("torque", "2r", "--q", "1,2", *changed).out != by_file.out
+    believed = ["--hold", "0,0", "--control", "pd+g", "--kp", "9", "--kd", "1"]
+    believed += ["--control-model", "3r"]
+    robodyn("simulate", "2r", "--q", "1,2", *believed).fails(2, "3")
+
+
+def test_a_file_of_this_name_goes_first(robodyn: Run, elsewhere: Path) -> None:
+    (elsewhere / "2r").write_text("links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}]\n")
+    given = robodyn("torque", "2r", "--q", "0").succeeds()
+    assert (list(given.rows[0]), given.err) == (["tau1"], "")
+    (elsewhere / "pendulum").symlink_to(elsewhere / "gone")
+    robodyn("torque", "pendulum", "--q", "0").fails(2, "no such file")
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("2r.yaml", "the example of this name is 2r, without"),
+        ("robots/2r.yaml", "the example of this name is 2r, without"),
+        ("2rr", "did you mean the example 2r?"),
+        ("my-am.yaml", "did you mean my-arm.yaml?"),
+        ("xyzzy.yaml", "xyzzy.yaml: no such file"),
+    ],
+)
+def test_a_mistyped_name_is_an_error_with_the_nearest(
+    robodyn: Run, elsewhere: Path, name: str, near: str
+) -> None:
+    (elsewhere / "my-arm.yaml").touch()
+    robodyn("torque", name, "--q", "0").fails(2, "no such file", near)
+
+
+def help_examples() -> list[tuple[str, str]]:
+    """Each command line of the help's examples, and the command whose help has it."""
+    found = []
+    for name, function in [(x, function_of(x)) for x in cli.COMMANDS] + [("", cli._root)]:
+        examples = (inspect.getdoc(function) or "").partition("Examples:\n")[2]
+        lines = examples.replace("\\\n", " ").splitlines()
+        found += [(name, line.strip()) for line in lines if line.strip()]
+    return found
+
+
+@pytest.mark.parametrize(("name", "line"), help_examples())
+def test_an_example_of_the_help_goes_without_a_file_of_this_project(name: str, line: str) -> None:
+    calls: list[list[str]] = [[]]
+    for word in shlex.split(line):
+        if word in "|<>":
+            calls.append([])
+        calls[-1].append(word)
+    ours = [call[call.index("robodyn") + 1 :] for call in calls if "robodyn" in call]
+    assert ours
+    for command, *rest in ours:
+        group: Any = typer.main.get_command(cli._application([command]))
+        cli._prepare(group)
+        with group.commands[command].make_context(command, rest) as context:
+            model = context.params.get("model")
+            assert model is None or example_file(Path(model).stem)
+
+
+# Delimiters
+
+ROWS = 't;q1;q2;note\r\n0;0,5;1;a, b\r\n0,1;6e-1;-,25;"say ""x;y"""\r\n'
+PLAIN = 't,q1,q2,note\r\n0,0.5,1,"a, b"\r\n0.1,6e-1,-.25,"say ""x;y"""\r\n'
+
+
+@pytest.mark.parametrize("piece", [1, 5, 1 << 17])
+def test_rows_with_semicolons_and_decimal_commas(piece: int) -> None:
+    assert translated(ROWS, ";", piece) == PLAIN
+    assert translated(ROWS[:-2], ";", piece) == PLAIN[:-2]
+    lines = "x;y\n" + "".join(f"{k};{k},25\n" for k in range(300))
+    wanted = "x,y\n" + "".join(f"{k},{k}.25\n" for k in range(300))
+    assert translated(lines, ";", piece) == wanted
+    assert translated('a;b\n"1\n;2";"3,5"\n', ";", piece) == 'a,b\n"1\n;2",3.5\n'
+    assert translated("a\tb\n1.5\t2,5\n", "\t", piece) == 'a,b\n1.5,"2,5"\n'
+
+
+def translated(text: str, mark: str, piece: int) -> str:
+    class Slow(io.BytesIO):
+        def read1(self, size: int | None = -1) -> bytes:
+            return self.read(piece)
+
+    stream = Delimited(Slow(text.encode()), mark)
+    return b"".join(iter(stream.read1, b"")).decode()
+
+
+LINES = [
+    "torque robots/2r.yaml {}",
+    "accel robots/2r.yaml {}",
+    "reactions robots/2r.yaml {}",
+    "points robots/2r.yaml {}",
+    "energy robots/2r.yaml {}",
+    "regressor robots/2r.yaml {}",
+    "identify robots/2r.yaml {} --format json",
+    "simulate robots/2r.yaml --q 0.1,0.2 --track {} --control pd --kp 9 --kd 1 --time 0.1",
+    "simulate robots/2r.yaml --q 0.1,0.2 --tau-from {} --time 0.1",
+    "trajectory robots/2r.yaml --via {} --profile cubic",
+    "fit robots/2r.yaml --match {} --columns tau2 --vary links.forearm.m=0.5:1.5",
+    "plot {} --y q1 --format text",
+    "animate robots/2r.yaml {} -o {}.html",
+    "draw robots/2r.yaml {} --format text",
+]
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_every_command_that_reads_rows_takes_a_delimiter(
+    robodyn: Run, tmp_path: Path, line: str
+) -> None:
+    with_commas, other = tmp_path / "a.csv", tmp_path / "b.csv"
+    move = "trajectory robots/2r.yaml --from 0.1,0.2 --to 0.5,0.6 --time 1 --points 21"
+    states = robodyn(*move.split()).succeeds().out
+    with_commas.write_text(robodyn("torque", "robots/2r.yaml", "-", stdin=states).succeeds().out)
+    other.write_text(with_commas.read_text().replace(",", ";").replace(".", ","))
+    told = []
+    for file, more in ((with_commas, []), (other, ["--delimiter", ";"])):
+        words = line.format(file, tmp_path / "film").split()
+        command = robodyn(*words, *more)
+        told.append((command.code, command.out, re.sub(r"[ab]\.csv|[\d.e-]+ s\n", "", command.err)))
+    assert told[0] == told[1]
+    assert told[0][0] == 0, told[0]
+    robodyn(*line.format(other, tmp_path / "film").split()).fails(2, "give --delimiter ';'")
+
+
+def test_what_is_no_delimiter(robodyn: Run, tmp_path: Path) -> None:
+    rows = tmp_path / "rows.csv"
+    rows.write_text("q1\tq2\n1\t2\n")
+    torque = ("torque", "robots/2r.yaml", rows)
+    robodyn(*torque).fails(2, "column q1 is missing", "give --delimiter 'tab'")
+    assert robodyn(*torque, "--delimiter", "tab").succeeds().out.startswith("q1,q2,tau1")
+    robodyn(*torque, "--delimiter", ".").fails(2, "--delimiter", "is not one of ;, tab, ,")
+    rows.write_text("q1,q2\n1,2\n")
+    robodyn(*torque, "--delimiter", ";").fails(2, "leave --delimiter out")
+
+
+def test_lists_of_an_error_begin_with_what_is_like_the_name(robodyn: Run, tmp_path: Path) -> None:
+    rows = tmp_path / "rows.csv"
+    rows.write_text(",".join([*(f"column{k}" for k in range(100)), "q1", "q_2"]) + "\n")
+    given = robodyn("torque", "robots/2r.yaml", rows)
+    given.fails(2, "column q2 is missing", "the header has q_2, column0")
+    given = robodyn("sweep", "robots/watt-six-bar.yaml", "--vary", "links.cuopler.m=1,2")
+    given.fails(2, "known: links.coupler.m, ")
+
+
+# Other conventions
+
+
+def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "g: 9.81\nlinks:\n"
+        "  - {name: a, mass: 1, length: 1, com: 0.5, inertia: 0.1, limits: [-1, 1]}\n"
+        "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1, type: prismatic, parent: a, origin: [0, 0]}\n"
+        "  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1, a: 1, alpha: 0, d: 0, theta: 1, lenght: 2}\n"
+        "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1, limits: {lower: 0, upper: 1}}\n"
+    )
+    told = robodyn("check", scene)
+    for key, way in {
+        "g": "gravity",
+        "mass": "the mass is m",
+        "length": "the length is l",
+        "com": "the centre of gravity is r",
+        "inertia": "is I",
+        "type": "joint: prismatic and axis: [dx, dy]",
+        "parent": "is from: NAME",
+        "origin": "is from: NAME",
+        "a": "Denavit-Hartenberg rows are not read",
+        "theta": "Denavit-Hartenberg rows are not read",
+        "lenght": "known: ",
+        "lower": "the lower end is min",
+        "upper": "the upper end is max",
+    }.items():
+        line = next(
+            x for x in told.err.splitlines() if re.search(rf"[ .]{key}: is an unknown key", x)
+        )
+        assert way in line
+    told.fails(2, "[lower, upper] is {min: lower, max: upper}")
+
+
+@pytest.mark.parametrize("kind", other_conventions.KEYS)
+def test_no_key_of_another_convention_is_one_of_the_grammar(kind: str) -> None:
+    forms = [FORMS[name] for name in MAPPINGS.get(kind, {kind: ()})]
+    assert not set(other_conventions.KEYS[kind]) & {key for form in forms for key in form.keys}
+
+
+LONGEST = 80  # lines of a command's function, its options and its help among them
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_no_command_is_long(name: str) -> None:
+    path = ROOT / "robodyn" / "cli" / f"{name}.py"
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    (function,) = (x for x in tree.body if isinstance(x, ast.FunctionDef) and x.name == name)
+    assert (function.end_lineno or 0) - function.lineno < LONGEST
+
+
+def test_no_option_is_written_as_optional() -> None:
+    for path in (ROOT / "robodyn").rglob("*.py"):
+        assert not re.search(r"\bOptional\[", path.read_text(encoding="utf-8")), path
