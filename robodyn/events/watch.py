@@ -18,6 +18,7 @@ from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
 from robodyn.events.pieces import States, along, remembered, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,7 @@ LESS = 7  # times at most that the work on a function is halved which cannot be 
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
+@short_repr
 class Event(NamedTuple):
     """What happened when, and the state y = (q, qd) there; its time may be off by `apart`, s."""
 

@@ -20,7 +20,12 @@ def scene_text(name: str) -> str:
     """The file of a scene; InputError, with the names that there are, for any other."""
     if name not in scene_names():
         raise InputError("NAME", value=name, limit=f"must be one of {', '.join(scene_names())}")
-    return (_directory() / f"{name}.yaml").read_text(encoding="utf-8")
+    return example_file(name).read_text(encoding="utf-8")
+
+
+def example_file(name: str) -> Path:
+    """Where the scene of this name is."""
+    return _directory() / f"{name}.yaml"
 
 
 def summary(text: str) -> str:
