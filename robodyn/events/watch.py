@@ -1,8 +1,6 @@
 """Watches a run for events: finds each within its step, in order, and ends the run where one does.
 
-Of the steps of a series all are looked at together: where a function has one certain sign along a
-step, and the sign that it had before, nothing happened.  Mostly a box that the state stays in tells
-so; else the series does.  The others are looked at one by one.
+Steps of a series are looked at together, by boxes; those where a sign may change one by one.
 """
 
 from __future__ import annotations
