@@ -410,6 +410,20 @@ def test_columns_are_those_of_the_command(case: str, robodyn: Run, tmp_path: Pat
     np.testing.assert_allclose(np.column_stack(list(found.values())), values, rtol=0, atol=0)
 
 
+def test_motions_without_rows() -> None:
+    """Of a run whose output is wanted at no time: columns, of an arm and of a loop, but no row."""
+    reference = package.ReferenceTable.set_point([0.3, 0.1], 0.1)
+    led = package.controller(ARM, reference, "pd", kp=[50, 50], kd=[9, 9])
+    closed = package.assemble(FOUR_BAR, [1.0])
+    for mech, q, tau in ((ARM, REST, led), (ARM, REST, None), (FOUR_BAR, closed, None)):
+        motion = package.simulate(mech, q, np.zeros(mech.n), 0.1, tau, t_eval=[])
+        found = motion.to_dict()
+        assert found.rows == 0
+        assert set(found) > {"t", "energy"}
+        assert "0 rows, finished" in repr(motion)
+        assert "no row" in motion._repr_html_()
+
+
 def test_data_frames_take_tables(motion: package.Motion) -> None:
     found = motion.to_dict()
     assert isinstance(found, dict)

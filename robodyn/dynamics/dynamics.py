@@ -334,4 +334,5 @@ def loop_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike) -> A
     """
     pins = pin_forces(mechanism, multipliers, q)
     moments, torques = (f(mechanism, multipliers) for f in (kept_moments, coupling_torques))
-    return np.concatenate([pins.reshape(*pins.shape[:-2], -1), moments, torques], axis=-1)
+    flat = pins.reshape(*pins.shape[:-2], 2 * pins.shape[-2])  # of no state too
+    return np.concatenate([flat, moments, torques], axis=-1)
