@@ -92,7 +92,7 @@ class Felt:
         self.spun = list(np.moveaxis(-((qdd @ bodies.spins.T) * bodies.rotors), -1, 0))
 
     def reactions(self) -> Complex:
-        """Equation (2), (..., n)."""
+        """The force on each link at its own joint, (..., n)."""
         forces: Complex = -(self.load @ self.bodies.below)
         if self.mechanism.springs or self.mechanism.forces:
             forces = forces - self.rows(parts.acting, "on links") @ self.bodies.carried
@@ -151,7 +151,7 @@ class Felt:
         return np.moveaxis(points_of(self.mechanism, [point]).place(self.at), -1, 0)[0]  # type: ignore[no-any-return]
 
     def shaking(self) -> tuple[Array, Array, Array]:
-        """Equation (3)."""
+        """Fx, Fy and M on the ground."""
         mechanism, bodies = self.mechanism, self.bodies
         force = self.load.sum(axis=-1)
         # those on links that cannot turn are no load of the mechanism's, but of the ground's
