@@ -1,6 +1,6 @@
 """robodyn: dynamics of planar mechanisms, from arms to linkages with closed loops.
 
-    mech = robodyn.load("robots/2r.yaml")
+    mech = robodyn.load("2r")
     tau = robodyn.inverse_dynamics(mech, q, qd, qdd)
 
 Names are imported when they are first used, so that `import robodyn` costs next to nothing.
@@ -9,7 +9,8 @@ Names are imported when they are first used, so that `import robodyn` costs next
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from types import FunctionType
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from robodyn.control.laws import controller as controller
@@ -50,8 +51,12 @@ if TYPE_CHECKING:
     from robodyn.loops.loop_rates import loop_accelerations as loop_accelerations
     from robodyn.loops.loop_rates import loop_velocities as loop_velocities
     from robodyn.mechanics.mechanism import Mechanism as Mechanism
-    from robodyn.mechanics.mechanism import load as load
     from robodyn.mechanics.voltages import voltages as voltages
+    from robodyn.notebook.figures_of import animate as animate
+    from robodyn.notebook.figures_of import draw as draw
+    from robodyn.notebook.figures_of import plot as plot
+    from robodyn.notebook.loading import load as load
+    from robodyn.notebook.sweep_table import sweep as sweep
     from robodyn.parameters.fitting import fit as fit
     from robodyn.parameters.identification import identify as identify
     from robodyn.parameters.motion_lanes import fit_motion as fit_motion
@@ -95,10 +100,13 @@ _ROOMS = {
     "errors": ["AssemblyError", "DescriptionError", "InputError", "RobodynError", "SingularError"],
     "kinematics.point_motion": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
-    "mechanics.mechanism": ["Mechanism", "load"],
+    "mechanics.mechanism": ["Mechanism"],
     "dynamics.motor_loads": ["motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
+    "notebook.figures_of": ["animate", "draw", "plot"],
+    "notebook.loading": ["load"],
+    "notebook.sweep_table": ["sweep"],
     "parameters.identification": ["identify"],
     "parameters.regression_matrix": ["regressor"],
     "parameters.fitting": ["fit"],
@@ -114,15 +122,38 @@ _ROOMS = {
     "trajectories.reference": ["ReferenceMotion", "reference_motion"],
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+__all__ = sorted(_ROOM_OF)
 
 
 def __getattr__(name: str) -> object:
     if name not in _ROOM_OF:
         raise AttributeError(f"module 'robodyn' has no attribute '{name}'")
     value = getattr(import_module(f"robodyn.{_ROOM_OF[name]}"), name)
+    if isinstance(value, FunctionType) and value.__code__.co_varnames[:1] == ("mechanism",):
+        value = _of_a_mechanism(value)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_ROOM_OF])
+    return [*__all__, "__version__"]
+
+
+def _of_a_mechanism(function: FunctionType) -> FunctionType:
+    """The function, which says so where its first argument is no mechanism."""
+    from functools import wraps
+
+    from robodyn.errors import InputError
+    from robodyn.mechanics.mechanism import Mechanism
+
+    @wraps(function)
+    def checked(*given: Any, **named: Any) -> Any:
+        first = given[0] if given else named.get("mechanism")
+        if (given or named) and not isinstance(first, Mechanism):
+            told = repr(first) if isinstance(first, (str, bytes)) else type(first).__name__
+            limit = "must be a Mechanism, which robodyn.load makes of a file or a name"
+            raise InputError("mechanism", where=function.__name__, value=told, limit=limit)
+        return function(*given, **named)
+
+    checked.__module__ = "robodyn"  # where others find it, as pickles do
+    return checked  # type: ignore[return-value]

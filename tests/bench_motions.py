@@ -54,7 +54,7 @@ def motions(bench: Any) -> list[Any]:
             writer.writeheader()
             writer.writerows(table)
         if find_spec("matplotlib") is not None:
-            from robodyn.cli.figures import work_precision
+            from robodyn.pictures.chart_figure import work_precision
 
             work_precision(result, problem.name, str(folder / f"{name}.png"))
         for target in (1e-6, 1e-9):

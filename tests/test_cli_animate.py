@@ -17,8 +17,8 @@ import pytest
 from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, Outcome
 
 import oracles
-from robodyn.cli import animate, figures
-from robodyn.cli.animation_files import durations
+from robodyn.pictures import animation_files, chart_figure
+from robodyn.pictures.animation_files import durations
 
 Run = Callable[..., Outcome]
 BAR = "robots/four-bar.yaml"
@@ -80,7 +80,7 @@ def test_durations_add_up(rate: float) -> None:
 def test_what_a_frame_shows(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At each frame the crank's pin, a white circle, is where the oracle has it."""
     pytest.importorskip("matplotlib", reason="the extra `plot`")
-    from robodyn.cli import pictures
+    from robodyn.pictures import mechanism_picture as pictures
 
     kept = []
     begin = pictures.Picture.__init__
@@ -252,7 +252,7 @@ def test_the_script_runs(robodyn: Run, tmp_path: Path) -> None:
 def test_a_page_needs_no_extra(
     robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     page_of(robodyn, tmp_path / "x.html")
     robodyn("animate", BAR, "-", "-o", tmp_path / "x.gif", stdin=TURN).fails(
         1, "pip install 'robodyn[plot]'"
@@ -288,7 +288,7 @@ def test_a_film_takes_what_ffmpeg_makes(
 
 def test_without_ffmpeg(robodyn: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib", reason="the extra `plot`")
-    monkeypatch.setattr(animate.shutil, "which", lambda name: None)
+    monkeypatch.setattr(animation_files.shutil, "which", lambda name: None)
     given = robodyn("animate", BAR, "-", "-o", tmp_path / "x.mp4", stdin=TURN)
     given.fails(1, "ffmpeg", ".gif and .html")
     assert list(tmp_path.iterdir()) == []

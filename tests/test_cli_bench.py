@@ -7,8 +7,9 @@ import math
 
 import pytest
 
-from robodyn.cli import bench, figures
+from robodyn.cli import bench
 from robodyn.dynamics import evaluators
+from robodyn.pictures import chart_figure
 from robodyn.simulation import benchmark
 
 ARM = ("bench", "robots/2r.yaml", "--q=-1.3,-0.2", "--qd", "0.5,0.25", "--time", 0.2)
@@ -173,7 +174,7 @@ def test_what_is_refused_before_the_work(robodyn, options, parts):
 
 @pytest.mark.usefixtures("idle")
 def test_without_matplotlib(robodyn, monkeypatch):
-    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     robodyn(*ARM, "--plot", "figure.svg").fails(1, "--plot", "robodyn[plot]")
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from conftest import ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome
 
-from robodyn.cli import draw, figures
+from robodyn.cli import draw
+from robodyn.pictures import chart_figure
 
 Run = Callable[..., Outcome]
 FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
@@ -22,7 +23,7 @@ BAR = ("draw", "robots/four-bar.yaml", "--q", "60deg")
 def pictures(monkeypatch: pytest.MonkeyPatch) -> list:
     """The pictures that are made, kept to be asked."""
     pytest.importorskip("matplotlib", reason="the extra `plot`")
-    from robodyn.cli import pictures
+    from robodyn.pictures import mechanism_picture as pictures
 
     kept = []
     begin = pictures.Picture.__init__
@@ -294,7 +295,7 @@ def test_a_pose_that_cannot_close(robodyn: Run, four_bar_text: str, scene: Run) 
 
 
 def test_without_the_extra(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     robodyn(*ARM, "-o", tmp_path / "x.svg").fails(1, "pip install 'robodyn[plot]'")
     assert list(tmp_path.iterdir()) == []
     robodyn(*ARM, "--format", "text").succeeds()

@@ -120,7 +120,9 @@ def test_what_is_built_has_the_guide_and_the_scenes(tmp_path: Path) -> None:
     command = [sys.executable, "-c", make, "--quiet", "build_py", "--build-lib", str(built)]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    for path in [*ROOT.glob("robodyn/guide/*.md"), *ROOT.glob("robodyn/**/*.py")]:
+    notebook, typed = ROOT / "robodyn/guide/notebook.ipynb", ROOT / "robodyn/py.typed"
+    pages = [*ROOT.glob("robodyn/guide/*.md"), notebook, typed]
+    for path in [*pages, *ROOT.glob("robodyn/**/*.py")]:
         assert (built / path.relative_to(ROOT)).read_bytes() == path.read_bytes()
     for path in ROOT.glob("robots/*.yaml"):
         assert (built / "robodyn" / path.relative_to(ROOT)).read_bytes() == path.read_bytes()

@@ -11,6 +11,7 @@ import pytest
 from conftest import Outcome
 
 from robodyn.cli import figures
+from robodyn.pictures import chart_figure
 
 Run = Callable[..., Outcome]
 FIRST = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF", ".txt": b" "}
@@ -29,8 +30,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list:
     """The figures that are made, kept to be asked."""
     pytest.importorskip("matplotlib", reason="the extra `plot`")
     kept = []
-    make = figures.chart_figure
-    monkeypatch.setattr(figures, "chart_figure", lambda *a: kept.append(make(*a)) or kept[-1])
+    make = chart_figure.chart_figure
+    monkeypatch.setattr(chart_figure, "chart_figure", lambda *a: kept.append(make(*a)) or kept[-1])
     return kept
 
 
@@ -268,7 +269,7 @@ def test_one_row_is_a_point(robodyn: Run, tmp_path: Path, drawn: list) -> None:
 def test_without_the_extra(
     robodyn: Run, motion: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(figures, "find_spec", lambda name: None)
+    monkeypatch.setattr(chart_figure, "find_spec", lambda name: None)
     path = tmp_path / "x.png"
     robodyn("plot", motion, "-o", path).fails(1, "pip install 'robodyn[plot]'")
     assert not path.exists()

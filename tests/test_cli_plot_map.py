@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
-from robodyn.cli import map_figure
+from robodyn.pictures import map_figure
 from robodyn.pictures.colour_scale import NONE, rgb, viridis
 
 Run = Callable[..., Outcome]

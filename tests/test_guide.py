@@ -19,7 +19,11 @@ PACKAGE = ROOT / "robodyn"
 GUIDE = PAGES["how-it-works"]
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 # the imports upwards, which the guide tells
-UPWARDS = {("machine_motion.py", "taylor")}
+UPWARDS = {
+    ("machine_motion.py", "taylor"),
+    ("planar_model.py", "notebook"),
+    ("simulation.py", "notebook"),
+}
 
 
 def storeys() -> dict[str, int]:

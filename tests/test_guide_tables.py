@@ -77,14 +77,15 @@ def test_exit_codes() -> None:
 
 def test_functions_are_called_as_the_guide_says() -> None:
     """What it names first are the parameters in their order, `mech` for the mechanism."""
-    calls = re.findall(r"`(\w+)\((\w.*?)\)`", PAGES["python"].split("| function | result |")[1])
+    tables = "".join(PAGES["python"].split("| function | result |")[1:])
+    calls = re.findall(r"`(\w+)\(([\w*].*?)\)`", tables)
     assert len(calls) > 30
     for name, arguments in calls:
         function = getattr(robodyn, name, None)
         if function is None:  # a method, which the text names with its class
             continue
         parameters = inspect.signature(function).parameters
-        told = re.sub(r"\[.*?\]|\(\)", "", arguments).split(", ")
+        told = re.sub(r"\[.*?\]|\(\)|\*", "", arguments).split(", ")
         for k, argument in enumerate(x for x in told if x != "..."):
             word, _, default = argument.replace("mech", "mechanism").partition("=")
             assert word in parameters, (name, word)

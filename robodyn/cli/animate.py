@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 from typer import Option
 
-from robodyn.cli.figures import check_directory, check_matplotlib, parse_size
+from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options
 from robodyn.cli.points import OF, POINTS, points_given
@@ -19,14 +18,13 @@ from robodyn.cli.states import Quantity, complete, remarks, single_state, table_
 from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.rails import at
 from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
-SUFFIXES = (".gif", ".mp4", ".html")
-FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
 SHOWN = 2.0  # s that a mode is watched at least
 _TRACE = "The same as --of."
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
@@ -64,14 +62,8 @@ def animate(
       robodyn simulate 2r --q 0,0 --time 3 | robodyn animate 2r - -o arm.gif
       robodyn animate 3r --mode 2 --q -90deg,0,0 -o mode2.html
     """
-    suffix = Path(out).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError("--out", value=out, limit=f"must end in {', '.join(SUFFIXES)}")
-    if not 0.0 < fps <= FASTEST[suffix]:
-        limit = f"must be > 0 and at most {FASTEST[suffix]:g} in a {suffix[1:]}"
-        raise InputError("--fps", value=fps, limit=limit)
-    if not 0.0 < speed < float("inf"):
-        raise InputError("--speed", value=speed, limit="must be > 0 and finite")
+    with named_options(["out", "fps", "speed"]):
+        check_animation(out, fps, speed)
     extent = parse_size(size)
     for flag, value in (("--q", q), ("--tau", tau)):
         if value is not None and mode is None:
@@ -82,11 +74,7 @@ def animate(
     mechanism = model.load()
     traced = points_given(mechanism, of, trace)
     check_directory(out)
-    if suffix != ".html":
-        check_matplotlib(f"an animation ({suffix[1:]})")
-    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        limit = "needs the program ffmpeg, which is not on the path; .gif and .html do not"
-        raise RobodynError("an animation (mp4)", limit=limit)
+    check_programs(out)
     with remarks():
         if states is not None:
             shown_frames = _read(mechanism, states, fps, speed)
@@ -95,15 +83,8 @@ def animate(
     drawn = drawing(mechanism, shown_frames.q)
     X = placed(mechanism, shown_frames.fine).X
     traces = [at(each.point, X) for each in traced]
-    from robodyn.cli.animation_files import Film, write_gif, write_mp4, write_page
-
-    if suffix == ".html":
-        write_page(drawn, shown_frames, speed, traces, extent, out)
-        return
-    film = Film(drawn, shown_frames.t, traces, extent)
-    write = write_gif if suffix == ".gif" else write_mp4
-    with progress("drawing", silent=0.0) as watch:
-        write(film, fps, out, watch)
+    watched = partial(progress, "drawing", silent=0.0)
+    write_animation(drawn, shown_frames, speed, traces, extent, out, watched)
 
 
 def _of_mode(

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from typer import Option
 
-from robodyn.cli.figures import check_directory, check_plot, work_precision
+from robodyn.cli.figures import check_directory, check_plot
 from robodyn.cli.files import output_file
 from robodyn.cli.options import Model, Q, Qd, Text
 from robodyn.cli.output import RowOptions, default_format, note
@@ -17,6 +17,7 @@ from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
+from robodyn.pictures.chart_figure import work_precision
 from robodyn.simulation.benchmark import benchmark
 
 MOST_REPEATS = 10_000

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from typer import Option
 
-from robodyn.cli.figures import (
-    DOTS,
-    check_dpi,
-    parse_size,
-    picture_format,
-    save,
-    write_characters,
-)
+from robodyn.cli.figures import check_dpi, parse_size, picture_format, write_characters
 from robodyn.cli.options import (
     Ascii,
     Dpi,
@@ -35,27 +28,25 @@ from robodyn.cli.states import (
     Quantity,
     Source,
     complete,
-    overflow,
     remarks,
     single_state,
     table_source,
 )
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.chart_figure import DOTS, save
 from robodyn.pictures.drawing import (
     Drawing,
     Trace,
     drawing,
     drawing_lines,
+    even_rows,
     first_pose,
-    span,
     traced,
 )
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from robodyn.pictures.force_arrows import Force
 
 DEFAULT_POSES = 8
@@ -136,7 +127,9 @@ def draw(
 
         write_characters(lines, ascii, out)
         return
-    save(_figure(mechanism, drawn, texts, found, traces, extent), out, chosen, dpi)
+    from robodyn.pictures.mechanism_picture import mechanism_figure
+
+    save(mechanism_figure(drawn, texts, traces, found, extent), out, chosen, dpi)
 
 
 def _check(
@@ -162,53 +155,16 @@ def _check(
         raise InputError("--forces", limit="needs a picture: give --out with .png, .svg or .pdf")
 
 
-def _figure(
-    mechanism: Mechanism,
-    drawn: Drawing,
-    texts: list[str],
-    found: list[Force],
-    traces: list[Trace],
-    extent: tuple[float, float] | None,
-) -> Figure:
-    """The picture, its last pose in full, with the arrows of the forces found."""
-    from robodyn.cli.pictures import Picture
-    from robodyn.pictures.force_arrows import arrows, metres_a_newton
-
-    placed = arrows(found, metres_a_newton(found, span(mechanism, drawn.q)))
-    room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
-    around = [z + d for ends in placed for z in ends for d in (room, -room)]
-    around += [z for trace in traces for z in trace.path.tolist()]
-    picture = Picture(drawn, extent, around)
-    last = len(drawn.q) - 1
-    for k in range(last):
-        picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
-    picture.show(last)
-    picture.trace(traces)
-    picture.annotate(last, texts, found, placed)
-    figure: Figure = picture.figure
-    return figure
-
-
 def _loaded(mechanism: Mechanism, quantities: list[Quantity]) -> tuple[Drawing, list[Force]]:
     """The drawing of one state, and its forces."""
-    from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
-    from robodyn.loops.loop_rates import check_way_on
-    from robodyn.pictures.force_arrows import forces
+    from robodyn.pictures.force_arrows import forces_at
 
-    given, tau = quantities[:3], quantities[3]
-    if tau.option is None:
+    given, torques = quantities[:3], quantities[3]
+    if torques.option is None:
         q, qd, qdd = single_state(mechanism, given)
-        multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
-    else:
-        q, qd, torques = single_state(mechanism, [*given[:2], tau])
-        check_way_on(mechanism, q[None, :], qd[None, :])
-        qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, torques)
-    drawn = drawing(mechanism, q)
-    with np.errstate(all="ignore"):
-        found = forces(mechanism, q, qd, qdd, multipliers)
-    if not np.isfinite([item.force for item in found]).all():
-        raise overflow()
-    return drawn, found
+        return drawing(mechanism, q), forces_at(mechanism, q, qd, qdd)
+    q, qd, tau = single_state(mechanism, [*given[:2], torques])
+    return drawing(mechanism, q), forces_at(mechanism, q, qd, tau=tau)
 
 
 def _rows(
@@ -227,7 +183,7 @@ def _rows(
     values, _, name = read_columns(states, columns)
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no state")
-    wanted = np.unique(np.linspace(len(values) - 1, 0, min(poses, len(values))).round().astype(int))
+    wanted = even_rows(len(values), poses)
     if not whole:
         values, wanted = values[wanted], np.arange(len(wanted))
     return complete(mechanism, sources, [values])[0], wanted

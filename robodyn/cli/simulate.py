@@ -27,15 +27,14 @@ from robodyn.cli.simulate_options import (
     named,
     torque_source,
 )
-from robodyn.cli.states import Quantity, assembled_state, loop_columns, remarks, single_state
+from robodyn.cli.states import Quantity, assembled_state, remarks, single_state
 from robodyn.cli.times import Points, output_times
-from robodyn.dynamics import closed_form
-from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.errors import RobodynError
 from robodyn.events.watch import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
+from robodyn.simulation.motion_columns import motion_columns, motion_values
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.run_torques import applied_torques, over_run
 from robodyn.simulation.settings import Settings
@@ -223,7 +222,7 @@ class _Rows:
         """Made with the first row: a run that cannot start writes no header."""
         results, units = self.results, scene_units(self.mechanism)
         make = maker(self.stream, results.format, results.out, units)
-        names = _columns(self.mechanism, self.torques)
+        names = motion_columns(self.mechanism, self.torques.control is not None)
         names += self.carried.columns if self.carried else []
         if results.degrees:
             summary = extremes_writer if results.extremes else None
@@ -231,10 +230,9 @@ class _Rows:
         return extremes_writer(make, names) if results.extremes else make(names)
 
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
-        rows = _values(self.mechanism, moving, self.torques, t, y)
+        rows = _rows(self.mechanism, moving, self.torques, t, y)
         if self.carried:
-            by = np.swapaxes(self.carried.of(y), 1, 2).reshape(len(t), -1)
-            rows = np.concatenate([rows, by], axis=-1)
+            rows = np.concatenate([rows, self.carried.flat(y)], axis=-1)
         self.writer.write_columns(rows)
 
 
@@ -272,33 +270,16 @@ def _unfinished(facts: Report, duration: float) -> UnfinishedError:
     return UnfinishedError(where, limit=facts.advice)
 
 
-def _columns(mechanism: Mechanism, torques: Actuation) -> list[str]:
-    joints = range(1, mechanism.n + 1)
-    names = ["t", *(f"{name}{k}" for name in ("q", "qd", "qdd") for k in joints)]
-    names += [f"tau{k + 1}" for k in mechanism.actuated]
-    names += loop_columns(mechanism)
-    names += ["energy", *(["gap"] if mechanism.rows else [])]
-    return names + [f"e{k + 1}" for k in mechanism.actuated if torques.control is not None]
-
-
-def _values(
+def _rows(
     mechanism: Mechanism, moving: Mechanism, torques: Actuation, t: np.ndarray, y: np.ndarray
 ) -> np.ndarray:
     """The columns' values (T, columns) at times and states; `moving` is what moves there."""
     n = mechanism.n
-    q, qd = y[:, :n], y[:, n : 2 * n]
     tau = applied_torques(mechanism, torques, t, y)
-    solution = forward_dynamics_and_forces(moving, q, qd, tau, t)
-    forces = loop_forces(mechanism, solution.multipliers[..., : len(mechanism.rows)], q)
-    energy = np.sum(closed_form.energies(moving, q, qd), axis=0)
-    driven = tau[:, list(mechanism.actuated)]
-    parts = [t[:, None], q, qd, solution.qdd, driven, forces, energy[:, None]]
-    if mechanism.rows:
-        gap = np.linalg.norm(closed_form.closure_gap(mechanism, q), axis=-1)
-        parts.append(gap[:, None])
+    values = motion_values(mechanism, moving, t, y[:, :n], y[:, n : 2 * n], tau)
     if torques.control is not None:
-        parts.append(torques.control.errors(t, y))
-    return np.concatenate(parts, axis=-1)
+        values = np.concatenate([values, torques.control.errors(t, y)], axis=-1)
+    return values
 
 
 def _write_events(stream: BinaryIO, mechanism: Mechanism, found: Sequence[Event]) -> None:

@@ -15,8 +15,10 @@ from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.short_repr import short_repr
 
 
+@short_repr
 @dataclass(frozen=True)
 class StateFeedback:
     """A gain and its pose: `gain` (actuated, 2f) of f `coordinates` (joints from 0), then rates.

@@ -51,6 +51,10 @@ class ReferenceTable:
         _check(stamps, given, where)
         self._consist(where, stamps.tolist(), _coefficients(stamps, given))
 
+    def __repr__(self) -> str:
+        span = f"t = {self.times[0]:.6g} to {self.times[-1]:.6g} s"
+        return f"<ReferenceTable of {self.joints} joints: {len(self.times)} rows, {span}>"
+
     def _consist(self, where: str, times: list[float], coefficients: Array) -> ReferenceTable:
         self.where, self.times = where, times
         self.coefficients = coefficients  # (T - 1, m, degree + 1) of t - times[k]

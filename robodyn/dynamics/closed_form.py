@@ -12,9 +12,9 @@ of what turns and s E_d of what slides on link d (E_d = 1 on the ground), T = dX
 where A, J, P, the weights w (conj(gamma) B, but for constant forces), the moments, and the rotors
 of motors, which spin with S qd, are the constants of `mechanism.py`.  Where nothing slides
 T = diag(i E), and these are the textbook's sums over conj(E_j) A_jk E_k.  This C is the Christoffel
-one: Mdot - 2C is skew-symmetric.  The equation of motion, which every docstring refers to, is
+one: Mdot - 2C is skew-symmetric.  The equation of motion is
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
 with D the diagonal matrix of joint damping.  Springs of a scene are in G and PE, what else acts
 is Q, from the rows of the program (`row_values.py`, which only scenes that have some import).
@@ -49,8 +49,9 @@ def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = No
 
 
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """M of equation (1), (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
+    """M (..., n, n), kg m^2: symmetric, positive definite if all links have mass.
 
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
     Raises InputError where q is not finite or not n wide.
     """
     J = mechanism.arrays.J
@@ -66,8 +67,9 @@ def rotor_inertia(mechanism: Mechanism) -> Array:
 
 
 def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
-    """The Christoffel C of equation (1), (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
+    """The Christoffel C (..., n, n), kg m^2/s: Mdot - 2C is skew-symmetric.
 
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
     Raises InputError where q or qd is not finite or not n wide.
     """
     J, at = mechanism.arrays.J, placed(mechanism, q)
@@ -77,8 +79,9 @@ def coriolis_matrix(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike) -> Array:
 
 
 def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """G = dPE/dq of equation (1), (..., n), N m: of gravity, springs, constant forces and torques.
+    """G = dPE/dq (..., n), N m: of gravity, springs, constant forces and torques.
 
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.
     Raises InputError where q is not finite or not n wide, SingularError where the ends of a spring
     with a free length coincide.
     """
@@ -92,11 +95,12 @@ def gravity_vector(mechanism: Mechanism, q: ArrayLike) -> Array:
 
 
 def other_forces(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, t: ArrayLike = 0.0) -> Array:
-    """Q of equation (1), (..., n), N m: of what has no potential, but for dampers of joints.
+    """Q (..., n), N m: of what has no potential, but for dampers of joints.
 
-    Dampers of springs, forces that turn with a link, loads that vary (at times t (...), s), and
-    friction.  Raises InputError where q or qd is
-    not finite or not n wide, SingularError where the ends of a damped spring coincide.
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with D the dampers of joints.  In Q are
+    dampers of springs, forces that turn with a link, loads that vary (at times t (...), s), and
+    friction.  Raises InputError where q or qd is not finite or not n wide, SingularError where the
+    ends of a damped spring coincide.
     """
     from robodyn.engines.row_values import rows_of
 

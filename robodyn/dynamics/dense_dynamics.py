@@ -42,6 +42,7 @@ from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,7 @@ SPREAD = 1e5  # ratio of link inertias up to which eliminating M before Psi keep
 BALANCE = 1e-7  # part of the load that torques may miss by before the motion is impossible
 
 
+@short_repr
 class Torques(NamedTuple):
     """tau (..., n) N m, zero at passive joints, and the multipliers lambda (..., r) N.
 
@@ -63,6 +65,7 @@ class Torques(NamedTuple):
     remark: str = ""
 
 
+@short_repr
 class Accelerations(NamedTuple):
     """qdd (..., n) rad/s^2 and the multipliers lambda (..., r) N; `remark` as for Torques."""
 

@@ -1,8 +1,8 @@
 """Derivatives of inverse and forward dynamics, exact: by tangents of the program, no differences.
 
 Of a closed mechanism q and qd are varied one by one, as if each joint were free, with the solution
-of equation (1) for what follows: along directions that keep the closures that is what the mechanism
-does; across them it is a matter of how equation (1) is written.
+of the equation of motion for what follows: along directions that keep the closures that is what
+the mechanism does; across them it is a matter of how that equation is written.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from robodyn.engines.derivative_formulas import (
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each
 
 
+@short_repr
 class ForwardDerivatives(NamedTuple):
     """qdd (..., n), and d qdd_i / d q_j, d qd_j, d tau_j, each (..., n, n).
 
@@ -45,6 +47,7 @@ class ForwardDerivatives(NamedTuple):
     by_numbers: Array
 
 
+@short_repr
 class InverseDerivatives(NamedTuple):
     """tau (..., n), and d tau_i / d q_j, d qd_j, d qdd_j, each (..., n, n).
 

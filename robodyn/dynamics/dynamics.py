@@ -1,10 +1,10 @@
 """Inverse and forward dynamics of open and closed mechanisms, and the forces in the loops.
 
-Equation (1) of `closed_form.py` is solved, with its closures differentiated twice:
+The equation of motion of `closed_form.py` is solved, with its closures differentiated twice:
 
     M qdd + C qd + D qd + G = S^T tau_act + Q + Psi^T lambda,     Psi qdd + Psidot qd = 0
 
-(S selects the actuated joints).  Eliminating lambda from it gives the textbook's equation (33).
+(S selects the actuated joints).
 Large batches run through the generated code of `straightline.py`; small ones, and the few states
 that are near singular, through `dense_dynamics.py`, which also works where M alone is singular but
 the constrained system is not, and where closures depend on one another.
@@ -55,8 +55,9 @@ class RobodynWarning(UserWarning):
 def inverse_dynamics(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """The joint torques tau of equation (1) that the motion needs, (..., n), N m.
+    """The joint torques tau that the motion needs, (..., n), N m.
 
+    tau = M qdd + C qd + D qd + G - Q - Psi^T lambda, zero at passive joints.
     q, qd, qdd are (..., n) and broadcast; a closed mechanism's must keep its closures (see
     `assembly`).  Loads that vary are those at the times t (...), s.  Passive joints get zero.  With
     more actuators than freedoms tau is the one of least norm, with a RobodynWarning.  Raises
@@ -76,8 +77,9 @@ def inverse_dynamics_and_forces(
 def forward_dynamics(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """The accelerations qdd of equation (1) that the joint torques tau cause, (..., n), rad/s^2.
+    """The accelerations qdd that the joint torques tau cause, (..., n), rad/s^2.
 
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda, with the closures Psi qdd + Psidot qd = 0.
     q, qd, tau are (..., n) and broadcast; a closed mechanism's q and qd must keep its closures.
     Loads that vary are those at the times t (...), s.  Raises InputError for arrays that do
     not fit, SingularError where a freedom has no inertia.
@@ -332,4 +334,5 @@ def loop_forces(mechanism: Mechanism, multipliers: ArrayLike, q: ArrayLike) -> A
     """
     pins = pin_forces(mechanism, multipliers, q)
     moments, torques = (f(mechanism, multipliers) for f in (kept_moments, coupling_torques))
-    return np.concatenate([pins.reshape(*pins.shape[:-2], -1), moments, torques], axis=-1)
+    flat = pins.reshape(*pins.shape[:-2], 2 * pins.shape[-2])  # of no state too
+    return np.concatenate([flat, moments, torques], axis=-1)

@@ -89,7 +89,7 @@ def _figures(found: Array, known: Array, seconds: float) -> list[float | str]:
 
 
 def _accelerations(mechanism: Mechanism, q: Array, qd: Array, tau: Array) -> list[Any]:
-    """qdd of equation (1), by the rows of the program in numbers of DIGITS digits."""
+    """qdd of the equation of motion, by the rows of the program in numbers of DIGITS digits."""
     from mpmath import mp
 
     numbers = Arithmetic(

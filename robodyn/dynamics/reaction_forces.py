@@ -4,13 +4,13 @@ Newton's equation of all bodies b that link k carries, itself and payloads inclu
 unknown: the force R_k that acts on link k at its own joint, from the link (or the ground) that it
 hangs from.  With the pin forces f_c on the side that closure c names first,
 
-    R_k = sum_b m_b (a_b - gamma) - sum_c (+1 first side, -1 second side below k) f_c - F_k   (2)
+    R_k = sum_b m_b (a_b - gamma) - sum_c (+1 first side, -1 second side below k) f_c - F_k
 
 F_k is what springs and loads put on all that link k carries.
 
 The ground feels the momentum that changes and the weight, whichever way the forces take:
 
-    F = sum_b m_b (gamma - a_b)      M = sum_b s_b x m_b (gamma - a_b) - sum_k I_k alphadd_k   (3)
+    F = sum_b m_b (gamma - a_b)      M = sum_b s_b x m_b (gamma - a_b) - sum_k I_k alphadd_k
 
 and the loads besides.  A rotor that spins ever faster turns the link that carries it back, and so
 the ground: - sum J (w_carrier + ratio qd)' is in M too.  Joint torques, dampers, pins and springs
@@ -92,7 +92,7 @@ class Felt:
         self.spun = list(np.moveaxis(-((qdd @ bodies.spins.T) * bodies.rotors), -1, 0))
 
     def reactions(self) -> Complex:
-        """Equation (2), (..., n)."""
+        """The force on each link at its own joint, (..., n)."""
         forces: Complex = -(self.load @ self.bodies.below)
         if self.mechanism.springs or self.mechanism.forces:
             forces = forces - self.rows(parts.acting, "on links") @ self.bodies.carried
@@ -151,7 +151,7 @@ class Felt:
         return np.moveaxis(points_of(self.mechanism, [point]).place(self.at), -1, 0)[0]  # type: ignore[no-any-return]
 
     def shaking(self) -> tuple[Array, Array, Array]:
-        """Equation (3)."""
+        """Fx, Fy and M on the ground."""
         mechanism, bodies = self.mechanism, self.bodies
         force = self.load.sum(axis=-1)
         # those on links that cannot turn are no load of the mechanism's, but of the ground's
@@ -182,8 +182,9 @@ def reactions(
     multipliers: ArrayLike,
     t: ArrayLike = 0.0,
 ) -> Array:
-    """The force on each link at its own joint, equation (2), (..., n, 2), N, ground axes.
+    """The force on each link at its own joint, (..., n, 2), N, ground axes.
 
+    R_k = sum_b m_b (a_b - gamma) - F_k less the pin forces, over the bodies b that link k carries.
     It comes from the link, or the ground, that the link hangs from.  q, qd, qdd (..., n) are a
     motion, rad and s, and multipliers (..., r) N those of `inverse_dynamics_and_forces` or
     `forward_dynamics_and_forces` for it, (..., 0) without closures.  Raises InputError for arrays
@@ -218,12 +219,12 @@ def slide_moments(
 def shaking_force(
     mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, t: ArrayLike = 0.0
 ) -> Array:
-    """What the mechanism does to the ground, equation (3), (..., 3): Fx, Fy N, M N m.
+    """What the mechanism does to the ground, (..., 3): Fx, Fy N, M N m.
 
-    M is about the origin, counter-clockwise.  All joints that hang from the ground, closures to
-    ground points, sliders, springs to the ground, and torques and dampers of ground joints are in
-    it.  q, qd, qdd (..., n) are a motion that obeys equation (1), rad and s, at times t.
-    Raises InputError for arrays that do not fit.
+    F = sum_b m_b (gamma - a_b), and loads; M is about the origin, counter-clockwise.  All joints
+    that hang from the ground, closures to ground points, sliders, springs to the ground, and
+    torques and dampers of ground joints are in it.  q, qd, qdd (..., n) are a motion that the
+    torques make, rad and s, at times t.  Raises InputError for arrays that do not fit.
     """
     return np.stack(_of_numbers(mechanism, q, qd, qdd, t).shaking(), axis=-1)
 
@@ -264,7 +265,7 @@ def dependent_rows(mechanism: Mechanism, q: ArrayLike) -> NDArray[np.int64]:
 def not_unique(mechanism: Mechanism, q: ArrayLike) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The closures and the links whose pin force and reaction are not unique at q (n,).
 
-    lambda may change by any null vector of Psi^T, and equation (2) carries that change into the
+    lambda may change by any null vector of Psi^T, which the R_k of `reactions` carry into the
     joints of the loops.  Both are empty where the closures are independent.
     """
     changes = pin_forces(mechanism, _free_multipliers(mechanism, q), q) @ [1, 1j]

@@ -173,7 +173,7 @@ def cheapest(
 
 
 def inverse_formula(mechanism: Mechanism, parameters: bool = False) -> Formula | None:
-    """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd; equation (1).
+    """tau (n, zero at passive joints) and lambda (r) from q, qd, qdd, by the equation of motion.
 
     None where the solve for lambda is no 1x1 or 2x2 system, as where `cheapest` gives none.  With
     `parameters` the mechanism's numbers are parameters.
@@ -238,7 +238,7 @@ def forward_formula(
     power: bool = False,
     parameters: bool = False,
 ) -> Formula | None:
-    """qdd (n) and lambda (r) from q, qd, tau; equation (1) with gap = 0 differentiated twice.
+    """qdd (n) and lambda (r) from q, qd, tau, by the equation of motion and gap'' = 0.
 
     The time t is an input more where loads depend on it.
 

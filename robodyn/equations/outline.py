@@ -1,6 +1,6 @@
 """What the equations of motion of a scene consist of, and what their parts and symbols are called.
 
-    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0                        (1)
+    M qdd + C qd + D qd + G = tau + Q + Psi^T lambda        gap(q) = 0
 
 Their entries are formulas to read (`written.py`) or recorded arithmetic (`recorded.py`).
 """
@@ -32,7 +32,7 @@ class Variable(NamedTuple):
 
 
 class Head(NamedTuple):
-    """What a block of equation (1) is.
+    """What a block of the equations is.
 
     `inputs` are what it depends on; a matrix of the left side stands before `rate`.
     """
@@ -48,7 +48,7 @@ class Head(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Block(Generic[Entry]):
-    """One matrix or vector of equation (1), row by row; a vector has one column.
+    """One matrix or vector of the equations, row by row; a vector has one column.
 
     `where` are names that its entries use.
     """
@@ -153,7 +153,7 @@ def heads(mechanism: Mechanism) -> Iterator[Head]:
 
 @dataclass(frozen=True, slots=True)
 class Equations(Generic[Entry]):
-    """The blocks of equation (1) for one scene, and what its symbols mean.
+    """The blocks of the equations of one scene, and what its symbols mean.
 
     The sum of the blocks of `left`, each times its rate, is the left side; those of `right` are
     added to tau; `closures` are Psi, Psidot qd and gap.  Of the parameters `used` stand in them.

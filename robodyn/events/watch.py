@@ -1,8 +1,6 @@
 """Watches a run for events: finds each within its step, in order, and ends the run where one does.
 
-Of the steps of a series all are looked at together: where a function has one certain sign along a
-step, and the sign that it had before, nothing happened.  Mostly a box that the state stays in tells
-so; else the series does.  The others are looked at one by one.
+Steps of a series are looked at together, by boxes; those where a sign may change one by one.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
 from robodyn.events.pieces import States, along, remembered, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -29,6 +28,7 @@ LESS = 7  # times at most that the work on a function is halved which cannot be 
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
+@short_repr
 class Event(NamedTuple):
     """What happened when, and the state y = (q, qd) there; its time may be off by `apart`, s."""
 

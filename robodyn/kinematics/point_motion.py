@@ -19,10 +19,12 @@ from robodyn.kinematics.named_points import named_points
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
 
+@short_repr
 class PointMotion(NamedTuple):
     """How points (p of them) move: position m, velocity m/s, acceleration m/s^2, (..., p, 2)."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -26,11 +26,13 @@ from robodyn.scene.expressions import (
     state_names,
     value_of,
 )
+from robodyn.short_repr import short_repr
 
 if TYPE_CHECKING:
     from robodyn.mechanics.torque_times import Pieces
 
 
+@short_repr
 @dataclass(frozen=True)
 class Actuation:
     """Joint torques over time: constants (n), or lines that set tau0.. from t, q0.., qd0...
@@ -197,7 +199,7 @@ def callback(
     n, driven = mechanism.n, mechanism.actuated
 
     def torques(t: float, state: tuple[float, ...]) -> Sequence[float]:
-        values = [float(x) for x in function(t, list(state[:n]), list(state[n:]))]
+        values = values_given(function(t, list(state[:n]), list(state[n:])), "tau(t, q, qd)")
         if len(values) == n:
             for k in mechanism.passive:
                 if values[k] != 0.0:
@@ -215,6 +217,15 @@ def callback(
     targets = "".join(f"tau{k}, " for k in range(n))
     state = "".join(f"q{k}, " for k in range(n)) + "".join(f"qd{k}, " for k in range(n))
     return Actuation(None, (f"{targets}= _torques(t, ({state}))",), {"_torques": torques})
+
+
+def values_given(given: Iterable[float], what: str) -> list[float]:
+    """What a function of the caller gives, as floats; InputError where it is no list of numbers."""
+    try:
+        return [float(x) for x in given]
+    except (TypeError, ValueError):
+        limit = "must be a list of numbers, one an actuated joint"
+        raise InputError(what, value=repr(given), limit=limit) from None
 
 
 def _constant(code: str, text: str, where: str) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+from robodyn.errors import printable
 from robodyn.mechanics.model_parts import ClosureRow as ClosureRow
 from robodyn.mechanics.model_parts import Force as Force
 from robodyn.mechanics.model_parts import OnDemand as OnDemand
@@ -31,6 +32,7 @@ from robodyn.scene.scene import (
     Signal,
     Table,
 )
+from robodyn.short_repr import named
 
 if TYPE_CHECKING:
     import numpy as np
@@ -209,6 +211,20 @@ class Mechanism:
     def arrays(self) -> Arrays:
         """The constants as dense numpy arrays (numpy is imported here)."""
         return _arrays(self)
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n} link{'s' * (self.n > 1)} ({named(self.link_names)})"]
+        if closures := len(self.description.closures):
+            parts.append(f"{closures} closure{'s' * (closures > 1)}")
+        if self.actuated != tuple(range(self.n)):
+            driven = named(self.link_names[k] for k in self.actuated) or "no joint"
+            parts.append(f"actuated: {driven}")
+        return f"<Mechanism {printable(self.name)}: {', '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        from robodyn.notebook.inline import mechanism_html
+
+        return mechanism_html(self)
 
     def __getstate__(self) -> dict[str, object]:
         made = ("arrays", "above", "lines", "held", "has_angles", "inertias", "signals")

@@ -41,7 +41,8 @@ def voltages(
         given = volt
 
         def torques(t: float, q: list[float], qd: list[float]) -> list[float]:
-            values = _as_many(mechanism, [float(x) for x in given(t, q, qd)], where)
+            volts = actuation.values_given(given(t, q, qd), "volt(t, q, qd)")
+            values = _as_many(mechanism, volts, where)
             each = zip(driven, laws, values, strict=True)
             return [a * (x - b * qd[k]) for k, (a, b), x in each]
 

@@ -31,6 +31,7 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description, Point
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,7 @@ MIXED = np.array([1.0, 0.739085133])  # of a value in both scenes: what they are
 SIZE = 0.03  # part by which lengths are changed to tell symbols that are equal by chance
 
 
+@short_repr
 class Dependence(NamedTuple):
     """Which columns are `kept`, which are `dropped`, and beta (kept, dropped).
 
@@ -57,6 +59,7 @@ class Dependence(NamedTuple):
     size: Array
 
 
+@short_repr
 @dataclass(frozen=True)
 class BaseParameter:
     """One combination: pi of `name` and, times `factors`, the others; its value in the scene."""

@@ -24,6 +24,7 @@ from robodyn.parameters.fit_problem import Problem, Search, finished
 from robodyn.parameters.lane_least_squares import lane_least_squares
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import SceneValues
+from robodyn.short_repr import short_repr
 from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ DRAWN = 200  # times as many starts are drawn where most have no values
 SAME = 1e-3  # of the residuals' rms, by which starts that reached the best are told
 
 
+@short_repr
 @dataclass(frozen=True)
 class Fit:
     """What was found: numbers by name, residuals (T, c) of the columns, and their rms (c,).

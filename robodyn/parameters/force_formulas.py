@@ -1,9 +1,9 @@
 """Forces of a motion as formulas of its state and of a scene's numbers.
 
 Inputs are q, qd, qdd, the forces f = (tau of actuated joints, lambda), the time, and the changes
-p of named numbers; what a motion that obeys equation (1) makes of them is `lane_states.py`'s.
+p of named numbers; what a motion does with them is `lane_states.py`'s.
 Points are linear in X, so with X' and X'' they move; reactions and what the ground feels are
-equations (2) and (3) of `reaction_forces.py`.
+as `reaction_forces.py` has them.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class ForceFormulas:
 
     @cached_property
     def reactions(self) -> list[Any]:
-        """Equation (2)."""
+        """The force on each link at its own joint."""
         return list(self._felt.reactions())
 
     @cached_property
@@ -121,5 +121,5 @@ class ForceFormulas:
 
     @cached_property
     def shaking(self) -> Sequence[Any]:
-        """Equation (3)."""
+        """Fx, Fy and M on the ground."""
         return self._felt.shaking()

@@ -35,6 +35,7 @@ from robodyn.parameters.base_parameters import (
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ TIGHT = 1e-14  # of scipy's tolerances
 HOLD = 1e-7  # weight of the scene's own numbers, beside the data's, where these tell nothing
 
 
+@short_repr
 class Estimate(NamedTuple):
     """A number that was found, its standard error, and what the scene has."""
 
@@ -56,6 +58,7 @@ class Estimate(NamedTuple):
     unit: str = ""
 
 
+@short_repr
 class Identification(NamedTuple):
     """What was found.
 

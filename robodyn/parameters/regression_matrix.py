@@ -25,12 +25,14 @@ from robodyn.errors import InputError, SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once
 
 
+@short_repr
 class Regressor(NamedTuple):
     """Y (..., a, p) of a actuated joints and p parameters, and the torques `known` (..., a)."""
 

@@ -82,6 +82,11 @@ def traced(mechanism: Mechanism, points: Sequence[NamedPoint], q: Array) -> list
     return [Trace(point.name, at(point.point, X)) for point in points]
 
 
+def even_rows(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of `count` rows, evenly chosen, the last among them."""
+    return np.unique(np.linspace(count - 1, 0, min(most, count)).round().astype(int))
+
+
 def _moved(points: Complex, place: Complex, turn: Complex) -> Complex:
     moved: Complex = place + turn * points.real + 1j * turn / np.abs(turn) * points.imag
     return moved

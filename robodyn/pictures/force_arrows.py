@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.dynamics.dynamics import pin_forces
+from robodyn.dynamics.dynamics import (
+    forward_dynamics_and_forces,
+    inverse_dynamics_and_forces,
+    pin_forces,
+)
 from robodyn.dynamics.placed import placed
 from robodyn.dynamics.reaction_forces import reactions
 from robodyn.engines.row_values import rows_of
+from robodyn.errors import RobodynError
+from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
@@ -76,12 +83,33 @@ def forces(
     return [item for item in found if abs(item.force) > least]
 
 
-def metres_a_newton(found: list[Force], span: float) -> float:
+def forces_at(
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array | None = None, tau: Array | None = None
+) -> list[Force]:
+    """The `forces` of a state q, qd (n,) that moves with qdd, or as the joint torques tau make it.
+
+    Raises RobodynError where they are not finite, and as the dynamics do.
+    """
+    if tau is None:
+        qdd = np.zeros_like(q) if qdd is None else qdd
+        multipliers = inverse_dynamics_and_forces(mechanism, q, qd, qdd).multipliers
+    else:
+        check_way_on(mechanism, q[None, :], qd[None, :])
+        qdd, multipliers, _ = forward_dynamics_and_forces(mechanism, q, qd, tau)
+    with np.errstate(all="ignore"):
+        found = forces(mechanism, q, qd, qdd, multipliers)
+    if not np.isfinite([item.force for item in found]).all():
+        limit = "the state or the scene is too large"
+        raise RobodynError("the result is not finite", limit=limit)
+    return found
+
+
+def metres_a_newton(found: Sequence[Force], span: float) -> float:
     """The scale of arrows: the largest force is LONGEST of the span."""
     return LONGEST * span / max((abs(item.force) for item in found), default=1.0)
 
 
-def arrows(found: list[Force], scale: float) -> list[tuple[complex, complex]]:
+def arrows(found: Sequence[Force], scale: float) -> list[tuple[complex, complex]]:
     """The tail and the head of each force, m, at `scale` m/N.
 
     An arrow begins where its force acts.  One that would so lie on another ends there instead.

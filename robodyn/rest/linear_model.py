@@ -1,7 +1,8 @@
 """The linear model of small motions about a state, in minimal coordinates.
 
 Minimal coordinates z are joints, z = S q: the actuated ones where they tell all others, else those
-that closed motions move most.  Next to a closed state (q, qd), with equation (1) solved for qdd,
+that closed motions move most.  Next to a closed state (q, qd), with the equations of motion solved
+for qdd,
 
     [Psi; S] N = [0; I]      [Psi; S] R = [-d(Psi qd)/dq N; 0]     dq = N dz     dqd = R dz + N dz'
     A21 = S (qdd_q N + qdd_qd R)     A22 = S qdd_qd N     B2 = S qdd_tau
@@ -33,6 +34,7 @@ from robodyn.rest.natural_modes import (
     natural_modes,
     stable_by,
 )
+from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
@@ -40,6 +42,7 @@ TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no c
 RESTS = 1e-6  # rad that a pose may be from rest, by its accelerations
 
 
+@short_repr
 class LinearModel(NamedTuple):
     """A (2f, 2f) and B (2f, m) of f coordinates and m actuated joints, at q, qd, tau (n,).
 

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.short_repr import short_repr
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
@@ -20,6 +22,7 @@ GROWS = 1e-10  # part of the largest eigenvalue above which a real part grows
 UNREACHED = 1e-9  # of [A - s I, B], scaled: a singular value below it is zero
 
 
+@short_repr
 class NaturalMode(NamedTuple):
     """One pair of conjugate eigenvalues, by that with Im >= 0, or one real eigenvalue.
 

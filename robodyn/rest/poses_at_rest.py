@@ -28,6 +28,7 @@ from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
+from robodyn.short_repr import short_repr
 from robodyn.tables.csv_fields import shown
 
 Array = NDArray[np.float64]
@@ -46,6 +47,7 @@ MOST_STARTS = 3000
 MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
 
 
+@short_repr
 class Rest(NamedTuple):
     """A pose at rest: q (n,), PE (J), and tau (n,), what was given and what holds held joints.
 

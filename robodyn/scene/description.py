@@ -45,11 +45,14 @@ def read(path: str | Path) -> Description:
 
 def from_text(text: str, source: str) -> Description:
     """The description that `text` writes; DescriptionError with all of its faults."""
-    return from_tree(yaml_tree.parse(text, source), source)
+    return from_tree(yaml_tree.parse(text, source), source, text)
 
 
-def from_tree(root: Node | None, source: str) -> Description:
-    """The description that a parsed scene holds; DescriptionError with all of its faults."""
+def from_tree(root: Node | None, source: str, text: str = "") -> Description:
+    """The description that a parsed scene holds, and its text, if it has one.
+
+    Raises DescriptionError with all of its faults.
+    """
     if root is None:
         raise DescriptionError(source, [Fault("", "is empty: a scene needs at least `links`")])
     if not isinstance(root, Mapping):
@@ -59,7 +62,7 @@ def from_tree(root: Node | None, source: str) -> Description:
     with suppress(TooManyFaults):
         description = reader.scene(root, source)
         if not reader.faults:
-            return description
+            return description._replace(written=Written(root, text=text))
     raise DescriptionError(source, sorted(reader.faults, key=lambda fault: fault.line or 0))
 
 
@@ -107,7 +110,6 @@ class _Reader(PointReader, SignalReader, ContactReader):
             loads=values["loads"] or (),
             couplings=values["couplings"] or (),
             points=tuple(self.places.points.items()),
-            written=Written(root),
         )
 
     def assembly(self, node: Node, place: str) -> str | tuple[str, ...]:

@@ -218,6 +218,7 @@ class Written:
 
     tree: Any = field(default=None, compare=False, repr=False)  # a node of `yaml_tree.py`
     put: tuple[Mapping[str, Any], ...] = field(default=(), compare=False, repr=False)  # in turn
+    text: str = field(default="", compare=False, repr=False)  # that the tree was parsed from
 
 
 class Description(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -81,7 +81,8 @@ class SceneValues:
     def __init__(self, scene: str | Written, source: str) -> None:
         self.source = source
         root = yaml_tree.parse(scene, source) if isinstance(scene, str) else scene.tree
-        self.base = description.from_tree(root, source)
+        text = scene if isinstance(scene, str) else scene.text
+        self.base = description.from_tree(root, source, text)
         assert root is not None
         self.root = _unshared(root)
         self._places = self._found()
@@ -173,8 +174,8 @@ class SceneValues:
         finally:
             for held, own in undo:
                 held[:] = own
-        tree, before = self.base.written.tree, self.base.written.put
-        return found._replace(written=Written(tree, (*before, dict(values))))
+        written = self.base.written
+        return found._replace(written=replace(written, put=(*written.put, dict(values))))
 
     def _put(self, values: Mapping[str, float | Node]) -> None:
         self.check(values)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from robodyn.mechanics.run_control import JointTracking
+from robodyn.short_repr import short_repr
 
 
 class Outcome(Enum):
@@ -55,6 +56,7 @@ class Outcome(Enum):
         return self.value[1]
 
 
+@short_repr
 @dataclass(slots=True)
 class Report:
     """What a run did: SI units; drift is relative to the largest energy in motion."""

@@ -68,6 +68,10 @@ class Sensitivities:
         s = y[:, first : first + wide * count].reshape(-1, count, wide)
         return np.swapaxes(s / self.sizes[:, None], 1, 2)
 
+    def flat(self, y: Array) -> Array:
+        """The values of its columns (T, 2n k)."""
+        return np.swapaxes(self.of(y), 1, 2).reshape(len(y), -1)
+
 
 def with_sensitivities(
     mechanism: Mechanism, actuation: Actuation, state: Array, names: Sequence[str], method: str

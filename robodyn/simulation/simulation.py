@@ -8,9 +8,10 @@ statistics leave the run in batches, so its memory does not grow with its length
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
 from robodyn.engines.row_values import near_table_end, rows_of
-from robodyn.errors import InputError, SingularError
+from robodyn.errors import InputError, SingularError, printable
 from robodyn.events.functions import event_function, event_functions
 from robodyn.events.watch import Event, EventWatch
 from robodyn.loops import loop_rates
@@ -32,6 +33,7 @@ from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
+from robodyn.tables.columns import Columns
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,8 @@ UNTIL = "until"  # the name of the event that ends a run
 class Motion:
     """A simulated motion: t (T,) s, q, qd, tau (T, n); how it ended, its events, and the report.
 
-    With sensitivities d(q, qd) by each of k names, (T, 2n, k).
+    With sensitivities d(q, qd) by each of k names, (T, 2n, k).  `errors` are those of a controller,
+    q_ref - q of the actuated joints (T, m).
     """
 
     t: Array
@@ -56,6 +59,8 @@ class Motion:
     phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)  # rows, and what moves
     _settle: Callable[[], Report] = field(repr=False, compare=False)
     sensitivity: Array | None = None
+    errors: Array | None = None
+    _further: Columns = field(default_factory=Columns, repr=False, compare=False)
 
     @cached_property
     def report(self) -> Report:
@@ -68,12 +73,42 @@ class Motion:
     @cached_property
     def qdd(self) -> Array:
         """The accelerations (T, n), rad/s^2, computed when they are asked for."""
-        if not self.mechanism.switches:
-            return dynamics.forward_dynamics(self.mechanism, self.q, self.qd, self.tau, self.t)
+        states = self._in_phases(self.q, self.qd, self.tau, self.t)
+        return np.concatenate([dynamics.forward_dynamics(moving, *x) for moving, *x in states])
+
+    def _in_phases(self, *values: Array) -> Iterator[tuple[Any, ...]]:
+        """What moves in each phase, and these values there."""
+        if not self.mechanism.switches or not self.phases:
+            yield self.mechanism, *values
+            return
         ends = np.cumsum([count for count, _ in self.phases])[:-1]
-        parts = (np.split(x, ends) for x in (self.q, self.qd, self.tau, self.t))
-        each = zip(self.phases, *parts, strict=True)
-        return np.concatenate([dynamics.forward_dynamics(moving, *x) for (_, moving), *x in each])
+        parts = (np.split(x, ends) for x in values)
+        yield from zip((moving for _, moving in self.phases), *parts, strict=True)
+
+    def to_dict(self) -> Columns:
+        """The columns (T,) by their names, as `robodyn simulate` writes them.
+
+        A dict that pandas.DataFrame and polars.DataFrame take as it is.
+        """
+        from robodyn.simulation.motion_columns import motion_columns, motion_values
+
+        states = self._in_phases(self.t, self.q, self.qd, self.tau)
+        with np.errstate(all="ignore"):
+            parts = [motion_values(self.mechanism, moving, *x) for moving, *x in states]
+        values = [*np.concatenate(parts).T, *(() if self.errors is None else self.errors.T)]
+        names = motion_columns(self.mechanism, self.errors is not None)
+        return Columns({**dict(zip(names, values, strict=True)), **self._further})
+
+    def __repr__(self) -> str:
+        span = f", t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self.t) else ""
+        events = f", {len(self.events)} events" if self.events else ""
+        what = f"{printable(self.mechanism.name)}: {len(self.t)} rows{span}, {self.outcome.label}"
+        return f"<Motion of {what}{events}>"
+
+    def _repr_html_(self) -> str:
+        from robodyn.notebook.inline import motion_html
+
+        return motion_html(self)
 
 
 def simulate(
@@ -151,7 +186,12 @@ def simulate(
     found += recorder.contacts
     found.sort(key=lambda event: abs(event.t))
     by = carried.of(y) if carried else None
-    return Motion(t, q, qd, torques, outcome, mechanism, found, phases, recorder.settle, by)
+    errors = None if actuation.control is None else actuation.control.errors(t, y)
+    further = (
+        Columns(zip(carried.columns, carried.flat(y).T, strict=True)) if carried else Columns()
+    )
+    facts = outcome, mechanism, found, phases, recorder.settle, by, errors, further
+    return Motion(t, q, qd, torques, *facts)
 
 
 def watched_events(

@@ -18,6 +18,7 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.short_repr import short_repr
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath, WholePath
@@ -30,6 +31,7 @@ LONGEST = 1e100  # s
 SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
 class ReferenceMotion:
     """A motion of all joints from the time `begin` on for `duration`, s."""

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.short_repr import short_repr
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import WholePath
@@ -50,6 +51,7 @@ BLOCK = 20_000  # samples evaluated at once
 CREEP = 1e-3  # part of a friction's speed at which it is still no more than a damper
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
 class Shortest:
     """The shortest motion within limits, and which limit bounds it (of which joint, at which t)."""

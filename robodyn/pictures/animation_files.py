@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from html import escape
 from io import BytesIO
 from itertools import groupby
@@ -15,13 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.pictures import FONT, FOOT, LONGEST, STYLES, Picture, style_of
-from robodyn.errors import RobodynError
+from robodyn.errors import InputError, RobodynError
+from robodyn.pictures.chart_figure import check_matplotlib
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing
+from robodyn.pictures.mechanism_picture import FONT, FOOT, LONGEST, STYLES, Picture, style_of
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
 from robodyn.pictures.outlines import Shape
-from robodyn.pictures.picture_plan import frame, scale_bar, scale_bar_line
+from robodyn.pictures.picture_plan import Frame, frame, scale_bar, scale_bar_line
 from robodyn.tables.output_file import open_output
 
 DOTS = 100  # an inch
@@ -31,7 +34,52 @@ DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
 PIXELS = 100  # an inch
 BEHIND = 2.9  # the height of traces, below that of links
 
+SUFFIXES = (".gif", ".mp4", ".html")
+FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
 Watch = Callable[[float], object]  # the part that is done
+
+
+def check_animation(out: str, fps: float, speed: float) -> None:
+    """Raise InputError, before the work, for values that no animation has."""
+    suffix = Path(out).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError("out", value=out, limit=f"must end in {', '.join(SUFFIXES)}")
+    if not 0.0 < fps <= FASTEST[suffix]:
+        limit = f"must be > 0 and at most {FASTEST[suffix]:g} in a {suffix[1:]}"
+        raise InputError("fps", value=fps, limit=limit)
+    if not 0.0 < speed < float("inf"):
+        raise InputError("speed", value=speed, limit="must be > 0 and finite")
+
+
+def check_programs(out: str) -> None:
+    """Raise RobodynError where what writes such a file is not there."""
+    suffix = Path(out).suffix.lower()
+    if suffix != ".html":
+        check_matplotlib(f"an animation ({suffix[1:]})")
+    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
+        limit = "needs the program ffmpeg, which is not on the path; .gif and .html do not"
+        raise RobodynError("an animation (mp4)", limit=limit)
+
+
+def write_animation(
+    drawn: Drawing,
+    shown: Frames,
+    speed: float,
+    traces: Sequence[np.ndarray],
+    size: tuple[float, float] | None,
+    out: str,
+    watched: Callable[[], AbstractContextManager[Watch]],
+) -> None:
+    """Write the frames as the suffix of `out` says; gif and mp4, which take time, are watched."""
+    suffix = Path(out).suffix.lower()
+    if suffix == ".html":
+        with open_output(out) as stream:
+            stream.write(page(drawn, shown, speed, traces, size).encode())
+        return
+    film = Film(drawn, shown.t, traces, size)
+    write = write_gif if suffix == ".gif" else write_mp4
+    with watched() as watch:
+        write(film, shown.rate, out, watch)
 
 
 class Film(Picture):
@@ -181,35 +229,17 @@ requestAnimationFrame(time => {{ offset = now = time; tick(time); }});
 """
 
 
-def write_page(
+def page(
     drawn: Drawing,
     shown: Frames,
     speed: float,
     traces: Sequence[np.ndarray],
     size: tuple[float, float] | None,
-    out: str,
-) -> None:
-    """Shapes as svg, each body moved by a matrix a frame."""
+) -> str:
+    """Shapes as svg in a page of html, each body moved by a matrix a frame."""
     view = frame(drawn.box(), LONGEST, size, FOOT)
-    wide, high = view.right - view.left, view.top - view.bottom
-    decimals = DIGITS - math.floor(math.log10(wide))
-    parts = [
-        (STYLES[shape.kind]["zorder"] + 0.01 * b, b, _path(shape, drawn.bodies[b].link))
-        for b, body in enumerate(drawn.bodies)
-        for shape in body.shapes
-    ]
-    for k in range(len(traces)):
-        stroke = f'stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"'
-        parts.append((BEHIND, -1, f'<polyline fill="none" {stroke}/>'))
-    groups = []
-    moving = [b for b, body in enumerate(drawn.bodies) if body.link is not None or body.end]
-    ordered = sorted(parts, key=lambda part: part[:2])
-    for b, paths in groupby(ordered, lambda part: part[1]):
-        data = f' data-b="{b}"' if b in moving else ""
-        groups.append(f"<g{data}>{''.join(path for _, _, path in paths)}</g>")
-    bar, text = Shape("scale bar", scale_bar_line(view), False), scale_bar(view)[1]
-    z, tall = bar.points[2] + 0.06 * view.scale, 0.12 * view.scale
-    place = f'transform="matrix(1 0 0 -1 {z.real:.6g} {z.imag:.6g})" font-size="{tall:.6g}"'
+    decimals = DIGITS - math.floor(math.log10(view.right - view.left))
+    moving = _moving(drawn)
     poses = {
         str(b): [
             [round(z.real, decimals), round(z.imag, decimals), round(e.real, 5), round(e.imag, 5)]
@@ -218,11 +248,11 @@ def write_page(
         for b in moving
     }
     rounded = [np.column_stack([z.real, z.imag]).round(decimals) for z in traces]
-    page = PAGE.format(
+    return PAGE.format(
         title=escape(drawn.mechanism.name),
         width=round(view.width * PIXELS),
-        view=f"{view.left:.6g} {-view.top:.6g} {wide:.6g} {high:.6g}",
-        shapes="\n".join([*groups, _path(bar, None), f'<text {place} fill="#555">{text}</text>']),
+        view=_view_box(view),
+        shapes=_shapes(drawn, view, {b: f' data-b="{b}"' for b in moving}, len(traces)),
         last=len(shown.t) - 1,
         count=len(shown.t),
         poses=json.dumps(poses, separators=(",", ":")),
@@ -233,8 +263,54 @@ def write_page(
         step=repr(speed / shown.rate),
         decimals=time_decimals(shown.t),
     )
-    with open_output(out) as stream:
-        stream.write(page.encode())
+
+
+def svg(drawn: Drawing, width: int) -> str:
+    """The first pose of a drawing as an image of so many pixels for a page of html."""
+    view = frame(drawn.box(), LONGEST, None, FOOT)
+    moves = {}
+    for b in _moving(drawn):
+        z, e = drawn.place[0, b], drawn.turn[0, b]
+        up = 1j * e / abs(e)  # springs are stretched along x alone
+        numbers = " ".join(f"{x:.6g}" for y in (e, up, z) for x in (y.real, y.imag))
+        moves[b] = f' transform="matrix({numbers})"'
+    lines = 'stroke-linejoin="round" vector-effect="non-scaling-stroke"'
+    shapes = _shapes(drawn, view, moves, 0).replace("<path ", f"<path {lines} ")
+    name = escape(drawn.mechanism.name, quote=True)
+    return (
+        f'<svg viewBox="{_view_box(view)}" width="{width}" role="img" aria-label="{name}">'
+        f'<g transform="scale(1 -1)">{shapes}</g></svg>'
+    )
+
+
+def _moving(drawn: Drawing) -> list[int]:
+    """The bodies that do not stay where they are."""
+    return [b for b, body in enumerate(drawn.bodies) if body.link is not None or body.end]
+
+
+def _view_box(view: Frame) -> str:
+    wide, high = view.right - view.left, view.top - view.bottom
+    return f"{view.left:.6g} {-view.top:.6g} {wide:.6g} {high:.6g}"
+
+
+def _shapes(drawn: Drawing, view: Frame, moves: Mapping[int, str], traces: int) -> str:
+    """The shapes, those of a body in a group with what moves it, traces, and the scale bar."""
+    parts = [
+        (STYLES[shape.kind]["zorder"] + 0.01 * b, b, _path(shape, drawn.bodies[b].link))
+        for b, body in enumerate(drawn.bodies)
+        for shape in body.shapes
+    ]
+    for k in range(traces):
+        stroke = f'stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"'
+        parts.append((BEHIND, -1, f'<polyline fill="none" {stroke}/>'))
+    groups = []
+    ordered = sorted(parts, key=lambda part: part[:2])
+    for b, paths in groupby(ordered, lambda part: part[1]):
+        groups.append(f"<g{moves.get(b, '')}>{''.join(path for _, _, path in paths)}</g>")
+    bar, text = Shape("scale bar", scale_bar_line(view), False), scale_bar(view)[1]
+    z, tall = bar.points[2] + 0.06 * view.scale, 0.12 * view.scale
+    place = f'transform="matrix(1 0 0 -1 {z.real:.6g} {z.imag:.6g})" font-size="{tall:.6g}"'
+    return "\n".join([*groups, _path(bar, None), f'<text {place} fill="#555">{text}</text>'])
 
 
 def _path(shape: Shape, link: int | None) -> str:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robodyn.cli.figures import new_figure
+from robodyn.pictures.chart_figure import new_figure
 from robodyn.pictures.colour_scale import COLOURS
-from robodyn.pictures.drawing import Drawing, Trace
+from robodyn.pictures.drawing import Drawing, Trace, span
 from robodyn.pictures.picture_plan import (
     frame,
     head_places,
@@ -66,6 +66,35 @@ def style_of(kind: str, closed: bool, link: int | None) -> dict[str, Any]:
     if kind in COLOURED:
         style["facecolor"] = LINK_COLOURS[(link or 0) % len(LINK_COLOURS)]
     return style if closed else style | {"facecolor": "none"}
+
+
+def mechanism_figure(
+    drawn: Drawing,
+    texts: Sequence[str] = (),
+    traces: Sequence[Trace] = (),
+    found: Sequence[Force] = (),
+    size: tuple[float, float] | None = None,
+) -> Any:
+    """The last pose of a drawing in full, the others pale behind it.
+
+    With the links' texts, if any, the paths of points, and forces as arrows.
+    """
+    placed: list[tuple[complex, complex]] = []
+    if found:
+        from robodyn.pictures.force_arrows import arrows, metres_a_newton
+
+        placed = arrows(found, metres_a_newton(found, span(drawn.mechanism, drawn.q)))
+    room = (6.0 + 2.5j) * drawn.half_width  # for the texts at the arrows' heads
+    around = [z + d for ends in placed for z in ends for d in (room, -room)]
+    around += [z for trace in traces for z in trace.path.tolist()]
+    picture = Picture(drawn, size, around)
+    last = len(drawn.q) - 1
+    for k in range(last):
+        picture.ghost(k, 0.15 + 0.35 * (k + 1) / (last + 1))
+    picture.show(last)
+    picture.trace(traces)
+    picture.annotate(last, texts, found, placed)
+    return picture.figure
 
 
 class Picture:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.figures import DOTS, new_figure
+from robodyn.pictures.chart_figure import DOTS, new_figure
 from robodyn.pictures.colour_scale import (
     LEVELS,
     NONE,

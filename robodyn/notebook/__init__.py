@@ -1,0 +1,1 @@
+"""What notebooks and scripts call: the commands as functions, and how results show themselves."""

@@ -1,0 +1,257 @@
+"""plot, draw and animate for notebooks: what these commands draw, of what was computed here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robodyn.dynamics.placed import as_states, placed
+from robodyn.errors import InputError, printable
+from robodyn.kinematics.named_points import named_points
+from robodyn.loops import loop_rates
+from robodyn.loops.assembly import assemble
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.notebook.argument_names import named_as_arguments
+from robodyn.notebook.inline import opened
+from robodyn.notebook.own_settings import own_settings
+from robodyn.pictures.animation_files import (
+    check_animation,
+    check_programs,
+    page,
+    write_animation,
+)
+from robodyn.pictures.chart_figure import chart_figure
+from robodyn.pictures.chart_tables import read_chart, read_map
+from robodyn.pictures.column_units import TURNING, scene_units
+from robodyn.pictures.drawing import Drawing, drawing, even_rows, first_pose, traced
+from robodyn.pictures.motion_frames import Frames, frames
+from robodyn.pictures.rails import at
+from robodyn.simulation.simulation import Motion
+from robodyn.tables.columns import Columns
+from robodyn.tables.csv_fields import shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Size = tuple[float, float] | None  # inches
+POSES = 8
+
+
+def plot(
+    *tables: Motion | Mapping[str, Any],
+    x: str | None = None,
+    y: str | Sequence[str] | None = None,
+    colour: str | None = None,
+    mechanism: Mechanism | None = None,
+    log: bool = False,
+    degrees: bool = False,
+    title: str = "",
+    size: Size = None,
+) -> Figure:
+    """Columns of motions, or of other tables, as a chart; with `colour` a map over x and y.
+
+    A table has columns (T,) by name: a dict, a data frame, what `sweep` gives.  `y` names columns,
+    "q*,energy" or a list; by default q and tau over t.  `mechanism` tells which joints slide; a
+    motion knows.  Raises InputError for columns that are not there, RobodynError without
+    matplotlib (the extra `plot`).
+    """
+    if not tables:
+        raise InputError("plot", limit="needs a motion, or a table of columns")
+    known = mechanism or next((x.mechanism for x in tables if isinstance(x, Motion)), None)
+    units = TURNING if known is None else scene_units(known)
+    names = y.split(",") if isinstance(y, str) else y
+    patterns = None if names is None else [name.strip() for name in names if name.strip()]
+    if colour is not None and (x is None or not patterns):
+        raise InputError("colour", value=shown(colour), limit="needs x and y")
+    given = [opened(_columns(x), str(k + 1)) for k, x in enumerate(tables)]
+    with own_settings(), named_as_arguments():
+        if colour is None:
+            content = read_chart(given, x, patterns, units, degrees)
+            figure: Figure = chart_figure(content, size, shown(title))
+            return figure
+        from robodyn.pictures.map_figure import map_figure
+
+        hidden: list[str] = []
+        mapped = read_map(
+            given, x or "", patterns or [], colour, log, units, degrees, hidden.append
+        )
+        drawn: Figure = map_figure(mapped, size, shown(title))
+        return drawn
+
+
+def _columns(table: object) -> Columns:
+    if isinstance(table, Motion):
+        return table.to_dict()
+    names = table if isinstance(table, Mapping) else getattr(table, "columns", None)
+    if names is None:
+        limit = "must be a motion, or columns by name: a dict or a data frame"
+        raise InputError("table", value=type(table).__name__, limit=limit)
+    columns = Columns({str(name): np.asarray(table[name]).tolist() for name in names})  # type: ignore[index]
+    lengths = {name: len(x) if isinstance(x, list) else 0 for name, x in columns.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name}: {count}" for name, count in lengths.items())
+        raise InputError("table", value=shown(told), limit="columns must be as long as each other")
+    return columns
+
+
+def draw(
+    mechanism: Mechanism,
+    q: ArrayLike | None = None,
+    qd: ArrayLike | None = None,
+    qdd: ArrayLike | None = None,
+    tau: ArrayLike | None = None,
+    *,
+    forces: bool = False,
+    of: Sequence[str] = (),
+    labels: Literal["names", "numbers"] | None = None,
+    poses: int = POSES,
+    size: Size = None,
+) -> Figure:
+    """The mechanism in the closed pose q, to scale; of q (T, n) some poses, the last in full.
+
+    q is of all joints or of the actuated ones; without it a pose is chosen.  `of` names points
+    whose paths through q are drawn.  With `forces` weights and forces in pins of the state q, qd,
+    that moves with qdd, or as the torques tau make it.  Raises InputError for values that do not
+    fit, AssemblyError where the pose does not close, RobodynError without matplotlib.
+    """
+    named = named_points(mechanism, of, "of") if of else []
+    if poses < 1:
+        raise InputError("poses", value=poses, limit="must be >= 1")
+    if not forces:
+        for name, value in (("qd", qd), ("qdd", qdd), ("tau", tau)):
+            if value is not None:
+                raise InputError(name, limit="is for forces=True")
+    elif q is None:
+        raise InputError("q", limit="missing: forces need a state")
+    elif qdd is not None and tau is not None:
+        raise InputError("qdd and tau", limit="exclude each other")
+    rows = np.atleast_2d(first_pose(mechanism) if q is None else _closed(mechanism, q))
+    found = []
+    if forces:
+        from robodyn.pictures.force_arrows import forces_at
+
+        if len(rows) > 1:
+            raise InputError("q", limit="must be one pose, for forces")
+        rates, moved, torques = (
+            None if x is None else as_states(mechanism, name, x)
+            for name, x in (("qd", qd), ("qdd", qdd), ("tau", tau))
+        )
+        at_rest = np.zeros(mechanism.n)
+        found = forces_at(mechanism, rows[0], at_rest if rates is None else rates, moved, torques)
+    drawn = drawing(mechanism, rows[even_rows(len(rows), poses)])
+    texts = list(map(shown, mechanism.link_names))
+    if labels != "names":
+        texts = [str(k + 1) for k in range(mechanism.n)] if labels else []
+    with own_settings():
+        from robodyn.pictures.mechanism_picture import mechanism_figure
+
+        traces = traced(mechanism, named, rows)
+        figure: Figure = mechanism_figure(drawn, texts, traces, found, size)
+        return figure
+
+
+def _closed(mechanism: Mechanism, q: ArrayLike) -> Array:
+    """Closed poses (n,) or (T, n); of the actuated joints alone the others are assembled."""
+    given = np.asarray(q, float)
+    if given.shape[-1:] == (len(mechanism.actuated),) and len(mechanism.actuated) != mechanism.n:
+        return assemble(mechanism, given)
+    poses = as_states(mechanism, "q", given)
+    if not 1 <= poses.ndim <= 2 or not poses.size:
+        raise InputError("q.shape", value=poses.shape, limit="must be that of one pose, or of rows")
+    if (fault := loop_rates.check_closed(mechanism, poses)) is not None:
+        raise fault[1]
+    return poses
+
+
+@dataclass(frozen=True, repr=False)
+class Animation:
+    """A motion as a moving picture, which a notebook shows; `save` writes it to a file."""
+
+    drawn: Drawing
+    frames: Frames
+    speed: float
+    traces: list[NDArray[np.complex128]]
+    size: Size = None
+
+    def __repr__(self) -> str:
+        t, name = self.frames.t, printable(self.drawn.mechanism.name)
+        return f"<Animation of {name}: {len(t)} frames, t = {t[0]:.6g} to {t[-1]:.6g} s>"
+
+    def figure(self, frame: int = -1) -> Figure:
+        """One of its frames; without matplotlib RobodynError."""
+        with own_settings():
+            from robodyn.pictures.animation_files import Film
+
+            film = Film(self.drawn, self.frames.t, self.traces, self.size)
+            film.show(range(film.count)[frame])
+            figure: Figure = film.figure
+            return figure
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a .html, or with matplotlib a .gif, or with ffmpeg too an .mp4."""
+        out = os.fspath(path)
+        check_animation(out, self.frames.rate, self.speed)
+        check_programs(out)
+        facts = self.drawn, self.frames, self.speed, self.traces, self.size, out
+        if out.lower().endswith(".html"):
+            write_animation(*facts, _unwatched)
+            return
+        with own_settings():
+            write_animation(*facts, _unwatched)
+
+    def _repr_html_(self) -> str:
+        text = page(self.drawn, self.frames, self.speed, self.traces, self.size)
+        style = "width: 640px; height: 560px; border: 0"
+        return f'<iframe srcdoc="{escape(text, quote=True)}" style="{style}"></iframe>'
+
+
+def _unwatched() -> Any:
+    return nullcontext(lambda part: None)
+
+
+def animate(
+    motion: Motion | Mechanism,
+    t: ArrayLike | None = None,
+    q: ArrayLike | None = None,
+    qd: ArrayLike | None = None,
+    *,
+    of: Sequence[str] = (),
+    fps: float = 25.0,
+    speed: float = 1.0,
+    size: Size = None,
+) -> Animation:
+    """A motion as a moving picture: one that `simulate` gave, or a mechanism and its t, q, qd.
+
+    t (T,), s, q and qd (T, n); `of` names points whose paths are drawn.  `speed` seconds of the
+    motion pass in one.  Raises InputError for values that do not fit.
+    """
+    if isinstance(motion, Motion):
+        if t is not None or q is not None or qd is not None:
+            raise InputError("t, q and qd", limit="are those of the motion: leave them out")
+        mechanism, times, rows = motion.mechanism, motion.t, motion.q
+        rates: Array | None = motion.qd
+    elif isinstance(motion, Mechanism):
+        if t is None or q is None:
+            raise InputError("t and q", limit="missing: a mechanism alone does not move")
+        mechanism, times = motion, np.asarray(t, float)
+        rows, rates = as_states(motion, "q", q), None if qd is None else as_states(motion, "qd", qd)
+        if times.ndim != 1 or rows.shape[:-1] != times.shape:
+            limit = "must be (T, n), at times (T,)"
+            raise InputError("q.shape", value=rows.shape, limit=limit)
+    else:
+        limit = "must be a motion, or a mechanism with t and q"
+        raise InputError("motion", value=type(motion).__name__, limit=limit)
+    check_animation("page.html", fps, speed)
+    named = named_points(mechanism, of, "of") if of else []
+    moving = frames(mechanism, times, rows, rates, float(fps), float(speed))
+    X = placed(mechanism, moving.fine).X
+    paths = [at(each.point, X) for each in named]
+    return Animation(drawing(mechanism, moving.q), moving, float(speed), paths, size)

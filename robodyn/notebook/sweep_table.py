@@ -1,0 +1,106 @@
+"""sweep for notebooks: the table that the command writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Any, get_args
+
+import numpy as np
+
+from robodyn.cli.options import Model
+from robodyn.cli.simulate_options import ControlOptions
+from robodyn.cli.sweep_options import Kind, SweepOptions, plan_of
+from robodyn.errors import InputError
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.notebook.argument_names import named_as_arguments
+from robodyn.scene.scene import Written
+from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.yaml_tree import Scalar
+from robodyn.scene.yaml_tree import Sequence as ListOf
+from robodyn.simulation.settings import Engine
+from robodyn.sweeps.sweep_plan import check
+from robodyn.sweeps.sweep_workers import results
+from robodyn.tables.columns import Columns
+
+VECTORS = ("q", "qd", "qdd", "tau")
+
+
+@dataclass(frozen=True)
+class _Loaded(Model):
+    """The model that a mechanism is, in place of a file."""
+
+    written: Written = field(default_factory=Written)
+
+    def values(self) -> SceneValues:
+        return SceneValues(self.written, self.model)
+
+    def text(self) -> str:
+        return self.written.text
+
+    @property
+    def given(self) -> tuple[tuple[str, str], ...]:
+        """What stands in place of the file's numbers."""
+        values, found = self.values(), {}
+        for put in self.written.put:
+            found.update({values.own_name(name): _written(x) for name, x in put.items()})
+        return tuple(found.items())
+
+
+def sweep(
+    mechanism: Mechanism,
+    vary: Mapping[str, str | Sequence[float]],
+    *,
+    sample: int | None = None,
+    workers: int | None = 1,
+    **options: Any,
+) -> Columns:
+    """The same simulation, or torque, at many points: columns by name, as the command writes them.
+
+    `vary` has for each joint's start, torque, or number of the scene its values: a list, or what
+    --vary takes, "0:360deg:37" or, with `sample`, "0.5:1.5", "normal(1.3, 0.02)".  `options` are
+    those of the command: kind, q, qd, qdd, tau, time, result, of, points, event, flip, seed, rtol,
+    atol, max_steps, engine.  `workers` are threads or processes; None: one a processor.  A point
+    without a result has nan.  Raises InputError for what does not fit.
+    """
+    known = SweepOptions.__dataclass_fields__
+    if not isinstance(vary, Mapping) or not vary:
+        raise InputError("vary", limit='must be a mapping, such as {"q1": [0, 0.1, 0.2]}')
+    for name in options:
+        if name not in known:
+            raise InputError(name, limit=f"is no option of sweep; there are {', '.join(known)}")
+    for name, words in (("kind", get_args(Kind)), ("engine", get_args(Engine))):
+        if options.get(name, words[0]) not in words:
+            raise InputError(name, value=options[name], limit=f"must be one of {', '.join(words)}")
+    axes = [f"{name}={_values(values)}" for name, values in vary.items()]
+    given = {name: _values(x) if name in VECTORS else x for name, x in options.items()}
+    for name in ("of", "event"):
+        if isinstance(given.get(name), str):
+            given[name] = [given[name]]
+    model = _Loaded(mechanism.source, None, mechanism.description.written)
+    with named_as_arguments():
+        plan = plan_of(model, SweepOptions(vary=axes, sample=sample, **given), ControlOptions())
+        check(plan)
+    with closing(results(plan, 0, workers)) as chunks:
+        rows = list(chunks)
+    names = plan.columns()
+    values = np.concatenate([chunk.values for chunk in rows])
+    outcomes = [word for chunk in rows for word in chunk.outcomes]
+    return Columns(zip(names, [*values.T, outcomes], strict=True))
+
+
+def _written(value: object) -> str:
+    """A number that was put in a scene, as the scene would have it."""
+    if isinstance(value, Scalar):
+        return value.text
+    if isinstance(value, ListOf):
+        return f"[{', '.join(map(_written, value.items))}]"
+    return repr(value)
+
+
+def _values(given: object) -> Any:
+    """Numbers as an option has them; text, and nothing, as it is."""
+    if given is None or isinstance(given, str):
+        return given
+    return ",".join(repr(float(x)) for x in np.atleast_1d(np.asarray(given, float)))
