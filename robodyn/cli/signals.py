@@ -32,8 +32,15 @@ def note(number: int) -> None:
 
 
 def end(number: int, _: FrameType | None = None) -> NoReturn:
-    """End the command at once, as one that the signal has ended."""
+    """End the command at once, as one that the signal has ended.
+
+    C code may drop the exception that is raised in it (an import of numpy, a callback): then it is
+    raised once more.
+    """
     note(number)
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, lambda *_: end(number))
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE)
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
