@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -199,9 +200,22 @@ def test_base_and_condition_are_told(robodyn: Run, tmp_path) -> None:
     assert {"J1 + l1^2 m2", "d1", "J2", "d2"} <= set(found["not_excited"])
 
 
+def test_a_free_joint_of_an_open_chain_has_a_row() -> None:
+    """The cart-pole, f on the cart: (M + m) x'' - m l cos .. = f, and 0 of the pole."""
+    mech = rd.load("robots/cart-pole.yaml")
+    rng = np.random.default_rng(0)
+    q, qd = rng.normal(size=(2, 20, 2))
+    force = np.stack([rng.normal(size=20), np.zeros(20)], axis=-1)
+    found = rd.regressor(mech, q, qd, rd.forward_dynamics(mech, q, qd, force))
+    tau = found.Y @ found.values + found.known
+    assert np.abs(tau - force).max() < 1e-13 * np.abs(found.Y * found.values).max()
+
+
 def test_what_has_no_regressor_is_refused(robodyn: Run) -> None:
+    five_bar = Path("robots/five-bar.yaml").read_text()
+    free = build(from_text(re.sub(r"actuated: .*", "actuated: [left crank]", five_bar)))
     with pytest.raises(RobodynError, match="fewer actuators"):
-        rd.regressor(rd.load("robots/cart-pole.yaml"), [0, 0], [0, 0], [0, 0])
+        rd.regressor(free, *random_states(rd.load("robots/five-bar.yaml"), 3))
     with pytest.raises(InputError, match="must broadcast"):
         rd.regressor(rd.load("robots/2r.yaml"), np.zeros((3, 2)), np.zeros((2, 2)), [0, 0])
     done = robodyn("regressor", "robots/2r.yaml", "--condition")
