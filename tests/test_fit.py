@@ -444,6 +444,10 @@ Q = np.linspace(0.0, 6.0, 5)[:, None]
         ({"vary": {"links.copler.l": (0.5, 1.0)}}, "links.copler.l.*links.coupler.l"),
         ({"vary": {"links.coupler.l": (1.0, 0.5)}}, "links.coupler.l=1:0.5.*LOW < HIGH"),
         ({"vary": {"links.coupler.m": (-1.0, 0.5)}}, "links.coupler.m=-1:0.5: no scene may have"),
+        (
+            {"vary": {"links.coupler.m": (0.5, 1e200)}},
+            "0.5:1e.200: must be within -1e.30 and 1e.30",
+        ),
         ({"vary": {}}, "names no number"),
         ({"vary": {"links.coupler.l": (0.1, 0.2)}}, "links.coupler.l: .*never close at every row"),
         ({"vary": {"links.coupler.l": (0.1, 0.2)}, "columns": ["tau1"]}, "never close"),
@@ -470,6 +474,23 @@ def test_wrong_arguments_are_named(change, message: str) -> None:
     given = {"vary": {"links.coupler.l": (0.8, 1.1)}, "columns": ["coupler_x"], "q": Q} | change
     with pytest.raises(InputError, match=message):
         robodyn.fit(load(FOUR_BAR), **given)
+
+
+def test_what_columns_do_not_tell() -> None:
+    """Of a pendulum's m and r torques at rest tell the product, and nothing of I."""
+    names = {"links.rod.m": (0.1, 2.0), "links.rod.r": (0.05, 1.0), "links.rod.I": (0.0, 1.0)}
+    q = np.linspace(-1.0, 1.0, 5)[:, None]
+    arguments = load(ROOT / "robots/pendulum.yaml"), names, ["tau1"], q
+    found = robodyn.fit(*arguments, target=0.5 * np.sin(q + 1.0))
+    assert len(found.untold) == 2
+    assert "links.rod.I" in found.untold
+    assert found.numbers["links.rod.I"] == found.before["links.rod.I"]
+
+
+def test_bounds_of_many_sizes() -> None:
+    """Beside 1e30 m the rocker's length is a part in 1e30, where scipy takes no step."""
+    found = robodyn.fit(load(FOUR_BAR), {"links.rocker.l": (0.01, 1e30)}, ["tau1"], Q)
+    assert found.rms[0] <= found.rms_before[0] * (1.0 + 1e-12)
 
 
 def test_too_few_rows() -> None:

@@ -213,7 +213,7 @@ def test_a_free_joint_of_an_open_chain_has_a_row() -> None:
 
 def test_what_has_no_regressor_is_refused(robodyn: Run) -> None:
     five_bar = Path("robots/five-bar.yaml").read_text()
-    free = build(from_text(re.sub(r"actuated: .*", "actuated: [left crank]", five_bar)))
+    free = build(from_text(re.sub(r"actuated: .*", "actuated: [left crank]", five_bar), ""))
     with pytest.raises(RobodynError, match="fewer actuators"):
         rd.regressor(free, *random_states(rd.load("robots/five-bar.yaml"), 3))
     with pytest.raises(InputError, match="must broadcast"):

@@ -157,6 +157,9 @@ def fit(
     rows = given.rows(mechanism, states)
     with remarks(), _of_the_table(rows), progress("fitting", quiet) as tell:
         found = given.found(mechanism, bounds, rows, tell)
+    if found.untold:
+        text = "the columns do not tell, alone or beside the others"
+        note(f"Note: {text}: {', '.join(found.untold)}")
     if out is not None:
         from robodyn.scene.rewrite import write_scene
 
@@ -237,6 +240,7 @@ def _content(found: Fit) -> dict[str, object]:
         "rms_before": by_column(found.rms_before),
         "at_bounds": dict(found.bounds),
         "conditions": dict(found.conditions),
+        "untold": list(found.untold),
         "starts": found.starts,
         "reached": found.reached,
     }

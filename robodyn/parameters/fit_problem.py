@@ -170,17 +170,20 @@ def finished(
         def slopes(x: Array) -> Array:
             return there(x)[1]
 
-        done = least_squares(
-            residuals,
-            at[free],
-            jac=slopes,
-            bounds=(0.0, 1.0),
-            x_scale="jac",
-            ftol=1e-15,
-            xtol=1e-15,
-            gtol=1e-15,
-            max_nfev=100,
-        )
+        try:
+            done = least_squares(
+                residuals,
+                at[free],
+                jac=slopes,
+                bounds=(0.0, 1.0),
+                x_scale="jac",
+                ftol=1e-15,
+                xtol=1e-15,
+                gtol=1e-15,
+                max_nfev=100,
+            )
+        except ValueError:  # it begins a little within the bounds, where there may be no values
+            return start, np.array([cost])
         if done.cost < cost:
             at[free] = done.x
             return at[None], np.array([float(done.cost)])
