@@ -21,6 +21,7 @@ from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
+from robodyn.parameters import motion_lanes
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import read_numbers
@@ -431,6 +432,23 @@ def test_numbers_of_a_motion() -> None:
     )
     assert list(found.numbers.values()) == pytest.approx([0.9, 0.2], rel=1e-8)
     assert found.rms.max() < 1e-9
+
+
+def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a mass, a length and a start value, of angles and points, central differences of runs."""
+    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    vary = {"links.coupler.m": (0.5, 2.0), "links.rocker.l": (0.7, 0.9), "qd1": (0.0, 6.0)}
+    columns, t = ["q1", "qd3", "P_x", "P_vy"], np.linspace(0.0, 0.5, 6)
+    problem = robodyn.fit_motion(
+        load(FOUR_BAR), vary, columns, t, [1.0], [3.0], of=["P=coupler@0.3,0.2"]
+    )
+    h = 1e-4 * np.eye(3)
+    exact = problem.states(np.zeros((1, 3)))[1][0]
+    ends = [problem.states(np.concatenate([k * h, -k * h]))[0] for k in (1, 2)]
+    one, two = ((x[:3] - x[3:]) / (2e-4 * k) for k, x in zip((1, 2), ends, strict=True))
+    differences = np.moveaxis((4.0 * one - two) / 3.0, 0, -1)
+    assert np.abs(exact).max(axis=(0, 1)).min() > 0.1
+    assert np.abs(exact - differences).max() < 1e-5
 
 
 # -- what is wrong ---------------------------------------------------------------------------------

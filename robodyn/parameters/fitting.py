@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 STARTS = 30
 STEPS = 200  # of each start
 LARGEST = 1e30  # of a bound: columns have squares of it, and their squares are summed
-FINISHED = 3  # starts that scipy goes on from
 DRAWN = 200  # times as many starts are drawn where most have no values
 SAME = 1e-3  # of the residuals' rms, by which starts that reached the best are told
 
@@ -196,7 +195,7 @@ def solved(
             raise never_closes(mechanism, problem, float(np.nanmin(missing)))
         order = np.argsort(np.where(sound, cost + 1e3 * (off > 1e-4), np.inf))
         best = min(
-            (finished(problem, search, u[s], s) for s in order[:FINISHED] if sound[s]),
+            (finished(problem, search, u[s], s) for s in order[: problem.finished] if sound[s]),
             key=lambda found: found[:2],
         )
         tell(1.0)
