@@ -173,6 +173,21 @@ def test_factors_of_a_six_bar_are_told_in_lengths() -> None:
     assert not re.search(r"[0-9]\.", texts)
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("parallelogram", "J1 + l1^2 m2 + l1 mx3"),
+        ("elliptic-trammel", "mx2 - l2/2 m1 - l2/2 m2 + l2/2 m3"),
+        ("rack-gripper", "J2 + 1/i1_1^2 m1 + l2^2 m3"),
+        ("geared-five-bar", "i1_1^2 l3^2 m4 + (l1^2/l4 - i1_1^2 l3^2/l4) mx4"),
+    ],
+)
+def test_factors_of_ratios_and_equal_lengths_are_told(name: str, text: str) -> None:
+    texts = " ".join(base_of(name))
+    assert text in texts
+    assert not re.search(r"[0-9]\.", texts)
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 
