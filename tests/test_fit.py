@@ -16,12 +16,14 @@ from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import loop_forces
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.kinematics.point_motion import link_turns
 from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters import motion_lanes
+from robodyn.parameters.base_parameters import random_states
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import read_numbers
@@ -411,6 +413,40 @@ def test_a_condition_in_columns_holds_at_every_row() -> None:
     limit = 0.8 * float(most(free))
     found = balanced_four_bar(subject_to=[f"tau1 <= {limit!r}"])
     assert most(found) == pytest.approx(limit, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name", ["slider-crank", "whitworth", "hydraulic-boom", "rp-arm", "hoeken"]
+)
+def test_turns_of_links_are_columns(name: str) -> None:
+    """angle, w and wd are those of `points --links`; their slopes are differences."""
+    mech = load(ROOT / f"robots/{name}.yaml")
+    number = "links[1].l"
+    columns = [f"{x}{k + 1}" for k in range(mech.n) for x in ("angle", "w", "wd")]
+    q, qd, qdd = random_states(mech, 8)
+    given = [x[:, list(mech.actuated)] for x in (q, qd, qdd)]
+    q = robodyn.assemble(mech, given[0])
+    qd = robodyn.loop_velocities(mech, q, given[1])
+    qdd = robodyn.loop_accelerations(mech, q, qd, given[2])
+    found, slopes, *_ = lanes(mech, [number], columns, *given)
+    turns = np.stack(link_turns(mech, q, qd, qdd), axis=-1).reshape(len(q), -1)
+    assert np.allclose(np.exp(1j * found[0]), np.exp(1j * turns), rtol=0.0, atol=1e-9)
+    h = 1e-5 * (named_values(mech).number(number))
+    ends = lanes(mech, [number], columns, *given, changes=[[h], [-h]])[0]
+    differences = (ends[0] - ends[1]) / (2.0 * h)
+    assert np.allclose(
+        slopes[0, ..., 0], differences, rtol=1e-5, atol=1e-5 * np.abs(slopes).max() + 1e-9
+    )
+
+
+def test_angles_count_from_turn_to_turn() -> None:
+    mech = load(ROOT / "robots/hoeken.yaml")
+    q = np.linspace(2.0, 4.0, 9)[:, None]
+    joints = robodyn.assemble(mech, q)
+    zero = np.zeros_like(joints)
+    angle = link_turns(mech, joints, zero, zero)[0][:, 1:2] + 2.0 * np.pi
+    found = robodyn.fit(mech, {"links.rocker.l": (0.2, 0.3)}, ["angle2"], q, target=angle)
+    assert found.rms_before[0] < 1e-12
 
 
 # -- motions ---------------------------------------------------------------------------------------

@@ -120,6 +120,20 @@ def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) ->
             assert float(row[name]) == pytest.approx(TAKEN[how](found[column]), rel=1e-9)
 
 
+def test_ratios_and_jacobians_are_columns(robodyn: Run, turn: Path) -> None:
+    names = ["rocker/crank", "P_Jx1", "P_Jy1", "w3"]
+    of = ["--of", "P=coupler@0.3,0.1"]
+    result = ",".join(f"max({name})" for name in names)
+    given = ["--kind", "torque", "--track", turn, *of, "--result", result, "--quiet"]
+    swept = robodyn("sweep", BAR, *given, "--vary", "links.rocker.m=1,2").out.splitlines()
+    more = ["--ratio", "rocker/crank", "--jacobian", "--links"]
+    rows = columns(robodyn("points", BAR, turn, *of, *more).out)
+    for line in swept[1:]:
+        assert line.endswith(",finished")
+        found = [float(x) for x in line.split(",")[1:-1]]
+        assert found == pytest.approx([rows[name].max() for name in names], rel=1e-12)
+
+
 def test_under_control_rows_are_those_of_simulate(robodyn: Run, reference: Path) -> None:
     """The controller believes the scene as it is, while the arm varies."""
     law = ("--control", "computed-torque", "--kp", "50", "--kd", "12", "--track", reference)

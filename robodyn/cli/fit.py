@@ -130,8 +130,8 @@ def fit(
 ) -> None:
     """Numbers of a scene for which columns follow a table, or are as small as they can be.
 
-    Columns are those of `points` (P_x, P_vy, transmission1), `torque` (tau1, power1, fx1, volt1)
-    and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
+    Columns are those of `points` (P_x, P_vy, w3, transmission1), `torque` (tau1, power1, fx1,
+    volt1) and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
     actuated joints' q1.., qd1.., qdd1.. (rates that are left out are zero) and t; the other joints
     are assembled anew for each trial.  The sum of squares of all columns, as they are in SI units,
     becomes least.

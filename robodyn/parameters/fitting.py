@@ -99,10 +99,9 @@ def fit(
     conditions = [formulas.condition(text, every) for text in subject_to]
     states = LaneStates(formulas, [*nodes, *(node for node, _ in conditions)], rows)
     alone = [not _depends(node, formulas.inputs[: -len(vary)]) for node, _ in conditions]
-    turning = [
-        name.startswith("q") and name[1:].isdigit() and int(name[1:]) - 1 not in mechanism.slides
-        for name in columns
-    ]
+    turns = {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
+    turns |= {f"angle{k + 1}" for k in range(mechanism.n)}
+    turning = [name in turns for name in columns]
     wanted = as_target(target, len(rows.t), len(columns))
     own = np.array([values.number(name) for name in vary])
     problem = Problem(states, own, vary, wanted, turning, [x for _, x in conditions], alone)
