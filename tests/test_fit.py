@@ -511,6 +511,7 @@ Q = np.linspace(0.0, 6.0, 5)[:, None]
         ({"columns": ["q9"]}, "q9: is no column"),
         ({"columns": []}, "none is named"),
         ({"target": np.zeros((3, 1))}, r"target = \(3, 1\).*\(5, 1\)"),
+        ({"target": np.full((5, 1), 1e160)}, r"target = 1e\+160: must be 1e\+30 at most"),
         ({"q": np.zeros((0, 1))}, "one row a state"),
         ({"q": np.full((5, 1), np.nan)}, "must be finite"),
         ({"starts": 0}, "--starts = 0"),

@@ -133,6 +133,7 @@ def test_physical_numbers_are_kept_to() -> None:
     found = rd.identify(mech, *states, tau, physical=True)
     assert not found.faults
     assert all(x.m > 0.0 and x.I > 0.0 and x.damping >= 0.0 for x in found.description.links)
+    assert not any(0.0 < x.damping < 1e-12 for x in found.description.links)  # at its bound
     good = torques(other(mech), states)
     free, bound = (rd.identify(mech, *states, good, physical=x) for x in (False, True))
     assert [x.value for x in bound.estimates] == [x.value for x in free.estimates]

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 STARTS = 30
 STEPS = 200  # of each start
-LARGEST = 1e30  # of a bound: columns have squares of it, and their squares are summed
+LARGEST = 1e30  # of bounds and targets: columns have squares of it, and their squares are summed
 DRAWN = 200  # times as many starts are drawn where most have no values
 SAME = 1e-3  # of the residuals' rms, by which starts that reached the best are told
 
@@ -139,6 +139,8 @@ def as_target(target: ArrayLike | None, rows: int, columns: int) -> Array:
     if found.shape != (rows, columns) or not np.isfinite(found).all():
         limit = f"must be finite, of shape ({rows}, {columns})"
         raise InputError("target", value=found.shape, limit=limit)
+    if (most := float(np.abs(found).max(initial=0.0))) > LARGEST:
+        raise InputError("target", value=most, limit=f"must be {LARGEST:g} at most, in size")
     return found
 
 

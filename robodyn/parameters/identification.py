@@ -326,8 +326,7 @@ class _Numbers:
             xtol=TIGHT,
             gtol=TIGHT,
         )
-        result: Array = found.x
-        return result
+        return np.where(found.active_mask < 0, self.least, found.x)
 
 
 def _result(
