@@ -307,6 +307,20 @@ def test_correlations_are_scipys(robodyn: Run, turn: Path) -> None:
     assert float(told.rows[2]["links.rocker.l"]) == pytest.approx(1.0, abs=1e-12)
 
 
+def test_a_sample_tells_what_matters_most_beside_its_rows(
+    robodyn: Run, turn: Path, tmp_path: Path
+) -> None:
+    vary = ["--vary", "links.coupler.m=1.2:1.4", "--vary", "links.crank.I=0.008:0.0081"]
+    given = ["--kind", "torque", "--track", turn, *vary, "--sample", 20, "--result", "max(tau1)"]
+    done = robodyn("sweep", BAR, *given, "-o", tmp_path / "rows.csv")
+    table = robodyn("sweep", BAR, *given, "--correlations", "--quiet").out.splitlines()[1]
+    first, second = (float(x) for x in table.split(",")[1:])
+    told = f"max(tau1) goes with links.coupler.m {first:.2f}, links.crank.I {second:.2f} (rank"
+    assert told in done.err
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 21
+    assert "goes with" not in robodyn("sweep", BAR, *given, "--quiet").err
+
+
 def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
     line = ("sweep", BAR, "--kind", "torque", "--vary", "links.crank.l=0.3,0.35,1.2,0.32")
     line += ("--q", 3, "--qd", 5, "--result", "shake_fx,qd1")
