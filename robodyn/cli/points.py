@@ -64,7 +64,6 @@ def points(
     """
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
-    places = [point.point for point in named]
     columns = point_columns(named)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     more = jacobian or links or transmission or ratio or rows.differentiate
