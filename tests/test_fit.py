@@ -16,11 +16,14 @@ from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import loop_forces
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.kinematics.point_motion import link_turns
 from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
+from robodyn.parameters import motion_lanes
+from robodyn.parameters.base_parameters import random_states
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import read_numbers
@@ -412,6 +415,40 @@ def test_a_condition_in_columns_holds_at_every_row() -> None:
     assert most(found) == pytest.approx(limit, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    "name", ["slider-crank", "whitworth", "hydraulic-boom", "rp-arm", "hoeken"]
+)
+def test_turns_of_links_are_columns(name: str) -> None:
+    """angle, w and wd are those of `points --links`; their slopes are differences."""
+    mech = load(ROOT / f"robots/{name}.yaml")
+    number = "links[1].l"
+    columns = [f"{x}{k + 1}" for k in range(mech.n) for x in ("angle", "w", "wd")]
+    q, qd, qdd = random_states(mech, 8)
+    given = [x[:, list(mech.actuated)] for x in (q, qd, qdd)]
+    q = robodyn.assemble(mech, given[0])
+    qd = robodyn.loop_velocities(mech, q, given[1])
+    qdd = robodyn.loop_accelerations(mech, q, qd, given[2])
+    found, slopes, *_ = lanes(mech, [number], columns, *given)
+    turns = np.stack(link_turns(mech, q, qd, qdd), axis=-1).reshape(len(q), -1)
+    assert np.allclose(np.exp(1j * found[0]), np.exp(1j * turns), rtol=0.0, atol=1e-9)
+    h = 1e-5 * (named_values(mech).number(number))
+    ends = lanes(mech, [number], columns, *given, changes=[[h], [-h]])[0]
+    differences = (ends[0] - ends[1]) / (2.0 * h)
+    assert np.allclose(
+        slopes[0, ..., 0], differences, rtol=1e-5, atol=1e-5 * np.abs(slopes).max() + 1e-9
+    )
+
+
+def test_angles_count_from_turn_to_turn() -> None:
+    mech = load(ROOT / "robots/hoeken.yaml")
+    q = np.linspace(2.0, 4.0, 9)[:, None]
+    joints = robodyn.assemble(mech, q)
+    zero = np.zeros_like(joints)
+    angle = link_turns(mech, joints, zero, zero)[0][:, 1:2] + 2.0 * np.pi
+    found = robodyn.fit(mech, {"links.rocker.l": (0.2, 0.3)}, ["angle2"], q, target=angle)
+    assert found.rms_before[0] < 1e-12
+
+
 # -- motions ---------------------------------------------------------------------------------------
 
 
@@ -433,6 +470,23 @@ def test_numbers_of_a_motion() -> None:
     assert found.rms.max() < 1e-9
 
 
+def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a mass, a length and a start value, of angles and points, central differences of runs."""
+    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    vary = {"links.coupler.m": (0.5, 2.0), "links.rocker.l": (0.7, 0.9), "qd1": (0.0, 6.0)}
+    columns, t = ["q1", "qd3", "P_x", "P_vy"], np.linspace(0.0, 0.5, 6)
+    problem = robodyn.fit_motion(
+        load(FOUR_BAR), vary, columns, t, [1.0], [3.0], of=["P=coupler@0.3,0.2"]
+    )
+    h = 1e-4 * np.eye(3)
+    exact = problem.states(np.zeros((1, 3)))[1][0]
+    ends = [problem.states(np.concatenate([k * h, -k * h]))[0] for k in (1, 2)]
+    one, two = ((x[:3] - x[3:]) / (2e-4 * k) for k, x in zip((1, 2), ends, strict=True))
+    differences = np.moveaxis((4.0 * one - two) / 3.0, 0, -1)
+    assert np.abs(exact).max(axis=(0, 1)).min() > 0.1
+    assert np.abs(exact - differences).max() < 1e-5
+
+
 # -- what is wrong ---------------------------------------------------------------------------------
 
 Q = np.linspace(0.0, 6.0, 5)[:, None]
@@ -444,6 +498,10 @@ Q = np.linspace(0.0, 6.0, 5)[:, None]
         ({"vary": {"links.copler.l": (0.5, 1.0)}}, "links.copler.l.*links.coupler.l"),
         ({"vary": {"links.coupler.l": (1.0, 0.5)}}, "links.coupler.l=1:0.5.*LOW < HIGH"),
         ({"vary": {"links.coupler.m": (-1.0, 0.5)}}, "links.coupler.m=-1:0.5: no scene may have"),
+        (
+            {"vary": {"links.coupler.m": (0.5, 1e200)}},
+            "0.5:1e.200: must be within -1e.30 and 1e.30",
+        ),
         ({"vary": {}}, "names no number"),
         ({"vary": {"links.coupler.l": (0.1, 0.2)}}, "links.coupler.l: .*never close at every row"),
         ({"vary": {"links.coupler.l": (0.1, 0.2)}, "columns": ["tau1"]}, "never close"),
@@ -453,6 +511,7 @@ Q = np.linspace(0.0, 6.0, 5)[:, None]
         ({"columns": ["q9"]}, "q9: is no column"),
         ({"columns": []}, "none is named"),
         ({"target": np.zeros((3, 1))}, r"target = \(3, 1\).*\(5, 1\)"),
+        ({"target": np.full((5, 1), 1e160)}, r"target = 1e\+160: must be 1e\+30 at most"),
         ({"q": np.zeros((0, 1))}, "one row a state"),
         ({"q": np.full((5, 1), np.nan)}, "must be finite"),
         ({"starts": 0}, "--starts = 0"),
@@ -470,6 +529,23 @@ def test_wrong_arguments_are_named(change, message: str) -> None:
     given = {"vary": {"links.coupler.l": (0.8, 1.1)}, "columns": ["coupler_x"], "q": Q} | change
     with pytest.raises(InputError, match=message):
         robodyn.fit(load(FOUR_BAR), **given)
+
+
+def test_what_columns_do_not_tell() -> None:
+    """Of a pendulum's m and r torques at rest tell the product, and nothing of I."""
+    names = {"links.rod.m": (0.1, 2.0), "links.rod.r": (0.05, 1.0), "links.rod.I": (0.0, 1.0)}
+    q = np.linspace(-1.0, 1.0, 5)[:, None]
+    arguments = load(ROOT / "robots/pendulum.yaml"), names, ["tau1"], q
+    found = robodyn.fit(*arguments, target=0.5 * np.sin(q + 1.0))
+    assert len(found.untold) == 2
+    assert "links.rod.I" in found.untold
+    assert found.numbers["links.rod.I"] == found.before["links.rod.I"]
+
+
+def test_bounds_of_many_sizes() -> None:
+    """Beside 1e30 m the rocker's length is a part in 1e30, where scipy takes no step."""
+    found = robodyn.fit(load(FOUR_BAR), {"links.rocker.l": (0.01, 1e30)}, ["tau1"], Q)
+    assert found.rms[0] <= found.rms_before[0] * (1.0 + 1e-12)
 
 
 def test_too_few_rows() -> None:

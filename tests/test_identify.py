@@ -133,6 +133,7 @@ def test_physical_numbers_are_kept_to() -> None:
     found = rd.identify(mech, *states, tau, physical=True)
     assert not found.faults
     assert all(x.m > 0.0 and x.I > 0.0 and x.damping >= 0.0 for x in found.description.links)
+    assert not any(0.0 < x.damping < 1e-12 for x in found.description.links)  # at its bound
     good = torques(other(mech), states)
     free, bound = (rd.identify(mech, *states, good, physical=x) for x in (False, True))
     assert [x.value for x in bound.estimates] == [x.value for x in free.estimates]
@@ -276,6 +277,7 @@ FAULTS = {
     "time": (lambda x: [*x[:5], x[4], *x[5:]], "line 6: t = "),
     "joints": (lambda x: [f"{row},{'q3' if k == 0 else 0}" for k, row in enumerate(x)], "q3: the"),
     "torques": (lambda x: [row.rsplit(",", 1)[0] for row in x], "column tau2 is missing"),
+    "large": (lambda x: [*x[:5], x[5] + "e200", *x[6:]], "at most"),
     "few": (lambda x: x[:5], "rows = 4: must be more: 8 numbers are unknown"),
     "none": (lambda x: x[:1], "no rows"),
 }
@@ -303,7 +305,10 @@ def test_no_excitation_is_named(robodyn: Run, tmp_path: Path) -> None:
 def test_numbers_that_torques_do_not_tell_are_refused(robodyn: Run, data: Path) -> None:
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.l")
     assert done.code == 2
-    assert "links.forearm.l: is no mass, moment, damping" in done.err
+    assert "links.forearm.l: is no mass, moment" in done.err
+    assert "robodyn fit --vary 'links.forearm.l=LOW:HIGH' --match" in done.err
+    done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.z")
+    assert "links.forearm.z: is no mass, moment, damping" in done.err
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m,")
     assert (done.code, "--of = links.forearm.m,: a name is" in done.err) == (2, True)
     mech = rd.load(ROOT / ARM)
@@ -320,4 +325,54 @@ def test_data_of_another_mechanism_are_told(robodyn: Run, data: Path) -> None:
         return [lines[0], *rows]
 
     done = robodyn("identify", ROOT / ARM, edited(data, swapped))
-    assert "% of the torques are not told by the scene" in done.err
+    assert "% of tau1, " in done.err
+    assert "% of tau2 are not told by" in done.err
+
+
+def test_torques_of_one_joint_alone_may_be_those_of_another_mechanism(
+    robodyn: Run, tmp_path: Path
+) -> None:
+    """A slide for a joint: what the first torque tells is most of all torques."""
+    mech = rd.load(ROOT / ARM)
+    data = written(tmp_path / "arm.csv", mech)
+    done = robodyn("identify", ROOT / "robots/rp-arm.yaml", data)
+    assert "% of tau2 are not told by" in done.err
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-200])
+def test_torques_of_nothing_make_masses_of_nothing(robodyn: Run, data: Path, size: float) -> None:
+    def scaled(lines: list[str]) -> list[str]:
+        parts = [x.split(",") for x in lines[1:]]
+        rows = [",".join([*x[:-2], *(repr(float(y) * size) for y in x[-2:])]) for x in parts]
+        return [lines[0], *rows]
+
+    done = robodyn("identify", ROOT / ARM, edited(data, scaled))
+    assert done.code == 0
+    assert max(abs(x["value"]) for x in json.loads(done.out)["parameters"]) < 1e-12
+
+
+def test_a_free_joint_tells_its_part(robodyn: Run, tmp_path: Path) -> None:
+    path = ROOT / "robots/cart-pole.yaml"
+    mech = rd.load(path)
+    rng = np.random.default_rng(1)
+    q, qd, force = rng.normal(size=(3, 60, 2))
+    force[:, 1] = 0.0
+    true = other(mech)
+    qdd = rd.forward_dynamics(true, q, qd, force)
+    rows = np.column_stack([q, qd, qdd, force[:, 0]])
+    lines = "".join(",".join(map(repr, x)) + "\n" for x in rows.tolist())
+    header = "q1,q2,qd1,qd2,qdd1,qdd2,tau1\n"
+    left = tmp_path / "left.csv"
+    done = robodyn("identify", path, "-", "--residuals", left, stdin=header + lines)
+    found = {x["name"]: x["value"] for x in json.loads(done.out)["parameters"]}
+    assert found == pytest.approx(values(true), rel=1e-9, abs=1e-12)
+    assert left.read_text().splitlines()[0].endswith("tau1,residual1")
+
+
+def test_a_cutoff_for_nothing_and_a_leap_of_time_are_told(robodyn: Run, tmp_path: Path) -> None:
+    mech = rd.load(ROOT / ARM)
+    done = robodyn("identify", ROOT / ARM, written(tmp_path / "a.csv", mech), "--cutoff", "-3")
+    assert (done.code, "--cutoff = -3.0: is for rates that lack" in done.err) == (2, True)
+    data = edited(written(tmp_path / "b.csv", mech, rates=False), lambda x: [*x[:50], *x[90:]])
+    done = robodyn("identify", ROOT / ARM, data)
+    assert (done.code, "line 51: t leaps by" in done.err) == (0, True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -172,6 +173,21 @@ def test_factors_of_a_six_bar_are_told_in_lengths() -> None:
     assert not re.search(r"[0-9]\.", texts)
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("parallelogram", "J1 + l1^2 m2 + l1 mx3"),
+        ("elliptic-trammel", "mx2 - l2/2 m1 - l2/2 m2 + l2/2 m3"),
+        ("rack-gripper", "J2 + 1/i1_1^2 m1 + l2^2 m3"),
+        ("geared-five-bar", "i1_1^2 l3^2 m4 + (l1^2/l4 - i1_1^2 l3^2/l4) mx4"),
+    ],
+)
+def test_factors_of_ratios_and_equal_lengths_are_told(name: str, text: str) -> None:
+    texts = " ".join(base_of(name))
+    assert text in texts
+    assert not re.search(r"[0-9]\.", texts)
+
+
 # -- the command ----------------------------------------------------------------------------------
 
 
@@ -199,9 +215,22 @@ def test_base_and_condition_are_told(robodyn: Run, tmp_path) -> None:
     assert {"J1 + l1^2 m2", "d1", "J2", "d2"} <= set(found["not_excited"])
 
 
+def test_a_free_joint_of_an_open_chain_has_a_row() -> None:
+    """The cart-pole, f on the cart: (M + m) x'' - m l cos .. = f, and 0 of the pole."""
+    mech = rd.load("robots/cart-pole.yaml")
+    rng = np.random.default_rng(0)
+    q, qd = rng.normal(size=(2, 20, 2))
+    force = np.stack([rng.normal(size=20), np.zeros(20)], axis=-1)
+    found = rd.regressor(mech, q, qd, rd.forward_dynamics(mech, q, qd, force))
+    tau = found.Y @ found.values + found.known
+    assert np.abs(tau - force).max() < 1e-13 * np.abs(found.Y * found.values).max()
+
+
 def test_what_has_no_regressor_is_refused(robodyn: Run) -> None:
+    five_bar = Path("robots/five-bar.yaml").read_text()
+    free = build(from_text(re.sub(r"actuated: .*", "actuated: [left crank]", five_bar), ""))
     with pytest.raises(RobodynError, match="fewer actuators"):
-        rd.regressor(rd.load("robots/cart-pole.yaml"), [0, 0], [0, 0], [0, 0])
+        rd.regressor(free, *random_states(rd.load("robots/five-bar.yaml"), 3))
     with pytest.raises(InputError, match="must broadcast"):
         rd.regressor(rd.load("robots/2r.yaml"), np.zeros((3, 2)), np.zeros((2, 2)), [0, 0])
     done = robodyn("regressor", "robots/2r.yaml", "--condition")

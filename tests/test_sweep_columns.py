@@ -120,6 +120,20 @@ def test_columns_of_loops_are_those_of_the_commands(robodyn: Run, turn: Path) ->
             assert float(row[name]) == pytest.approx(TAKEN[how](found[column]), rel=1e-9)
 
 
+def test_ratios_and_jacobians_are_columns(robodyn: Run, turn: Path) -> None:
+    names = ["rocker/crank", "P_Jx1", "P_Jy1", "w3"]
+    of = ["--of", "P=coupler@0.3,0.1"]
+    result = ",".join(f"max({name})" for name in names)
+    given = ["--kind", "torque", "--track", turn, *of, "--result", result, "--quiet"]
+    swept = robodyn("sweep", BAR, *given, "--vary", "links.rocker.m=1,2").out.splitlines()
+    more = ["--ratio", "rocker/crank", "--jacobian", "--links"]
+    rows = columns(robodyn("points", BAR, turn, *of, *more).out)
+    for line in swept[1:]:
+        assert line.endswith(",finished")
+        found = [float(x) for x in line.split(",")[1:-1]]
+        assert found == pytest.approx([rows[name].max() for name in names], rel=1e-12)
+
+
 def test_under_control_rows_are_those_of_simulate(robodyn: Run, reference: Path) -> None:
     """The controller believes the scene as it is, while the arm varies."""
     law = ("--control", "computed-torque", "--kp", "50", "--kd", "12", "--track", reference)
@@ -291,6 +305,20 @@ def test_correlations_are_scipys(robodyn: Run, turn: Path) -> None:
             known = stats.spearmanr(rows.column(name), rows.column(row["column"])).statistic
             assert float(row[name]) == pytest.approx(known, abs=1e-12)
     assert float(told.rows[2]["links.rocker.l"]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_sample_tells_what_matters_most_beside_its_rows(
+    robodyn: Run, turn: Path, tmp_path: Path
+) -> None:
+    vary = ["--vary", "links.coupler.m=1.2:1.4", "--vary", "links.crank.I=0.008:0.0081"]
+    given = ["--kind", "torque", "--track", turn, *vary, "--sample", 20, "--result", "max(tau1)"]
+    done = robodyn("sweep", BAR, *given, "-o", tmp_path / "rows.csv")
+    table = robodyn("sweep", BAR, *given, "--correlations", "--quiet").out.splitlines()[1]
+    first, second = (float(x) for x in table.split(",")[1:])
+    told = f"max(tau1) goes with links.coupler.m {first:.2f}, links.crank.I {second:.2f} (rank"
+    assert told in done.err
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) == 21
+    assert "goes with" not in robodyn("sweep", BAR, *given, "--quiet").err
 
 
 def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:

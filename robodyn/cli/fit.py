@@ -130,8 +130,8 @@ def fit(
 ) -> None:
     """Numbers of a scene for which columns follow a table, or are as small as they can be.
 
-    Columns are those of `points` (P_x, P_vy, transmission1), `torque` (tau1, power1, fx1, volt1)
-    and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
+    Columns are those of `points` (P_x, P_vy, w3, transmission1), `torque` (tau1, power1, fx1,
+    volt1) and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
     actuated joints' q1.., qd1.., qdd1.. (rates that are left out are zero) and t; the other joints
     are assembled anew for each trial.  The sum of squares of all columns, as they are in SI units,
     becomes least.
@@ -157,6 +157,9 @@ def fit(
     rows = given.rows(mechanism, states)
     with remarks(), _of_the_table(rows), progress("fitting", quiet) as tell:
         found = given.found(mechanism, bounds, rows, tell)
+    if found.untold:
+        text = "the columns do not tell, alone or beside the others"
+        note(f"Note: {text}: {', '.join(found.untold)}")
     if out is not None:
         from robodyn.scene.rewrite import write_scene
 
@@ -237,6 +240,7 @@ def _content(found: Fit) -> dict[str, object]:
         "rms_before": by_column(found.rms_before),
         "at_bounds": dict(found.bounds),
         "conditions": dict(found.conditions),
+        "untold": list(found.untold),
         "starts": found.starts,
         "reached": found.reached,
     }

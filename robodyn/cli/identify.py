@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated
 
-import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument
@@ -17,16 +16,20 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
-from robodyn.parameters.scene_numbers import changes
+from robodyn.parameters.regression_matrix import balanced_joints
+from robodyn.parameters.scene_numbers import changes, places
 from robodyn.scene.rewrite import write_scene
 
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
-_OF = "Numbers of the scene to find, links.forearm.m,links.forearm.I; else base parameters."
+_OF = (
+    "Numbers of the scene to find, links.forearm.m,links.forearm.I: masses, r, I, payloads, "
+    "damping, friction, rotors, springs; else base parameters. Lengths: see `fit`."
+)
 _PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
 _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
 _SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
 _RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
-LITTLE = 0.5  # of the torques' rms: where more is left, the scene does not tell the data
+LITTLE = 0.1  # of a torque's rms: where more is left, the scene does not tell the data
 
 
 def identify(
@@ -61,19 +64,30 @@ def identify(
     names = [] if of is None else [x.strip() for x in of.split(",")]
     if "" in names:
         raise InputError("--of", value=of, limit="a name is missing at a comma")
+    linear, values = places(mechanism.description), model.values()
+    for name in names:
+        if name in values and name not in linear:
+            limit = (
+                f"is found by robodyn fit --vary '{name}=LOW:HIGH' --match {data} --columns tau1"
+            )
+            raise InputError(name, limit=f"is no mass, moment, friction or stiffness; {limit}..")
     with remarks(), named_options(["cutoff"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
         q, qd, qdd = motion.states
         found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
-    left, all_of_it = (float(np.sqrt((x**2).sum())) for x in (found.rms, found.rms_torque))
-    if left > LITTLE * all_of_it:
-        text = f"{100 * left / all_of_it:.3g} % of the torques are not told by the scene"
-        note(f"Warning: {motion.source}: {text}; are these data of another mechanism?")
+    joints = [k + 1 for k in balanced_joints(mechanism)]
+    untold = [
+        f"{100 * left / usual:.3g} % of tau{k}"
+        for k, left, usual in zip(joints, found.rms, found.rms_torque, strict=True)
+        if left > LITTLE * usual > 0.0
+    ]
+    if untold:
+        text = f"{', '.join(untold)} are not told by {mechanism.source} with the numbers found"
+        note(f"Warning: {motion.source}: {text}: data of another mechanism, or friction?")
     if found.kept:
         note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
     if residuals is not None:
         _write_residuals(mechanism, found, motion, residuals)
-    joints = [k + 1 for k in mechanism.actuated]
     content = {
         "rows": found.rows,
         "condition": found.condition,
@@ -102,7 +116,9 @@ def _write_scene(mechanism: Mechanism, model: Model, found: Identification, out:
 def _write_residuals(
     mechanism: Mechanism, found: Identification, motion: MotionFile, file: str
 ) -> None:
-    left = motion.tau - predicted(mechanism, found, motion.states, motion.t)
+    told = predicted(mechanism, found, motion.states, motion.t)
+    joints = balanced_joints(mechanism)
+    left = motion.tau - told[:, [joints.index(k) for k in mechanism.actuated]]
     columns = [f"residual{k + 1}" for k in mechanism.actuated]
     with row_writer("csv", file, columns, motion.header) as writer:
         writer.write_rows(motion.lines, left)

@@ -19,6 +19,7 @@ from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
 Array = np.ndarray
+GAP = 5.0  # times the usual step: rows are missing
 
 
 class MotionFile(NamedTuple):
@@ -37,7 +38,8 @@ def read_motion(
 ) -> MotionFile:
     """The motion in a file; rates that it lacks are found, which is told.
 
-    Raises InputError for gaps, for columns of another mechanism, and for times that do not rise.
+    Raises InputError for gaps, for columns of another mechanism, for times that do not rise, and
+    for a cutoff where no rates are to be found.
     """
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []
@@ -47,6 +49,10 @@ def read_motion(
         sources = [table_source(mechanism, x, reader.header, name) for x in wanted]
         absent = [x for x in sources if not x.given]
         timed = "t" in reader.header
+        if cutoff is not None and not absent:
+            raise InputError(
+                "cutoff", value=cutoff, limit=f"is for rates that lack: {name} has qd, qdd"
+            )
         if absent and not timed:
             limit = f"no column t, to find {absent[0].quantity.name} by"
             raise InputError("t", where=name, limit=limit)
@@ -59,6 +65,7 @@ def read_motion(
     t = values[:, -1] if timed else np.zeros(len(values))
     if timed:
         check_rising(t, numbers, name)
+        _tell_gap(t, numbers, name) if absent else None
     column = dict(zip(columns, values.T, strict=False))
     given = {x.quantity.name: _columns(column, x.columns) for x in sources if x.columns}
     found = []
@@ -112,6 +119,15 @@ def _tell(
 
     missing = " and ".join(x.quantity.name for x in absent)
     note(f"Note: {missing} of {', '.join(names)}: by {how(cutoff)}")
+
+
+def _tell_gap(t: Array, numbers: Sequence[int], source: str) -> None:
+    """Warn of rows that lack among the others, where rates are found through them."""
+    steps = np.diff(t)
+    k = int(np.argmax(steps)) if len(steps) else 0
+    if len(steps) and steps[k] > GAP * (usual := float(np.median(steps))):
+        gap = f"t leaps by {steps[k]:.6g} s, where steps are {usual:.6g} s"
+        note(f"Warning: {source}: line {numbers[k + 1]}: {gap}: rates beside it are a guess")
 
 
 def _check_joints(mechanism: Mechanism, header: Sequence[str], source: str) -> None:

@@ -64,7 +64,6 @@ def points(
     """
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
-    places = [point.point for point in named]
     columns = point_columns(named)
     quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     more = jacobian or links or transmission or ratio or rows.differentiate
@@ -77,17 +76,17 @@ def points(
     import numpy as np
 
     from robodyn.dynamics.state_columns import (
+        jacobian_columns,
+        jacobian_values,
         link_columns,
         link_values,
         point_values,
         transmission_values,
     )
-    from robodyn.kinematics.point_motion import point_jacobian, unit_rates
     from robodyn.kinematics.transmission import rate_ratios, ratio_named
 
     if jacobian:
-        driven = [k + 1 for k in mechanism.actuated]
-        columns += [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
+        columns += jacobian_columns(mechanism, named)
     if links:
         columns += link_columns(mechanism)
     loops = _loops(mechanism) if transmission else []
@@ -98,8 +97,7 @@ def points(
     def compute(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, **_: object) -> np.ndarray:
         parts = [point_values(mechanism, named, q, qd, qdd)]
         if jacobian:
-            moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
-            parts.append(moved.reshape(len(q), -1))
+            parts.append(jacobian_values(mechanism, named, q))
         if links:
             parts.append(link_values(mechanism, q, qd, qdd))
         if loops:

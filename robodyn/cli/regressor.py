@@ -14,6 +14,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
 from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.regression_matrix import balanced_joints
 from robodyn.parameters.regression_matrix import regressor as matrix
 
 _BASE = (
@@ -38,11 +39,11 @@ def regressor(
 ) -> None:
     """Y(q, qd, qdd): the torques are linear in masses, moments, dampers and springs, tau = Y pi.
 
-    Columns Y1_m2, ..: of actuated joint 1 by the mass of link 2, m2 (kg, payload included). The
-    others are mx2, my2 (its first moment m r in its own frame, kg m), J2 (its moment of inertia
-    about its own joint, kg m^2), d2 (damping of its joint), f2 (friction), Jr2 (its motor's rotor),
-    k1 (stiffness of spring 1), ds1 (its damping). Where the scene has loads, laws of springs or
-    stops, Y1_known is what they take: it counts once.
+    Columns Y1_m2, ..: of joint 1 (actuated, or free in an open chain) by the mass of link 2, m2
+    (kg, payload included). The others are mx2, my2 (its first moment m r in its own frame, kg m),
+    J2 (its moment of inertia about its own joint, kg m^2), d2 (damping of its joint), f2
+    (friction), Jr2 (its motor's rotor), k1 (stiffness of spring 1), ds1 (its damping). Where the
+    scene has loads, laws of springs or stops, Y1_known is what they take: it counts once.
 
     --base tells the base parameters: name, text (J1 + l1^2 m2), value, unit.
 
@@ -63,7 +64,7 @@ def regressor(
         return
     names = [x.name for x in linear_parameters(mechanism.description)]
     chosen = structural(mechanism).kept if base else list(range(len(names)))
-    joints = [k + 1 for k in mechanism.actuated]
+    joints = [k + 1 for k in balanced_joints(mechanism)]
     columns = [f"Y{j}_{names[k]}" for j in joints for k in chosen]
     loaded = bool(mechanism.description.loads or mechanism.laws or mechanism.limits)
     columns += [f"Y{j}_known" for j in joints if loaded]

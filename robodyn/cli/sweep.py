@@ -32,6 +32,8 @@ _WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
 _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
+MOST = 100_000  # points of a sample of which it is told
+SHOWN = 3  # numbers that are named
 _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 
 
@@ -102,6 +104,8 @@ def sweep(
     lines = _Lines(plan.columns())
     outcomes: Counter[str] = Counter()
     size = plan.variation.size
+    told = bool(plan.told) and plan.variation.sample is not None and not quiet and size <= MOST
+    seen: list[Any] = []  # the rows, where it is told what matters most
     begun = time.perf_counter()
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
@@ -114,6 +118,7 @@ def sweep(
             for rows in chunks:
                 write(rows)
                 outcomes.update(rows.outcomes)
+                seen.extend([rows.values] if told else [])
                 show((first + outcomes.total()) / size)
 
     if extremes or correlations:
@@ -133,6 +138,20 @@ def sweep(
             _go_on(file, plan, compute, lines, outcomes, quiet)
     if not quiet:
         _summary(plan, outcomes, time.perf_counter() - begun)
+    if seen and not (extremes or correlations) and outcomes.total() == size:
+        _tell_what_matters(plan, seen)
+
+
+def _tell_what_matters(plan: Plan, seen: list[Any]) -> None:
+    """The numbers that each result of a sample goes with most, by rank correlations."""
+    from robodyn.tables.rank_correlations import correlations
+
+    names = [axis.name for axis in plan.variation.axes]
+    for column, row in correlations(plan.columns()[:-1], len(names), seen).items():
+        pairs = [(x, name) for x, name in zip(row, names, strict=True) if x is not None]
+        pairs.sort(key=lambda pair: -abs(pair[0]))
+        parts = ", ".join(f"{name} {x:.2f}" for x, name in pairs[:SHOWN])
+        note(f"{column} goes with {parts or 'nothing'} (rank correlation)")
 
 
 def _go_on(

@@ -14,8 +14,13 @@ from numpy.typing import NDArray
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
 from robodyn.kinematics.named_points import NamedPoint, point_columns
-from robodyn.kinematics.point_motion import link_turns
-from robodyn.kinematics.transmission import transmission_angles, transmission_loops
+from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
+from robodyn.kinematics.transmission import (
+    rate_ratios,
+    ratio_named,
+    transmission_angles,
+    transmission_loops,
+)
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
@@ -105,12 +110,32 @@ def transmission_values(mechanism: Mechanism, q: Array) -> Array:
     return transmission_angles(mechanism, list(transmission_loops(mechanism).values()), q)
 
 
+def jacobian_columns(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
+    """How far each point goes with each actuated joint."""
+    driven = [k + 1 for k in mechanism.actuated]
+    return [f"{point.name}_J{x}{k}" for point in named for x in "xy" for k in driven]
+
+
+def jacobian_values(mechanism: Mechanism, named: Sequence[NamedPoint], q: Array) -> Array:
+    """The values of `jacobian_columns`."""
+    places = [point.point for point in named]
+    moved = point_jacobian(mechanism, places, q) @ unit_rates(mechanism, q)[:, None]
+    return np.asarray(moved.reshape(len(q), -1))
+
+
+def ratio_columns(mechanism: Mechanism) -> list[str]:
+    """The rate of each link over that of each other."""
+    links = mechanism.link_names
+    return [f"{a}/{b}" for a in links for b in links if a != b]
+
+
 def column_names(mechanism: Mechanism, named: Sequence[NamedPoint]) -> list[str]:
     """All of them, those of the state before."""
     state = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
     kinds = (torque_columns, power_columns, reaction_columns, link_columns, transmission_columns)
     names = ["t", *state, "energy", *(name for kind in kinds for name in kind(mechanism))]
-    return list(dict.fromkeys([*names, *point_columns(named)]))
+    names += [*point_columns(named), *jacobian_columns(mechanism, named)]
+    return list(dict.fromkeys([*names, *ratio_columns(mechanism)]))
 
 
 def columns_of(
@@ -121,6 +146,7 @@ def columns_of(
     found = {"t": t}
     for name, values in zip(("q", "qd", "qdd"), (q, qd, qdd), strict=True):
         found |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+    ratios = [name for name in ratio_columns(mechanism) if name in wanted]
     groups = (
         (["energy"], lambda: np.sum(energies(mechanism, q, qd), axis=0)[:, None]),
         (torque_columns(mechanism), lambda: torque_values(mechanism, q, qd, tau, forces)),
@@ -132,6 +158,11 @@ def columns_of(
         (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
         (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),
         (point_columns(named), lambda: point_values(mechanism, named, q, qd, qdd)),
+        (jacobian_columns(mechanism, named), lambda: jacobian_values(mechanism, named, q)),
+        (
+            ratios,
+            lambda: rate_ratios(mechanism, [ratio_named(mechanism, x) for x in ratios], q, qd),
+        ),
     )
     for names, compute in groups:
         if not found.keys() >= set(names) & set(wanted):

@@ -208,13 +208,20 @@ def _symbols(description: Description) -> list[Symbol]:
     return [(name, float(x)) for name, x in found]
 
 
-def _changed(mechanism: Mechanism, found: Dependence) -> tuple[Dependence | None, Description]:
-    """The same of the scene with other lengths, and that; None where other columns are kept."""
+def _changed(
+    mechanism: Mechanism, found: Dependence, alike: bool = False
+) -> tuple[Dependence | None, Description]:
+    """The same of the scene with other lengths, and that; None where other columns are kept.
+
+    Of a parallelogram other columns are, unless what is `alike` stays so; that is tried last.
+    """
     base = mechanism.description
     rng = np.random.default_rng(1)
+    parts: dict[float, float] = {}
 
     def near(x: float) -> float:
-        return x * (1.0 + float(rng.uniform(-SIZE, SIZE)))
+        part = 1.0 + float(rng.uniform(-SIZE, SIZE))
+        return x * (parts.setdefault(abs(x), part) if alike else part)
 
     lengths = [near(link.l) for link in base.links]
 
@@ -241,15 +248,18 @@ def _changed(mechanism: Mechanism, found: Dependence) -> tuple[Dependence | None
     try:
         other = structural(build(changed))
     except RobodynError:
-        return None, changed
-    return (other if other.kept == found.kept else None), changed
+        other = None
+    if other is not None and other.kept == found.kept:
+        return other, changed
+    return (None, changed) if alike else _changed(mechanism, found, alike=True)
 
 
 class _Factors:
     """What factors may be in symbols, each in the scene and in that with other lengths.
 
-    A product of up to three lengths or ratios, or the square of where a joint or a pin is on its
-    link, over a product of up to two; or a sum or difference of two of these.
+    A product of up to three lengths or ratios, of the squares of a ratio and a length, or the
+    square of where a joint or a pin is on its link, over a product of up to two, or over 2; or a
+    sum or difference of two of these.
     """
 
     def __init__(self, scene: Sequence[Symbol], changed: Sequence[Symbol]) -> None:
@@ -260,11 +270,13 @@ class _Factors:
             square = both[name] ** 2 + both[f"{name[:-1]}y"] ** 2
             text = f"({name}^2 + {name[:-1]}y^2)"
             above |= {text: square} | {f"{a} {text}": x * square for a, x in both.items()}
-        below = {"": np.ones(2)} | _products(both, 2)
-        ratios = np.array(list(above.values()))[:, None] / np.array(list(below.values()))
+        ratios = [x for x in both if x[0] in "iN"]
+        above |= {f"{i}^2 {a}^2": (both[i] * x) ** 2 for i in ratios for a, x in both.items()}
+        below = {"": np.ones(2)} | _products(both, 2) | {"2": np.full(2, 2.0)}
+        quotients = np.array(list(above.values()))[:, None] / np.array(list(below.values()))
         lengths = np.add.outer([len(x) for x in above], [len(x) for x in below]).ravel()
         shortest = np.argsort(lengths, kind="stable")
-        values = ratios.reshape(-1, 2)[shortest]
+        values = quotients.reshape(-1, 2)[shortest]
         _, first = np.unique(np.round(np.log(np.abs(values @ MIXED)), 11), return_index=True)
         order = first[np.argsort(values[first] @ MIXED)]
         self.values = values[order]  # (k, 2), each once

@@ -13,6 +13,7 @@ from robodyn.engines.recorded_numbers import evaluated
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import NamedPoint, named_points
 from robodyn.kinematics.transmission import transmission_loops, turn_between
+from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
@@ -65,6 +66,8 @@ class ColumnFormulas(ForceFormulas):
         for k, tau in torques.items():
             found[f"tau{k + 1}"] = partial(torques.__getitem__, k)
             found[f"power{k + 1}"] = partial(expression.multiply, tau, state["qd"][k])
+        for order, kind in enumerate(("angle", "w", "wd")):
+            found |= {f"{kind}{k + 1}": partial(self._turn, k, order) for k in range(mechanism.n)}
         taken = {f"r{axis}{k + 1}": ("reactions", k) for k in range(mechanism.n) for axis in "xy"}
         taken |= {f"rm{k + 1}": ("slide_moments", k) for k in mechanism.slides}
         taken |= {name: ("loop_forces", i) for i, name in enumerate(loop_columns(mechanism))}
@@ -109,6 +112,14 @@ class ColumnFormulas(ForceFormulas):
         torques = dict(zip(self.mechanism.actuated, self.forces, strict=False))
         each = [torques.get(k, 0.0) for k in range(self.mechanism.n)]
         return motor_values(self.named, each, self.state.relative["qd"])
+
+    def _turn(self, k: int, order: int) -> Value:
+        """The angle of a link, its rate (1) or its acceleration (2)."""
+        d = self.mechanism.frames[k] if k in self.mechanism.slides else k
+        turned = 0.0 if d is None else self.state.absolute(("q", "qd", "qdd")[order])[d]
+        if order or (phase := Tree(self.named.description.links).phases[k]) == 1.0:
+            return turned
+        return turned + expression.arctangent(phase.imag, phase.real)
 
     def _transmission(self, closure: int) -> Value:
         """The angle between the directions to the outer pairs, at the middle one."""

@@ -24,12 +24,15 @@ PENALTY = 10.0  # what is missing counts so often
 KEPT = 1e-12  # of a condition's size: it holds
 ROUNDS = 15  # of multipliers
 STIFF = 10.0  # the first m
+EXACT = 1e-15  # to which columns are known
+FINISHED = 3  # starts that scipy goes on from
 
 
 class Problem:
     """Residuals by unknowns u in [0, 1], which stand for numbers between their bounds.
 
     `states` gives columns, those of conditions last, at changes of the numbers from `own` (k,).
+    Columns are known `exact` to a part of them; scipy goes on from so many starts as `finished`.
     """
 
     def __init__(
@@ -41,7 +44,10 @@ class Problem:
         turning: Sequence[bool],
         equal: Sequence[bool],
         alone: Sequence[bool],
+        exact: float = EXACT,
+        finished: int = FINISHED,
     ) -> None:
+        self.exact, self.finished = exact, finished
         self.states, self.own, self.names = states, own, tuple(vary)
         self.low, self.high = np.array(list(vary.values()), float).T
         self.target, self.turning = target, np.array(turning, bool)
@@ -170,17 +176,20 @@ def finished(
         def slopes(x: Array) -> Array:
             return there(x)[1]
 
-        done = least_squares(
-            residuals,
-            at[free],
-            jac=slopes,
-            bounds=(0.0, 1.0),
-            x_scale="jac",
-            ftol=1e-15,
-            xtol=1e-15,
-            gtol=1e-15,
-            max_nfev=100,
-        )
+        try:
+            done = least_squares(
+                residuals,
+                at[free],
+                jac=slopes,
+                bounds=(0.0, 1.0),
+                x_scale="jac",
+                ftol=problem.exact,
+                xtol=problem.exact,
+                gtol=problem.exact,
+                max_nfev=100,
+            )
+        except ValueError:  # it begins a little within the bounds, where there may be no values
+            return start, np.array([cost])
         if done.cost < cost:
             at[free] = done.x
             return at[None], np.array([float(done.cost)])

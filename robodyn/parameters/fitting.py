@@ -19,6 +19,7 @@ from robodyn.engines.expression import Value
 from robodyn.engines.tangents import tangents
 from robodyn.errors import DescriptionError, InputError
 from robodyn.mechanics.mechanism import Mechanism, build
+from robodyn.parameters.base_parameters import EXCITED, dependence
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.fit_problem import Problem, Search, finished
 from robodyn.parameters.lane_least_squares import lane_least_squares
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 STARTS = 30
 STEPS = 200  # of each start
-FINISHED = 3  # starts that scipy goes on from
+LARGEST = 1e30  # of bounds and targets: columns have squares of it, and their squares are summed
 DRAWN = 200  # times as many starts are drawn where most have no values
 SAME = 1e-3  # of the residuals' rms, by which starts that reached the best are told
 
@@ -44,6 +45,7 @@ class Fit:
     Before are those of the scene's own numbers, nan where it has none.  `bounds` tells which
     numbers are at one, `reached` how many of the `starts` led to the best, `conditions` how far
     each is from its limit (> 0: it holds with room; 0: it is active).
+    `untold` are numbers that others, or any, serve for: without conditions, columns do not tell.
     """
 
     mechanism: Mechanism
@@ -55,6 +57,7 @@ class Fit:
     rms_before: Array
     bounds: Mapping[str, str]
     conditions: Mapping[str, float]
+    untold: tuple[str, ...]
     starts: int
     reached: int
 
@@ -96,10 +99,9 @@ def fit(
     conditions = [formulas.condition(text, every) for text in subject_to]
     states = LaneStates(formulas, [*nodes, *(node for node, _ in conditions)], rows)
     alone = [not _depends(node, formulas.inputs[: -len(vary)]) for node, _ in conditions]
-    turning = [
-        name.startswith("q") and name[1:].isdigit() and int(name[1:]) - 1 not in mechanism.slides
-        for name in columns
-    ]
+    turns = {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
+    turns |= {f"angle{k + 1}" for k in range(mechanism.n)}
+    turning = [name in turns for name in columns]
     wanted = as_target(target, len(rows.t), len(columns))
     own = np.array([values.number(name) for name in vary])
     problem = Problem(states, own, vary, wanted, turning, [x for _, x in conditions], alone)
@@ -117,6 +119,9 @@ def checked(mechanism: Mechanism, vary: Mapping[str, tuple[float, float]]) -> Sc
         text = f"{name}={low:g}:{high:g}"
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError("--vary", value=shown(text), limit="must be LOW:HIGH, LOW < HIGH")
+        if max(-low, high) > LARGEST:
+            limit = f"must be within -{LARGEST:g} and {LARGEST:g}: squares are summed"
+            raise InputError("--vary", value=shown(text), limit=limit)
         for bound in (low, high):
             try:
                 values.replaced({name: bound})
@@ -134,6 +139,8 @@ def as_target(target: ArrayLike | None, rows: int, columns: int) -> Array:
     if found.shape != (rows, columns) or not np.isfinite(found).all():
         limit = f"must be finite, of shape ({rows}, {columns})"
         raise InputError("target", value=found.shape, limit=limit)
+    if (most := float(np.abs(found).max(initial=0.0))) > LARGEST:
+        raise InputError("target", value=most, limit=f"must be {LARGEST:g} at most, in size")
     return found
 
 
@@ -189,7 +196,7 @@ def solved(
             raise never_closes(mechanism, problem, float(np.nanmin(missing)))
         order = np.argsort(np.where(sound, cost + 1e3 * (off > 1e-4), np.inf))
         best = min(
-            (finished(problem, search, u[s], s) for s in order[:FINISHED] if sound[s]),
+            (finished(problem, search, u[s], s) for s in order[: problem.finished] if sound[s]),
             key=lambda found: found[:2],
         )
         tell(1.0)
@@ -199,13 +206,20 @@ def solved(
             limit = "is kept by none of the starts within the bounds of --vary"
             raise InputError("--subject-to", value=shown(subject_to[worst]), limit=limit)
         near = sound & (off <= 1e-3) & (np.sqrt(2.0 * cost) <= rms * (1.0 + SAME) + 1e-6)
-    numbers = problem.numbers(u_best[None])
-    left = problem.at(numbers)[0][0]
+    residuals, slopes = problem.at(numbers := problem.numbers(u_best[None]))[:2]
+    idle = ~slopes.any(axis=(0, 1, 2)) & (own >= 0.0) & (own <= 1.0)
+    kept = np.where(idle, problem.own, numbers)  # what nothing depends on stays
+    if idle.any() and not subject_to and np.array_equal(problem.at(kept)[0], residuals):
+        numbers, u_best = kept, np.where(idle, own, u_best)
+    left = residuals[0]
     held = {
         name: "low" if at <= 0.0 else "high"
         for name, at in zip(problem.names, u_best, strict=True)
         if at <= 0.0 or at >= 1.0
     }
+    free = [k for k, name in enumerate(problem.names) if name not in held and not subject_to]
+    J = slopes.reshape(-1, len(own))[:, free]
+    alike = dependence(J, [problem.names[k] for k in free], EXCITED)
     room = {
         text: 0.0
         - problem.sizes[i] * float(np.max(np.abs(c[here]) if problem.equal[i] else c[here]))
@@ -225,6 +239,7 @@ def solved(
         ),
         bounds=held,
         conditions=room,
+        untold=tuple(problem.names[free[k]] for k in alike.dropped),
         starts=len(u),
         reached=max(1, int(near.sum())),
     )

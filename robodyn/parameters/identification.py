@@ -33,13 +33,14 @@ from robodyn.parameters.base_parameters import (
     structural,
 )
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import regressor
+from robodyn.parameters.regression_matrix import balanced_joints, regressor
 from robodyn.scene.scene import Description
 from robodyn.short_repr import short_repr
 
 Array = NDArray[np.float64]
 
 BLOCK = 1 << 14  # states whose Y is held at once
+LARGEST = 1e100  # N m: squares of torques are summed
 QUIET = 1e-10  # part of a joint's torques below which what is left of them weighs no more
 PASSES = 50  # of Gauss and Newton
 SETTLED = 1e-13  # part of the numbers by which the last of these changes them
@@ -64,7 +65,7 @@ class Identification(NamedTuple):
 
     `kept` are combinations or numbers that the data do not tell, and which keep the scene's; the
     `condition` is that of the columns that were fitted, each scaled to 1.  `rms` (a,) is what is
-    left of the actuated joints' torques, `rms_torque` what they are.
+    left of the torques of the actuated joints, and free ones, `rms_torque` what they are.
     """
 
     estimates: tuple[Estimate, ...]
@@ -90,15 +91,22 @@ def identify(
 ) -> Identification:
     """Parameters from the torques tau (T, a) of the actuated joints along q, qd, qdd (T, n).
 
-    Base parameters, or the numbers `of` these names, such as `links.forearm.m`.  Raises InputError
-    for arrays that do not fit, too few rows, and a motion that tells nothing.
+    Free joints of an open chain have none, which tells something too.  Base parameters are found,
+    or the numbers `of` these names, such as `links.forearm.m`.  Raises InputError for arrays that
+    do not fit, too few rows, and a motion that tells nothing.
     """
     states = [np.asarray(x, float) for x in (q, qd, qdd)]
-    torques = np.asarray(tau, float)
+    given = np.asarray(tau, float)
     a = len(mechanism.actuated)
-    if torques.shape != (len(states[0]), a):
+    if given.shape != (len(states[0]), a):
         limit = f"must be ({len(states[0])}, {a}): a row a state, a column an actuated joint"
-        raise InputError("tau.shape", value=torques.shape, limit=limit)
+        raise InputError("tau.shape", value=given.shape, limit=limit)
+    if len(given) and not np.abs(given).max(initial=0.0) <= LARGEST:
+        limit = f"must be finite, and {LARGEST:g} N m at most"
+        raise InputError("tau", value=float(np.abs(given).max()), limit=limit)
+    joints = balanced_joints(mechanism)
+    torques = np.zeros((len(given), len(joints)))
+    torques[:, [joints.index(k) for k in mechanism.actuated]] = given
     data = _Data(mechanism, states, torques, np.broadcast_to(np.asarray(t, float), len(torques)))
     return _named(mechanism, data, of, physical) if of else _base(mechanism, data, physical)
 
@@ -120,7 +128,7 @@ class _Data:
 
     def __init__(self, mechanism: Mechanism, states: Sequence[Array], tau: Array, t: Array) -> None:
         self.mechanism, self.rows = mechanism, len(tau)
-        self.joints = len(mechanism.actuated)
+        self.joints = tau.shape[1]
         parameters = linear_parameters(mechanism.description)
         self.names = [x.name for x in parameters]
         self.now = np.array([x.value for x in parameters])
@@ -156,8 +164,9 @@ class _Data:
 
     def weigh(self, change: Array) -> None:
         """Weight the joints by what pi0 + change leaves of their torques."""
-        least = QUIET * self.rms_torque
-        self.weights = np.maximum(self.left(change), np.where(least > 0.0, least, 1.0))
+        usual = float(self.rms_torque.max(initial=0.0)) or 1.0
+        least = QUIET * np.where(self.rms_torque > 0.0, self.rms_torque, usual)
+        self.weights = np.maximum(self.left(change), least)
         self._weigh()
 
     def errors(self, J: Array, change: Array) -> tuple[Array, float]:
@@ -317,8 +326,7 @@ class _Numbers:
             xtol=TIGHT,
             gtol=TIGHT,
         )
-        result: Array = found.x
-        return result
+        return np.where(found.active_mask < 0, self.least, found.x)
 
 
 def _result(

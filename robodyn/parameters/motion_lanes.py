@@ -136,5 +136,5 @@ def fit_motion(
         return np.array(found), np.array(slopes), none, none[..., None] * np.ones(len(vary))
 
     wanted = as_target(target, len(times), count)
-    problem = Problem(states, own, vary, wanted, [False] * count, [], [])
+    problem = Problem(states, own, vary, wanted, [False] * count, [], [], TOLERANCE, 1)
     return solved(mechanism, values, problem, columns, (), starts, seed, tell)

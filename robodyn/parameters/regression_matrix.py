@@ -7,6 +7,7 @@ formula eliminates the pins' forces, the columns are loads that actuators and pi
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ BLOCK = 4096  # states whose pins are balanced at once
 
 @short_repr
 class Regressor(NamedTuple):
-    """Y (..., a, p) of a actuated joints and p parameters, and the torques `known` (..., a)."""
+    """Y (..., a, p) of a torques and p parameters, and what is `known` of these (..., a)."""
 
     Y: Array
     known: Array
@@ -47,8 +48,10 @@ def regressor(
 ) -> Regressor:
     """Y and what is known, so that the actuated joints' torques are Y @ values + known.
 
-    q, qd, qdd are (..., n) and broadcast.  Raises as `inverse_dynamics` does.
+    Free joints of an open chain count as actuated, see `balanced_joints`.  q, qd, qdd are (..., n)
+    and broadcast.  Raises as `inverse_dynamics` does.
     """
+    mechanism = replace(mechanism, actuated=balanced_joints(mechanism))
     given = {"q": q, "qd": qd, "qdd": qdd}
     arrays = [finite(name, n_wide(mechanism, name, x)) for name, x in given.items()]
     try:
@@ -71,6 +74,11 @@ def regressor(
         Y, known = _smooth(mechanism, list(flat.values()), times)
     names, values = (tuple(x.name for x in parameters), np.array([x.value for x in parameters]))
     return Regressor(Y.reshape(*shape, a, p), known.reshape(*shape, a), names, values)
+
+
+def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
+    """The joints whose torques are known: the actuated ones, and free ones of an open chain (0)."""
+    return mechanism.actuated if mechanism.rows else tuple(range(mechanism.n))
 
 
 def _smooth(mechanism: Mechanism, states: list[Array], times: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What matters most among quantities that vary: Spearman's rank correlations, in place of rows."""
+"""What matters most among quantities that vary: Spearman's rank correlations."""
 
 from __future__ import annotations
 
@@ -28,13 +28,21 @@ class RankCorrelations(SummaryWriter):
         self._rows.append(values)
 
     def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
-        columns = np.concatenate([np.zeros((0, len(self._header))), *self._rows]).T
-        varied, results = columns[: self._varied], columns[self._varied :]
-        rows: list[list[float | str | None]] = []
-        for name, y in zip(self._header[self._varied :], results, strict=True):
-            there = ~np.isnan(y)
-            rows.append([name, *(_spearman(x[there], y[there]) for x in varied)])
+        found = correlations(self._header, self._varied, self._rows)
+        rows: list[list[float | str | None]] = [[name, *row] for name, row in found.items()]
         return ["column", *self._header[: self._varied]], rows
+
+
+def correlations(
+    header: Sequence[str], varied: int, parts: Sequence[Array]
+) -> dict[str, list[float | None]]:
+    """Of each column after the first `varied` ones its rank correlations with each of these."""
+    columns = np.concatenate([np.zeros((0, len(header))), *parts]).T
+    found = {}
+    for name, y in zip(header[varied:], columns[varied:], strict=True):
+        there = ~np.isnan(y)
+        found[name] = [_spearman(x[there], y[there]) for x in columns[:varied]]
+    return found
 
 
 def _spearman(x: Array, y: Array) -> float | None:
