@@ -329,6 +329,13 @@ def _start(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
 
 def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[Array, Array]:
     """The derivatives of the gap (r) and of its rate (r) by a number, with q and qd held."""
+    found = np.array(_gap_function(mechanism, name)(*q.tolist(), *qd.tolist(), 0.0))
+    gap, rate = np.split(found, 2)
+    return gap, rate
+
+
+@lru_cache(maxsize=256)
+def _gap_function(mechanism: Mechanism, name: str) -> FloatFunction:
     graph = Graph()
     named = with_variable(mechanism, name, graph.variable(CHANGE))
     state = Recorded(named, ("qd",), True, graph=graph)
@@ -337,6 +344,4 @@ def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[A
     rows = [series.real[slot] for slot in series.program.named["gap"]]
     slopes = slopes_by([row[p] for p in (0, 1) for row in rows], [CHANGE])
     outputs = tuple(substituted(slopes, {CHANGE: 0.0}))
-    function = compile_floats(Formula((*state.inputs, "t"), outputs, ()), "gaps")
-    found = np.array(function(*q.tolist(), *qd.tolist(), 0.0))
-    return found[: len(rows)], found[len(rows) :]
+    return compile_floats(Formula((*state.inputs, "t"), outputs, ()), "gaps")
