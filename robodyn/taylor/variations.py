@@ -145,7 +145,8 @@ def variations_of(
     first, last = 2 * mechanism.n, 2 * mechanism.n + actuation.states
     s = y[first:last].reshape(-1, first).copy()
     order = order or default_order(tolerance)
-    found = Variations(mechanism, actuation.alone, order, actuation.by, s)
+    numbers = actuation.by(actuation.modes.mode if actuation.modes else None)
+    found = Variations(mechanism, actuation.alone, order, numbers, s)
     return found, np.concatenate([y[:first], y[last:]])
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
-from robodyn.events.signs import NODES
 from robodyn.events.pieces import Step
+from robodyn.events.signs import NODES
 from robodyn.events.watch import EventWatch, Stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Chunk, Engine, Status
