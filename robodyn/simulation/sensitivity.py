@@ -82,8 +82,6 @@ def with_sensitivities(
     limit = ""
     if mechanism.switches and actuation.control is not None:
         limit = "of dry friction and stops is without a controller"
-    elif actuation.control is not None and method == "taylor":
-        limit = "of controllers is not by the Taylor series: take --method DOP853"
     elif actuation.control is not None and actuation.control.slopes is None:
         limit = "is not known for this law: computed torque asks for accelerations"
     elif not elimination_is_safe(mechanism) or (
@@ -113,6 +111,7 @@ def with_sensitivities(
         sizes = [1.0] * count
         carried = replace(
             actuation,
+            control=Fed(actuation, n, count).control,
             modes=modes(lambda mode: tuple),
             states=len(flat),
             start=flat,

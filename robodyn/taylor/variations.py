@@ -52,9 +52,10 @@ class Variations:
         order: int,
         numbers: Sequence[Number],
         s: Array,
+        control: Any = None,
     ) -> None:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
-        self.numbers, self.s = numbers, s
+        self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
         self._made: dict[object, Any] = {}
 
@@ -74,6 +75,11 @@ class Variations:
         torques: Any = ((), ())
         if self.actuation.constants is None and self.actuation.linear:
             torques = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
+        fed = np.zeros((len(self.s), n if torques[0] else 0))
+        if self.control is not None:  # its torques are held, and so is what they change by
+            held_at = 0.5 * (t + float(chunk.t[-1]))
+            changes = np.reshape(self.control.slopes_at(held_at), (len(fed), -1))
+            fed[:, list(self.mechanism.actuated)] = changes
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
         if ("groups", held) not in self._made:
             self._made["groups", held] = self._groups(held)
@@ -85,15 +91,16 @@ class Variations:
         for i, group in enumerate(self._made["groups", held]):
             key = i, held, kind
             if key not in self._made:
-                make = MAKERS.get(kind, _compiled)
+                make = MAKERS.get(kind, _compiled if self.control is None else straight_steps)
                 self._made[key] = make(self.order, group)
             go = self._made[key]
             where = group.places
-            at_ends[:, where], at_rows[:, where] = go(steps, torques, s[where])
+            acting = *torques, fed[where]
+            at_ends[:, where], at_rows[:, where] = go(steps, acting, s[where])
             before = s[where] if len(chunk.t) == 1 else at_ends[-2, where]
             only = tuple(x[-1:] for x in steps[:3])
 
-            last.append(partial(self._last, go, only, torques, before))
+            last.append(partial(self._last, go, only, acting, before))
         self.s = at_ends[-1]
         if not np.isfinite(self.s).all():
             raise RobodynError(
@@ -118,6 +125,11 @@ class Variations:
         return np.concatenate(
             [y[:, :middle], s.reshape(len(y), self.s.size), y[:, middle:]], axis=1
         )
+
+    def both(self, y: Array) -> Array:
+        """The state (2n or 2n + 1) where the last steps ended, with s."""
+        found: Array = self.joined(y[None], self.s[None])[0]
+        return found
 
     def _groups(self, held: Sequence[float] | None) -> list[Group]:
         found: dict[object, Group] = {}
@@ -146,7 +158,7 @@ def variations_of(
     s = y[first:last].reshape(-1, first).copy()
     order = order or default_order(tolerance)
     numbers = actuation.by(actuation.modes.mode if actuation.modes else None)
-    found = Variations(mechanism, actuation.alone, order, numbers, s)
+    found = Variations(mechanism, actuation.alone, order, numbers, s, actuation.control)
     return found, np.concatenate([y[:first], y[last:]])
 
 
@@ -175,7 +187,7 @@ def _compiled(order: int, group: Group) -> Along:
         if scene.linear:
             base = place["base0"]
             items[place["base_t"]] = begins[0]
-            items[base : base + 2 * n] = np.concatenate(torques)[:, None]
+            items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
         found = {"begins": begins, "ends": ends, "states": states, "times": times}
         found |= {"at_ends": at_ends, "at_rows": at_rows}
         told = [found[name].ctypes.data for name in TABLE[:-1]]
