@@ -9,7 +9,8 @@ tangents: in machine code (`engines/machine_variation.py`) or in Python (`varied
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,6 +59,8 @@ class Variations:
         self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
         self._made: dict[object, Any] = {}
+        if actuation.constants is not None:
+            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
 
     def along(
         self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
@@ -149,6 +152,12 @@ class Variations:
         ]
 
 
+@lru_cache(maxsize=64)
+def _kept(*given: object) -> dict[object, Any]:
+    """What is made for runs under constant torques, for runs to come."""
+    return {}
+
+
 def variations_of(
     mechanism: Mechanism, actuation: Actuation, y: Array, tolerance: float, order: int | None
 ) -> tuple[Variations, Array]:
@@ -175,24 +184,25 @@ def _compiled(order: int, group: Group) -> Along:
     block = aligned(code.items * lanes)
     items = block.reshape(-1, lanes)
     scene.fill(items, 1.0, 1.0)
-    place, n, count = scene.place, scene.mechanism.n, len(group.places)
+    place, n, count, lock = scene.place, scene.mechanism.n, len(group.places), Lock()
     for i in group.varied:
         items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
         begins, ends, states, times = (np.ascontiguousarray(x) for x in steps)
         at_ends, at_rows = (np.empty((len(x), 2 * n, lanes)) for x in (ends, times))
-        items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
-        items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
-        if scene.linear:
-            base = place["base0"]
-            items[place["base_t"]] = begins[0]
-            items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
         found = {"begins": begins, "ends": ends, "states": states, "times": times}
         found |= {"at_ends": at_ends, "at_rows": at_rows}
         told = [found[name].ctypes.data for name in TABLE[:-1]]
         table = np.array([*told, len(times)], np.int64)
-        code.vary(block.ctypes.data, len(ends), table.ctypes.data)
+        with lock:  # another thread may have a run of the same
+            items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
+            items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
+            if scene.linear:
+                base = place["base0"]
+                items[place["base_t"]] = begins[0]
+                items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
+            code.vary(block.ctypes.data, len(ends), table.ctypes.data)
         return tuple(np.swapaxes(x[..., :count], -1, -2) for x in (at_ends, at_rows))  # type: ignore[return-value]
 
     return go
