@@ -119,8 +119,7 @@ class Recorder:
 
     def _step(self, solver: Any, places: Sequence[int] = ()) -> None:
         """Take a step, and look for events of the functions at `places`."""
-        t = float(solver.t)
-        y = solver.y.copy()
+        t, y = float(solver.t), solver.y.copy()
         self.report.steps += 1
         between = cache(solver.dense_output)  # made where a row or an event asks for it
         stop = None
