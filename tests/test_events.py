@@ -11,7 +11,8 @@ from conftest import FRESH
 from numpy.typing import NDArray
 
 from robodyn.events.functions import event_functions
-from robodyn.events.watch import EventWatch, Step
+from robodyn.events.pieces import Step
+from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism, load
 
 Array = NDArray[np.float64]

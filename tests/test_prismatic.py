@@ -10,6 +10,7 @@ import itertools
 import math
 import os
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +31,8 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import build
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import BRANCHES
+
+ROOT = Path(__file__).resolve().parent.parent
 
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
 FIRST = random.randrange(10**6) if FRESH else 0
@@ -711,6 +714,25 @@ def test_a_start_picks_the_branch():
     told = mechanism(text + "assembly: [open, open]\nstart: {crank: 0, lever: 80deg, rod: 80deg}\n")
     assert assembly.scene_branches(up) != assembly.scene_branches(down)
     assert assembly.scene_branches(told) == ("open", "open")
+
+
+def test_a_start_picks_the_branch_where_it_names_followers_alone():
+    """By what the joints that it names can come to, over the reach of the actuated one."""
+    text = (ROOT / "robots/four-bar.yaml").read_text()
+    kept = [line for line in text.splitlines() if not line.startswith("assembly")]
+    four = mechanism(text)
+    for word in ("open", "crossed"):
+        coupler, rocker = np.degrees(assembly.assemble(four, [1.0], [word])[1:])
+        start = f"start: {{rocker: {rocker:.2f}deg}}"  # where the other branch never comes
+        assert assembly.scene_branches(mechanism("\n".join([*kept, start]))) == (word,)
+        unclear = mechanism("\n".join([*kept, f"start: {{coupler: {coupler:.2f}deg}}"]))
+        with pytest.raises(InputError, match=r"start.*name crank"):
+            assembly.scene_branches(unclear)
+    text = (ROOT / "robots/five-bar.yaml").read_text()  # two joints are actuated, none is named
+    kept = [line for line in text.splitlines() if not line.startswith("assembly")]
+    five = mechanism("\n".join([*kept, "start: {left rod: 10deg}"]))
+    with pytest.raises(InputError, match=r"start.*name left crank, right crank"):
+        assembly.scene_branches(five)
 
 
 # -- what is refused -------------------------------------------------------------------------------

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.events.functions import EventFunction, Part
-from robodyn.events.signs import Budget, Function, Sampled, Stretch, bracket, stretches
+from robodyn.events.signs import NODES, Budget, Function, Sampled, Stretch, bracket, stretches
 
 Array = NDArray[np.float64]
 States = Callable[[Array], Array]  # those (k, N) at times (k,) within a step
@@ -20,19 +20,46 @@ def along(part: Part, states: States) -> Function:
     return lambda t: part.values(t, states(t))
 
 
-def remembered(states: States) -> States:
-    """The same, which keeps the last answers: functions of an event are asked at the same times."""
-    kept: dict[bytes, Array] = {}
+class Step(NamedTuple):
+    """A step: its ends, the state at its end, and the states within it.
 
-    def found(t: Array) -> Array:
+    `nodes` (k, 2n or more) are those at Chebyshev's points, where they are known.
+    """
+
+    begin: float
+    end: float
+    y: Array
+    states: States
+    nodes: Array | None = None
+
+
+class Remembered:
+    """States within a step, kept: functions of an event are asked at the same times."""
+
+    def __init__(self, step: Step) -> None:
+        self.step, self.asked = step, dict[bytes, tuple[Array, Array]]()
+        if step.nodes is not None:
+            times = step.begin + (step.end - step.begin) * NODES
+            times[-1] = step.end
+            self.asked[times.tobytes()] = times[:0], step.nodes  # not whole states
+
+    def __call__(self, t: Array) -> Array:
         key = t.tobytes()
-        if key not in kept:
-            if len(kept) > 64:
-                kept.clear()
-            kept[key] = states(t)
-        return kept[key]
+        if key not in self.asked:
+            if len(self.asked) > 64:
+                self.asked.clear()
+            self.asked[key] = t, self.step.states(t)
+        return self.asked[key][1]
 
-    return found
+    def at(self, t: float) -> Array:
+        """The state (N,) at one time, mostly one that was asked for."""
+        if t == self.step.end:
+            return self.step.y
+        for times, rows in reversed(self.asked.values()):
+            there = (times == t).nonzero()[0]
+            if len(there):
+                return np.asarray(rows[there[0]])
+        return np.asarray(self(np.array([t]))[0])
 
 
 def signs_along(

@@ -29,6 +29,7 @@ Sampled = Callable[[Array], tuple[Array, Array]]  # the same, and bounds of its 
 DEGREE = 16
 ROUNDING = 16.0 * float(np.finfo(float).eps)  # of the sum of |c_k|
 SPREAD = np.array([0.0, 1e-14, 1e-12, 1e-9, 1e-5])  # of a bracket, about a guess of the root
+CLOSE = np.array([-1.0, 0.0, 1.0])  # mostly a guess is right to rounding
 MOST_BOXES = 20_000  # of one look at a function along a step
 
 _k = np.arange(DEGREE + 1.0)
@@ -246,22 +247,28 @@ def bracket(
     It is not met at `low` and is at `high`, and comes to be once between.  The third is that of the
     two where f is nearer to zero.
     """
-    first, last = (float(x) for x in f(np.array([low, high])))
+    first = last = math.nan  # values at the ends, where they are known
+    points = guess + math.copysign(2.0 * _unit(low, high), high - low) * CLOSE
     for _ in range(80):
-        width = high - low
-        if abs(width) <= 4.0 * math.ulp(max(abs(low), abs(high))):
+        t = points[(points - low) * (high - points) > 0.0]
+        if len(t):
+            values = f(t)
+            there = np.append(met(values), True)
+            after = int(np.argmax(there))
+            ends, sizes = [low, *t.tolist(), high], [first, *values.tolist(), last]
+            low, high, first, last = *ends[after : after + 2], *sizes[after : after + 2]
+        width, known = high - low, not (math.isnan(first) or math.isnan(last))
+        if not known:
+            first, last = f(np.array([low, high])).tolist()
+        if abs(width) <= 4.0 * _unit(low, high) or (known and not len(t)):
             break
-        near = np.concatenate([guess - width * SPREAD, guess + width * SPREAD, [low + 0.5 * width]])
-        t = near[(near - low) * (high - near) > 0.0]
-        if not len(t):
-            break
-        t.sort()
-        t = t if width > 0.0 else t[::-1]
-        values = f(t)
-        there = np.append(met(values), True)
-        after = int(np.argmax(there))
-        ends, sizes = [low, *t.tolist(), high], [first, *values.tolist(), last]
-        low, high, first, last = *ends[after : after + 2], *sizes[after : after + 2]
         part = first / (first - last) if math.isfinite(first - last) and first != last else 0.5
-        guess = low + min(1.0, max(0.0, part)) * (high - low)
+        guess = low + min(1.0, max(0.0, part)) * width
+        points = np.concatenate([guess - width * SPREAD, guess + width * SPREAD])
+        points = np.sort(np.append(points, low + 0.5 * width))
+        points = points if width > 0.0 else points[::-1]
     return low, high, low if abs(first) < abs(last) else high
+
+
+def _unit(low: float, high: float) -> float:
+    return math.ulp(max(abs(low), abs(high)))

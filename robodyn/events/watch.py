@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
-from robodyn.events.pieces import States, along, remembered, signs_along
+from robodyn.events.pieces import Remembered, States, Step, along, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
 from robodyn.short_repr import short_repr
 
@@ -36,15 +36,6 @@ class Event(NamedTuple):
     t: float
     y: Array
     apart: float = 0.0
-
-
-class Step(NamedTuple):
-    """A step: its ends, the state at its end, and the states within it."""
-
-    begin: float
-    end: float
-    y: Array
-    states: States
 
 
 class Stop(NamedTuple):
@@ -145,23 +136,30 @@ class EventWatch:
         sampled: Callable[[Signs], Array],
         ends: Array,
         step: Callable[[int], Step],
+        exact: bool = False,
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
         Those are their middles and how far they reach.  `sampled` has, of steps by their places,
         the states (k, nodes, N) at Chebyshev's points, `ends` (m, N) are those at their ends,
-        brought back onto closures; `step(j)` has one whole.  Tells in which of them the run ends,
-        and how.
+        brought back onto closures; `step(j)` has one whole, which has the same states where they
+        are `exact`.  Tells in which of them the run ends, and how.
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
         if not all(signs.all() for signs in known):
             left = np.flatnonzero(~np.logical_and.reduce(known))
-            self._look(known, left, times, sampled(left), ends[left])
+            nodes = sampled(left)
+            self._look(known, left, times, nodes, ends[left])
         doubtful = self._doubtful(known)
         for j, places in sorted(doubtful.items()):
             places = self.begin(j, places)
-            stop = self.step(step(j), places) if places else None
+            if not places:
+                continue
+            whole = step(j)
+            if exact:
+                whole = whole._replace(nodes=nodes[np.searchsorted(left, j)])
+            stop = self.step(whole, places)
             if stop is not None:
                 return j, stop
         self.seen()
@@ -224,7 +222,7 @@ class EventWatch:
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
         passed: list[tuple[float, float, int]] = []
-        states = remembered(step.states)
+        states = Remembered(step)
         self._signs_from.clear()
         for i in range(len(self.watched)) if places is None else places:
             passed += [(t, apart, i) for t, apart in self._crossings(i, step, states)]
@@ -243,12 +241,12 @@ class EventWatch:
                 continue
             self.happened[i] += 1
             if len(self.found) < MOST:
-                self.found.append(Event(self.functions[i].name, t, _state(step, t), apart))
+                self.found.append(Event(self.functions[i].name, t, states.at(t), apart))
         if ends is None:
             return None
         if ends[2] >= own:
             self._end_phase(ends[0], passed, forward)
-        return Stop(ends[2], ends[0], _state(step, ends[0]))
+        return Stop(ends[2], ends[0], states.at(ends[0]))
 
     def _end_phase(
         self, t: float, passed: Sequence[tuple[float, float, int]], forward: float
@@ -344,7 +342,3 @@ class EventWatch:
 def _listed(times: Sequence[float | str]) -> str:
     told = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
     return ", ".join(told) + (", ..." if times[TOLD:] else "")
-
-
-def _state(step: Step, t: float) -> Array:
-    return step.y if t == step.end else step.states(np.array([t]))[0]

@@ -22,11 +22,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
+from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.errors import AssemblyError, InputError
 from robodyn.loops.assembly_plan import Plan, joints_of
 from robodyn.loops.assembly_plan import assembly_plan as assembly_plan
@@ -35,14 +36,15 @@ from robodyn.loops.closing import close_positions as close_positions
 from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
 from robodyn.loops.dyads import coupled_angle, solve_dyad
+from robodyn.loops.path_from_start import farthest, from_start, reachable_from_start
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
 
 Array = NDArray[np.float64]
 
-PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
+OPEN = 1e3  # rad; what does not close is farther than all that does
+CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it
 FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearly singular
-LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch
 
 
 def assemble(
@@ -83,7 +85,7 @@ def attempt(
     for sine in sines:
         flat = flat | (sine < FLAT)
     if plan.rest:
-        q, short = _from_start(mechanism, q)
+        q, short = from_start(mechanism, q)
         missing = np.maximum(missing, short)
     flat = np.array(flat & (missing <= 0.0))
     if flat.any():  # to the last digit where Psi itself is nearly singular
@@ -138,22 +140,56 @@ def scene_branches(mechanism: Mechanism) -> tuple[str, ...]:
     if start is None or len(mechanism.description.branches) == len(closures):
         return mechanism.description.branches
     words = [BRANCHES[0]] * len(closures)
-    driven = [start[k] for k in mechanism.actuated]
+    told = [k for k in mechanism.passive if start[k] is not None]
     plan = assembly_plan(mechanism)
-    if any(x is None for x in driven):
-        return tuple(words)
+    decided = [s.closure for s in plan.steps if s.closure in plan.two_way and told]
+    unsaid = [k for k in mechanism.actuated if start[k] is None]
+    if unsaid:
+        return _nearest(mechanism, told, decided, unsaid)
+    driven = np.array([start[k] for k in mechanism.actuated], float)
     for step in plan.steps:  # each follows from those before it alone
-        told = [k for k in step.unknown if start[k] is not None]
-        if step.closure not in plan.two_way or not told:
-            continue
-        away = []
-        for word in BRANCHES:
-            words[step.closure] = word
-            q = attempt(mechanism, np.array(driven, float), words)[0]
-            way = wrapped(mechanism, q - np.array([x or 0.0 for x in start]))
-            away.append(float(np.abs(way[told]).max()))
-        words[step.closure] = BRANCHES[int(np.argmin(away))]
+        own = [k for k in step.unknown if k in told]
+        if step.closure in decided and own:
+            away = []
+            for word in BRANCHES:
+                words[step.closure] = word
+                away.append(_away(mechanism, driven, own, words))
+            words[step.closure] = BRANCHES[int(np.argmin(away))]
     return tuple(words)
+
+
+def _nearest(
+    mechanism: Mechanism, told: Sequence[int], decided: Sequence[int], unsaid: Sequence[int]
+) -> tuple[str, ...]:
+    """The branches that come nearest to the joints told, wherever the one not said may be."""
+    start, words = mechanism.description.start, [BRANCHES[0]] * len(mechanism.description.closures)
+    assert start is not None  # it tells joints
+    if not decided:
+        return tuple(words)
+    driven = np.tile([start[k] or 0.0 for k in mechanism.actuated], (1441, 1))
+    slides = unsaid[0] in mechanism.slides
+    span = farthest(mechanism) if slides else np.pi
+    driven[:, mechanism.actuated.index(unsaid[0])] = np.linspace(-span, span, len(driven))
+    found = []
+    for each in product(BRANCHES, repeat=len(decided)) if len(unsaid) == 1 else ():
+        for closure, word in zip(decided, each, strict=True):
+            words[closure] = word
+        found.append((_away(mechanism, driven, told, words), tuple(words)))
+    found.sort(key=lambda pair: pair[0])
+    if len(unsaid) > 1 or found[1][0] - found[0][0] < CLEAR:
+        limit = "does not tell the branch: name " + ", ".join(
+            mechanism.link_names[k] for k in unsaid
+        )
+        raise InputError("start", where=mechanism.source, limit=limit + " too, or give `assembly`")
+    return found[0][1]
+
+
+def _away(mechanism: Mechanism, driven: Array, told: Sequence[int], words: Sequence[str]) -> float:
+    """How far joints told by the start are from it where all others come nearest."""
+    q, missing = attempt(mechanism, driven, words)
+    way = wrapped(mechanism, q - np.array([x or 0.0 for x in mechanism.description.start or ()]))
+    off = np.abs(way[..., told] / mechanism.arrays.units[list(told)]).max(axis=-1)
+    return float((off + OPEN * (missing > 0.0)).min())
 
 
 def _known(mechanism: Mechanism, plan: Plan, given: Array) -> tuple[Array, list[Array]]:
@@ -182,7 +218,7 @@ def reachable(
     """
     slides = mechanism.actuated[joint] in mechanism.slides
     if assembly_plan(mechanism).rest:
-        return _reachable_from_start(mechanism, np.asarray(q_actuated, float), joint)
+        return reachable_from_start(mechanism, np.asarray(q_actuated, float), joint)
     span = farthest(mechanism) if slides else np.pi
     edges = np.linspace(-span, span, 1441)
 
@@ -206,90 +242,6 @@ def reachable(
     elif good[0]:  # the interval that runs through pi
         ends = [*ends[1:], ends[0] + 2 * np.pi]
     return list(zip(ends[::2], ends[1::2], strict=True))
-
-
-def farthest(mechanism: Mechanism) -> float:
-    """A displacement that no loop of the mechanism reaches, m."""
-    links = mechanism.description.links
-    sides = [x for c in mechanism.description.closures for x in (c.first.at, c.second.at)]
-    return sum(abs(x.l) + abs(x.hangs_from.at) for x in links) + sum(map(abs, sides)) or 1.0
-
-
-# -- larger loops --------------------------------------------------------------------------------
-
-
-def _from_start(mechanism: Mechanism, q: Array) -> tuple[Array, Array]:
-    """Close what is left along a path of the actuated joints from the scene's start."""
-    start = mechanism.description.start
-    assert start is not None  # the plan checks it
-    actuated, passive = list(mechanism.actuated), list(mechanism.passive)
-    target = q[..., actuated]
-    unsaid = [k for k in actuated if start[k] is None]
-    begin = np.broadcast_to([angle or 0.0 for angle in start], q.shape).copy()
-    begin[..., unsaid] = q[..., unsaid]
-    way = target - begin[..., actuated]
-    geared, units = mechanism.description.couplings, mechanism.arrays.units
-    for place, k in enumerate(actuated):
-        if not geared and k not in mechanism.slides:  # turns count where joints are coupled
-            way[..., place] = half_turn(way[..., place])
-    steps = int(np.ceil(np.abs(way / units[actuated]).max(initial=0.0) / PATH_STEP))
-    here = close_positions(mechanism, begin, actuated)
-    lost = _gap(mechanism, here) > CLOSED
-    first = here[..., actuated].copy()
-    for s in range(1, steps + 1):
-        there = here.copy()
-        there[..., actuated] = first + way * (s / steps)
-        there = close_positions(mechanism, there, actuated)
-        # beyond a limit nothing closes, or only after a leap to another branch: the path ends
-        moved = np.abs(there[..., passive] - here[..., passive]) / units[passive]
-        leap = moved.max(axis=-1, initial=0.0) > LEAP
-        lost |= leap | (_gap(mechanism, there) > CLOSED)
-        here = np.where(lost[..., None], here, there)
-    here[..., actuated] = target
-    missing = np.maximum(_gap(mechanism, here), CLOSED) * loop_size(mechanism)
-    counting = set().union(*map(joints_of, geared))
-    turning = [k for k in passive if k not in counting and k not in mechanism.slides]
-    here[..., turning] = half_turn(here[..., turning])
-    return here, np.where(lost, missing, 0.0)
-
-
-def _reachable_from_start(
-    mechanism: Mechanism, q_actuated: Array, joint: int
-) -> list[tuple[float, float]]:
-    """The interval of one actuated joint about its start that a path can reach, rad."""
-    start = mechanism.description.start
-    assert start is not None  # the plan checks it
-    actuated, moved = list(mechanism.actuated), mechanism.actuated[joint]
-    here, middle = np.zeros(mechanism.n), start[moved] or 0.0
-    here[actuated] = q_actuated
-    here[moved] = middle
-    here, missing = _from_start(mechanism, here)
-    if missing > 0.0:
-        return []
-    ends = []
-    slides, units = moved in mechanism.slides, mechanism.arrays.units
-    unit = float(units[moved])
-    most = farthest(mechanism) if slides else np.pi
-    for direction in (-1.0, 1.0):
-        at, step = here.copy(), PATH_STEP * unit
-        while step > 1e-7 * unit and abs(at[moved] - middle) < most - 1e-9 * unit:
-            there = at.copy()
-            left = most - abs(at[moved] - middle)  # the way round is no shorter
-            there[moved] += direction * min(step, left * (1 - 1e-12))
-            there = close_positions(mechanism, there, actuated)
-            leap = np.abs((there - at) / units).max() > LEAP * step / (PATH_STEP * unit)
-            if leap or _gap(mechanism, there) > CLOSED:
-                step /= 4.0  # the limit is nearer than this
-            else:
-                at = there
-        ends.append(float(at[moved]))
-    return [(ends[0], ends[1])]
-
-
-def _gap(mechanism: Mechanism, q: Array) -> Array:
-    """How far states (..., n) are open, as a part of the loop's size."""
-    gap = np.linalg.norm(closure_gap(mechanism, q), axis=-1)
-    return np.asarray(gap / loop_size(mechanism))
 
 
 # -- input and faults ----------------------------------------------------------------------------

@@ -59,7 +59,7 @@ class Actuation:
     start: tuple[float, ...] = ()  # of its states, where that is not zero
     alone: Actuation | None = None  # the torques without the sensitivities that they carry
     modes: Any = None  # how these go from mode to mode
-    by: tuple[Any, ...] = ()  # the numbers of these, where the Taylor series carries them
+    by: Any = None  # the numbers of these in a mode, where the Taylor series carries them
 
     @property
     def told(self) -> Steps | None:

@@ -19,7 +19,8 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
 from robodyn.events.explicit_steps import KeptStep
 from robodyn.events.functions import EventFunction
-from robodyn.events.watch import Event, EventWatch, Step, Stop
+from robodyn.events.pieces import Step
+from robodyn.events.watch import Event, EventWatch, Stop
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
@@ -118,8 +119,7 @@ class Recorder:
 
     def _step(self, solver: Any, places: Sequence[int] = ()) -> None:
         """Take a step, and look for events of the functions at `places`."""
-        t = float(solver.t)
-        y = solver.y.copy()
+        t, y = float(solver.t), solver.y.copy()
         self.report.steps += 1
         between = cache(solver.dense_output)  # made where a row or an event asks for it
         stop = None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -32,18 +32,15 @@ from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
 from robodyn.errors import InputError
 from robodyn.loops.closing import regular_rank
-from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
+from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
 from robodyn.taylor.variations import Number
 
 Array = NDArray[np.float64]
-
-CHANGE = "p"  # the variable that a number changes by
-_START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -83,10 +80,8 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if mechanism.switches and (method == "taylor" or actuation.control is not None):
-        limit = "of dry friction and stops is by --method DOP853, and without a controller"
-    elif actuation.control is not None and method == "taylor":
-        limit = "of controllers is not by the Taylor series: take --method DOP853"
+    if mechanism.switches and actuation.control is not None:
+        limit = "of dry friction and stops is without a controller"
     elif actuation.control is not None and actuation.control.slopes is None:
         limit = "is not known for this law: computed torque asks for accelerations"
     elif not elimination_is_safe(mechanism) or (
@@ -98,13 +93,32 @@ def with_sensitivities(
     q, qd = np.split(state, 2)
     n, sizes, starts = mechanism.n, [], []
     for name in names:
-        sizes.append(1.0 if _is_start(mechanism, name) else size_of(mechanism, name))
-        starts.append(sizes[-1] * _start(mechanism, name, q, qd))
+        sizes.append(1.0 if is_start(mechanism, name) else size_of(mechanism, name))
+        starts.append(sizes[-1] * start_slopes(mechanism, name, q, qd))
+    first, count = actuation.states, len(names)
+
+    def modes(of: Callable[[Mode], Callable[..., Any]]) -> Any:
+        if not mechanism.switches:
+            return None
+        from robodyn.simulation.sensitivity_jumps import Modes
+
+        ends = partial(_end_slopes, mechanism, names, sizes)
+        thrown = partial(_thrown_back, mechanism, tuple(names), tuple(sizes))
+        return Modes(mechanism, of, ends, thrown, count, 2 * n + first)
+
     if method == "taylor":
-        by = tuple(_number(mechanism, name) for name in names)
         flat = tuple((np.concatenate(starts) / np.repeat(sizes, 2 * n)).tolist())
-        carried = replace(actuation, states=len(flat), start=flat, alone=actuation, by=by)
-        return Sensitivities(tuple(names), np.ones(len(names)), carried, n)
+        sizes = [1.0] * count
+        carried = replace(
+            actuation,
+            control=Fed(actuation, n, count).control,
+            modes=modes(lambda mode: tuple),
+            states=len(flat),
+            start=flat,
+            alone=actuation,
+            by=lambda mode: tuple(_number(mechanism, name, mode) for name in names),
+        )
+        return Sensitivities(tuple(names), np.ones(count), carried, n)
 
     def make(mode: Mode | None) -> tuple[Formula, FloatFunction]:
         formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes, mode))
@@ -113,19 +127,7 @@ def with_sensitivities(
         return formula, compile_floats(formula, "slopes")
 
     formula, slopes = make(Mode() if mechanism.switches else None)
-    first, count = actuation.states, len(names)
-    modes = None
-    if mechanism.switches:
-        from robodyn.simulation.sensitivity_jumps import Modes
-
-        modes = Modes(
-            mechanism,
-            lambda mode: make(mode)[1],
-            partial(_end_slopes, mechanism, names, sizes),
-            lambda joint, e: _thrown_back(mechanism, tuple(names), tuple(sizes), joint, e),
-            count,
-            2 * n + first,
-        )
+    by_modes = modes(lambda mode: make(mode)[1])
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
@@ -138,8 +140,8 @@ def with_sensitivities(
     carried = replace(
         actuation,
         lines=tuple(lines),
-        scope={**actuation.scope, **fed.scope, "_slopes": modes or slopes},
-        modes=modes,
+        scope={**actuation.scope, **fed.scope, "_slopes": by_modes or slopes},
+        modes=by_modes,
         states=len(start),
         start=tuple(start),
         alone=actuation,
@@ -148,23 +150,13 @@ def with_sensitivities(
     return Sensitivities(tuple(names), np.array(sizes), carried, n, first)
 
 
-def _is_start(mechanism: Mechanism, name: str) -> bool:
-    match = _START.fullmatch(name)
-    if match and int(match[2]) > mechanism.n:
-        limit = f"must be one of {match[1]}1..{match[1]}{mechanism.n}"
-        raise InputError(name, where=mechanism.source, limit=limit)
-    if name.startswith("start."):
-        limit = "is where assembly begins; name a start value, q1 or qd1"
-        raise InputError(name, where=mechanism.source, limit=limit)
-    return match is not None
-
-
 @lru_cache(maxsize=256)
-def _number(mechanism: Mechanism, name: str) -> Number:
+def _number(mechanism: Mechanism, name: str, mode: Mode | None) -> Number:
     """What the Taylor series is differentiated by."""
-    if _is_start(mechanism, name):
+    if is_start(mechanism, name):
+        mechanism = mechanism if mode is None else in_mode(mechanism, mode)
         return Number(mechanism, lambda program: (program.numbers, [0.0] * len(program.numbers)))
-    named = with_variable(mechanism, name, Graph().variable(CHANGE))
+    named = with_variable(mechanism, name, Graph().variable(CHANGE), mode)
 
     def numbers(program: Program) -> tuple[list[float], list[float]]:
         slopes = slopes_by(program.numbers, [CHANGE])
@@ -201,7 +193,7 @@ def _formula(
             x: {CHANGE: graph.variable(s)} for x, s in zip(state.inputs[: 2 * n], own, strict=True)
         }
         residual = R
-        if not _is_start(mechanism, name):
+        if not is_start(mechanism, name):
             if ".motor." in name and any(tangents(torques, list(by))):
                 limit = "no derivative is known by it where torques depend on q or qd"
                 raise InputError(name, where=mechanism.source, limit=limit)
@@ -272,7 +264,7 @@ def _thrown_back(
             x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
         }
         named = in_mode(mechanism, Mode())
-        if not _is_start(mechanism, name):
+        if not is_start(mechanism, name):
             named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
             by[CHANGE] = {CHANGE: size}
         outputs += substituted(slopes_by(after(named), by, [CHANGE]), {CHANGE: 0.0})
@@ -285,7 +277,7 @@ def _end_slopes(
     """How far an end of a joint moves with each of the names, times its size."""
     slopes: list[Value] = []
     for name in names:
-        if _is_start(mechanism, name):
+        if is_start(mechanism, name):
             slopes.append(0.0)
         else:
             named = with_variable(mechanism, name, Graph().variable(CHANGE), Mode())
@@ -294,49 +286,3 @@ def _end_slopes(
             slopes += substituted(known, {CHANGE: 0.0})
     found: Array = np.array(slopes, float) * sizes
     return found
-
-
-def _start(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
-    """d(q, qd)/d(name) (2n) at the start: the actuated joints' values are what is given."""
-    n, driven = mechanism.n, list(mechanism.actuated)
-    moved, turned = np.zeros(n), np.zeros(n)
-    match = _START.fullmatch(name)
-    joint = None if match is None else int(match[2]) - 1
-    if match is not None and joint is not None:
-        unit = np.eye(n)[joint]
-        if mechanism.rows:
-            if joint not in driven:
-                limit = f"joint {mechanism.link_names[joint]} follows the actuated ones"
-                raise InputError(name, where=mechanism.source, limit=limit)
-            unit = closing_rates(mechanism, q, unit[driven], 0.0)
-        if match[1] == "qd":
-            return np.concatenate([moved, unit])
-        moved = unit
-    elif mechanism.rows:
-        gap, rate = _gap_slopes(mechanism, name, q, qd)
-        none = np.zeros(len(driven))
-        moved = closing_rates(mechanism, q, none, gap)
-        turned = closing_rates(mechanism, q, none, rate)
-    if mechanism.rows and np.any(moved) and np.any(qd):
-        # the bias is a quadratic form in the rates: this is its part between qd and the change
-        still = np.zeros(len(driven))
-        ahead, behind = (
-            loop_accelerations(mechanism, q, x, still) for x in (qd + moved, qd - moved)
-        )
-        turned = turned + 0.25 * (ahead - behind)
-    return np.concatenate([moved, turned])
-
-
-def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[Array, Array]:
-    """The derivatives of the gap (r) and of its rate (r) by a number, with q and qd held."""
-    graph = Graph()
-    named = with_variable(mechanism, name, graph.variable(CHANGE))
-    state = Recorded(named, ("qd",), True, graph=graph)
-    series = state.series([0.0] * mechanism.n)
-    series.residuals(0)
-    rows = [series.real[slot] for slot in series.program.named["gap"]]
-    slopes = slopes_by([row[p] for p in (0, 1) for row in rows], [CHANGE])
-    outputs = tuple(substituted(slopes, {CHANGE: 0.0}))
-    function = compile_floats(Formula((*state.inputs, "t"), outputs, ()), "gaps")
-    found = np.array(function(*q.tolist(), *qd.tolist(), 0.0))
-    return found[: len(rows)], found[len(rows) :]

@@ -56,6 +56,7 @@ class Modes:
         """The run goes on in a mode."""
         if mode not in self.known:
             self.known[mode] = self.make(mode)
+        self.mode = mode
         self.now = self.known[mode]
 
     def __call__(self, *values: float) -> Sequence[float]:

@@ -141,6 +141,7 @@ def taylor_run(
     were made in this process, or are to be expected.  `engines` keeps them for the next phase.
     """
     variations: Variations | None = None
+    carried = actuation
     if actuation.by and actuation.alone is not None:
         from robodyn.taylor.variations import variations_of
 
@@ -260,11 +261,11 @@ def taylor_run(
                 told, within = variations.along(t, y, chunk, type(runner).__name__, within)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
-                reach(actuation, t, y)
+                reach(carried, t, y if variations is None else variations.both(y))
             recorder.chunk(told, t_end, within)
             if stop is not None:
                 if variations is not None:
-                    stop = stop._replace(y=variations.joined(stop.y[None], variations.s[None])[0])
+                    stop = stop._replace(y=variations.both(stop.y))
                 recorder.stop(stop)
             ahead = min(2 * ahead, most_ahead)
             status = chunk.status

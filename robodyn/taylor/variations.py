@@ -9,7 +9,8 @@ tangents: in machine code (`engines/machine_variation.py`) or in Python (`varied
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,11 +53,14 @@ class Variations:
         order: int,
         numbers: Sequence[Number],
         s: Array,
+        control: Any = None,
     ) -> None:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
-        self.numbers, self.s = numbers, s
+        self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
         self._made: dict[object, Any] = {}
+        if actuation.constants is not None:
+            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
 
     def along(
         self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
@@ -74,6 +78,11 @@ class Variations:
         torques: Any = ((), ())
         if self.actuation.constants is None and self.actuation.linear:
             torques = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
+        fed = np.zeros((len(self.s), n if torques[0] else 0))
+        if self.control is not None:  # its torques are held, and so is what they change by
+            held_at = 0.5 * (t + float(chunk.t[-1]))
+            changes = np.reshape(self.control.slopes_at(held_at), (len(fed), -1))
+            fed[:, list(self.mechanism.actuated)] = changes
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
         if ("groups", held) not in self._made:
             self._made["groups", held] = self._groups(held)
@@ -85,15 +94,16 @@ class Variations:
         for i, group in enumerate(self._made["groups", held]):
             key = i, held, kind
             if key not in self._made:
-                make = MAKERS.get(kind, _compiled)
+                make = MAKERS.get(kind, _compiled if self.control is None else straight_steps)
                 self._made[key] = make(self.order, group)
             go = self._made[key]
             where = group.places
-            at_ends[:, where], at_rows[:, where] = go(steps, torques, s[where])
+            acting = *torques, fed[where]
+            at_ends[:, where], at_rows[:, where] = go(steps, acting, s[where])
             before = s[where] if len(chunk.t) == 1 else at_ends[-2, where]
             only = tuple(x[-1:] for x in steps[:3])
 
-            last.append(partial(self._last, go, only, torques, before))
+            last.append(partial(self._last, go, only, acting, before))
         self.s = at_ends[-1]
         if not np.isfinite(self.s).all():
             raise RobodynError(
@@ -119,6 +129,11 @@ class Variations:
             [y[:, :middle], s.reshape(len(y), self.s.size), y[:, middle:]], axis=1
         )
 
+    def both(self, y: Array) -> Array:
+        """The state (2n or 2n + 1) where the last steps ended, with s."""
+        found: Array = self.joined(y[None], self.s[None])[0]
+        return found
+
     def _groups(self, held: Sequence[float] | None) -> list[Group]:
         found: dict[object, Group] = {}
         for place, (mechanism, numbers) in enumerate(self.numbers):
@@ -137,6 +152,12 @@ class Variations:
         ]
 
 
+@lru_cache(maxsize=64)
+def _kept(*given: object) -> dict[object, Any]:
+    """What is made for runs under constant torques, for runs to come."""
+    return {}
+
+
 def variations_of(
     mechanism: Mechanism, actuation: Actuation, y: Array, tolerance: float, order: int | None
 ) -> tuple[Variations, Array]:
@@ -145,7 +166,8 @@ def variations_of(
     first, last = 2 * mechanism.n, 2 * mechanism.n + actuation.states
     s = y[first:last].reshape(-1, first).copy()
     order = order or default_order(tolerance)
-    found = Variations(mechanism, actuation.alone, order, actuation.by, s)
+    numbers = actuation.by(actuation.modes.mode if actuation.modes else None)
+    found = Variations(mechanism, actuation.alone, order, numbers, s, actuation.control)
     return found, np.concatenate([y[:first], y[last:]])
 
 
@@ -162,24 +184,25 @@ def _compiled(order: int, group: Group) -> Along:
     block = aligned(code.items * lanes)
     items = block.reshape(-1, lanes)
     scene.fill(items, 1.0, 1.0)
-    place, n, count = scene.place, scene.mechanism.n, len(group.places)
+    place, n, count, lock = scene.place, scene.mechanism.n, len(group.places), Lock()
     for i in group.varied:
         items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
         begins, ends, states, times = (np.ascontiguousarray(x) for x in steps)
         at_ends, at_rows = (np.empty((len(x), 2 * n, lanes)) for x in (ends, times))
-        items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
-        items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
-        if scene.linear:
-            base = place["base0"]
-            items[place["base_t"]] = begins[0]
-            items[base : base + 2 * n] = np.concatenate(torques)[:, None]
         found = {"begins": begins, "ends": ends, "states": states, "times": times}
         found |= {"at_ends": at_ends, "at_rows": at_rows}
         told = [found[name].ctypes.data for name in TABLE[:-1]]
         table = np.array([*told, len(times)], np.int64)
-        code.vary(block.ctypes.data, len(ends), table.ctypes.data)
+        with lock:  # another thread may have a run of the same
+            items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
+            items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
+            if scene.linear:
+                base = place["base0"]
+                items[place["base_t"]] = begins[0]
+                items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
+            code.vary(block.ctypes.data, len(ends), table.ctypes.data)
         return tuple(np.swapaxes(x[..., :count], -1, -2) for x in (at_ends, at_rows))  # type: ignore[return-value]
 
     return go

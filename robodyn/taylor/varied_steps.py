@@ -45,7 +45,8 @@ class Group(NamedTuple):
 
 
 # steps: begins (m,), ends (m,), states (m, 2n), times of rows (r,); torques and their slopes at the
-# first begin; s (k, 2n) there: s at the ends (m, k, 2n) and at the rows (r, k, 2n)
+# first begin, and what goes beside the torques (k, n); s (k, 2n) there: s at the ends (m, k, 2n),
+# and at the rows (r, k, 2n)
 Steps = tuple[Array, Array, Array, Array]
 Along = Callable[[Steps, Any, Array], tuple[Array, Array]]
 
@@ -69,8 +70,15 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
         at_rows = [np.zeros((0, 2 * n))]
         row, first, last = 0, float(begins[0]), times.tolist()
         beside = (SMALL * s).tolist()
+        values, slopes, fed = torques
+        values = [
+            complex(x, SMALL * each) if each else x for x, each in zip(values, fed, strict=True)
+        ]
+        now, rises = (values, slopes), any(slopes)
         for t, end, y in zip(begins.tolist(), ends.tolist(), states.tolist(), strict=True):
-            now = [x + (t - first) * slope for x, slope in zip(*torques, strict=True)], torques[1]
+            if rises:
+                acting = [x + (t - first) * slope for x, slope in zip(values, slopes, strict=True)]
+                now = acting, slopes
             there, series = expand(t, list(map(complex, y, beside)), numbers, now, end - t)
             due = row
             while due < len(last) and (last[due] - end) * direction <= 0.0:
@@ -85,9 +93,10 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
         return np.array(at_ends) / SMALL, np.concatenate(at_rows) / SMALL
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
-        pairs = zip(s, numbers, strict=True)
-        found = zip(*(along(steps, torques, *pair) for pair in pairs), strict=True)
-        at_ends, at_rows = (np.stack(each, axis=1) for each in found)
+        values, slopes, fed = torques
+        each = zip(fed.tolist(), s, numbers, strict=True)
+        found = zip(*(along(steps, (values, slopes, x), *pair) for x, *pair in each), strict=True)
+        at_ends, at_rows = (np.stack(x, axis=1) for x in found)
         return at_ends, at_rows
 
     return go

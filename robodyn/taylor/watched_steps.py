@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
+from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
-from robodyn.events.watch import EventWatch, Step, Stop
+from robodyn.events.watch import EventWatch, Stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Chunk, Engine, Status
 
@@ -34,8 +35,8 @@ def with_events(
         starts = np.where(places[:, None] > 0, chunk.y[places - 1], y)
         return states_along(mechanism, starts, series(places), h, NODES)
 
-    ends = chunk.y[:, : 2 * mechanism.n]
-    found = events.series(times, chunk.kept.boxes, sampled, ends, step)
+    ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
+    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact)
     if found is None:
         return chunk, engine.within, None
     j, stop = found
