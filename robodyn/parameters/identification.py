@@ -9,9 +9,8 @@ leaves of their torques.  With r = R pi - s, what changes from the scene's pi0 i
     named numbers      masses, centres of gravity, .. x, by Gauss and Newton: r(pi(x))
 
 With `physical`, where what was found is no body (m > 0, I > 0, no damping below 0), the numbers are
-sought between these bounds, by scipy's least_squares.
-
-The standard errors are those of independent noise of each joint's torque.
+sought between these bounds, by scipy's least_squares.  The standard errors are those of independent
+noise of each joint's torque.
 """
 
 from __future__ import annotations
