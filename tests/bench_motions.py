@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from bench_frontier import ROOT, case
 from scipy.integrate import ode
-from test_prismatic import random_tree, text_of
+from sliding_trees import random_tree, text_of
 
 import robodyn
 from hard_cases.cases import n_four_bar

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome
-from test_prismatic import Terms, check_accelerations, exact_acceleration, random_tree, text_of
+from sliding_trees import random_tree, text_of
+from test_prismatic import Terms, check_accelerations, exact_acceleration
 
 import oracles
 import robodyn
