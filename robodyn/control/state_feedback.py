@@ -15,7 +15,7 @@ from typing import Any
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 
 @short_repr

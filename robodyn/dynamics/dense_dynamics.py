@@ -42,7 +42,7 @@ from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

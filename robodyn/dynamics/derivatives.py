@@ -27,7 +27,7 @@ from robodyn.engines.derivative_formulas import (
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each

@@ -16,7 +16,7 @@ from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

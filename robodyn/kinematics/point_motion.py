@@ -19,7 +19,7 @@ from robodyn.kinematics.named_points import named_points
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

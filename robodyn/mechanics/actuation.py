@@ -26,7 +26,7 @@ from robodyn.scene.expressions import (
     state_names,
     value_of,
 )
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 if TYPE_CHECKING:
     from robodyn.mechanics.torque_times import Pieces

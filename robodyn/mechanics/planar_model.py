@@ -32,7 +32,7 @@ from robodyn.scene.scene import (
     Signal,
     Table,
 )
-from robodyn.short_repr import named
+from robodyn.tables.short_repr import named
 
 if TYPE_CHECKING:
     import numpy as np

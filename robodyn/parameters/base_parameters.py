@@ -31,7 +31,7 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description, Point
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,8 @@ from robodyn.parameters.fit_problem import Problem, Search, finished
 from robodyn.parameters.lane_least_squares import lane_least_squares
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import SceneValues
-from robodyn.short_repr import short_repr
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

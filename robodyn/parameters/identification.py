@@ -34,7 +34,7 @@ from robodyn.parameters.base_parameters import (
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import balanced_joints, regressor
 from robodyn.scene.scene import Description
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

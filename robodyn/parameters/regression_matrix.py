@@ -26,7 +26,7 @@ from robodyn.errors import InputError, SingularError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 RATES = ("qd", "qdd")

@@ -34,7 +34,7 @@ from robodyn.rest.natural_modes import (
     natural_modes,
     stable_by,
 )
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
-from robodyn.short_repr import short_repr
 from robodyn.tables.csv_fields import shown
+from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
 

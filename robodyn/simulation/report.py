@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from robodyn.mechanics.run_control import JointTracking
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 
 
 class Outcome(Enum):

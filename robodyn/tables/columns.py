@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from robodyn.short_repr import named
+from robodyn.tables.short_repr import named
 
 ROWS_SHOWN = 10
 

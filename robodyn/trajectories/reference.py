@@ -18,7 +18,7 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
 from robodyn.trajectories.loop_path import LoopPath, OpenPath, WholePath

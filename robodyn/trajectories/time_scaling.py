@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.short_repr import short_repr
+from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
 from robodyn.trajectories.loop_path import WholePath
