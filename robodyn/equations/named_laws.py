@@ -67,45 +67,36 @@ class Definition(NamedTuple):
     meaning: str
 
 
-class Loads:
-    """Loads of a scene in symbols, with names for the parts that vary.
+def named_loads(scene: Any) -> tuple[Any, list[Any], list[Definition]]:
+    """The scene, in symbols, with the loads that turn with a link and the constant ones alone.
 
-    `scene` has those that turn with a link, and the constant ones; the others are `drags`.
+    Then the other loads, and the names of the parts that vary, which belong to Q.
     """
+    names: list[Definition] = []
+    kept: list[Any] = []
+    drags: list[Any] = []
 
-    def __init__(self, scene: Any) -> None:
-        self.names: list[tuple[Atom, str, str, Law]] = []
-        kept: list[Any] = []
-        self.drags: list[Any] = []
-        for i, load in enumerate(scene.loads):
-            if isinstance(load, Moment) and isinstance(load.varying, Law):
-                told = f"torque of load {i + 1}"
-                name = self._named(f"T{i + 1}", (load.link, "T"), "N m", told, load.varying)
-                self.drags.append(load._replace(torque=name, varying=None))
-            elif isinstance(load, Load) and load.varies:
-                parts: list[Any] = [load.force.real, load.force.imag]
-                for k, signal in enumerate(load.varying):
-                    if isinstance(signal, Law):
-                        axis = "xy"[k]
-                        told = f"force of load {i + 1}, {axis}"
-                        parts[k] = self._named(
-                            f"F{i + 1}{axis}", (i, f"F{axis}"), "N", told, signal
-                        )
-                force: Any = Planar(*map(summed, parts))
-                given = load._replace(force=force, varying=(None, None))
-                (kept if load.turns else self.drags).append(given)
-            else:
-                kept.append(load)
-        self.scene = scene._replace(loads=tuple(kept))
+    def named(name: str, place: tuple[int, str], unit: str, told: str, law: Law) -> Any:
+        names.append(Definition(name, formula_of(law, {}), unit, told))
+        return of(Atom(Role.force, place, name))
 
-    def _named(self, name: str, place: tuple[int, str], unit: str, told: str, law: Law) -> Any:
-        self.names.append((Atom(Role.force, place, name), unit, told, law))
-        return of(self.names[-1][0])
-
-    def definitions(self, block: str, write: Callable[..., Any]) -> Iterator[Definition]:
-        """What the names stand for, in the block that uses them."""
-        for name, unit, told, law in self.names if block == "Q" else []:
-            yield Definition(name.name, write(formula_of(law, {})), unit, told)
+    for i, load in enumerate(scene.loads):
+        told = f"of load {i + 1}"
+        if isinstance(load, Moment) and isinstance(load.varying, Law):
+            torque = named(f"T{i + 1}", (load.link, "T"), "N m", f"torque {told}", load.varying)
+            drags.append(load._replace(torque=torque, varying=None))
+        elif isinstance(load, Load) and load.varies:
+            parts: list[Any] = [load.force.real, load.force.imag]
+            for k, (axis, law) in enumerate(zip("xy", load.varying, strict=True)):
+                if isinstance(law, Law):
+                    place = (i, f"F{axis}")
+                    parts[k] = named(f"F{i + 1}{axis}", place, "N", f"force {told}, {axis}", law)
+            force: Any = Planar(*map(summed, parts))
+            given = load._replace(force=force, varying=(None, None))
+            (kept if load.turns else drags).append(given)
+        else:
+            kept.append(load)
+    return scene._replace(loads=tuple(kept)), drags, names
 
 
 class JointTerm(NamedTuple):
@@ -115,9 +106,7 @@ class JointTerm(NamedTuple):
     block: str
     sign: int
     name: Atom
-    unit: str
-    meaning: str
-    formula: Formula
+    defined: Definition
 
 
 def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
@@ -130,7 +119,8 @@ def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
             names[name] = of(Atom(Role.force, (-1, ""), "t"))
         else:
             names[name] = _rate(int(name[2:])) if name[1] == "d" else _angle(int(name[1:]))
-    return Formula(_plain(ast.parse(law.code, mode="eval").body), names)
+    plain: ast.expr = _Plain().visit(ast.parse(law.code, mode="eval").body)
+    return Formula(plain, names)
 
 
 def spring_terms(mechanism: Mechanism, scene: Any) -> Iterator[JointTerm]:
@@ -141,9 +131,9 @@ def spring_terms(mechanism: Mechanism, scene: Any) -> Iterator[JointTerm]:
             own = {"x": _angle(j) - spring.angle, "v": _rate(j)}
             link, unit = _joint(mechanism, j)
             told = f"pull of spring {i + 1}, at the joint of {link}"
-            name, formula = Atom(Role.force, (i, ""), f"H{i + 1}"), formula_of(spring.law, own)
-            block, sign = ("G", 1) if potential else ("Q", -1)
-            yield JointTerm(j, block, sign, name, unit, told, formula)
+            name = Atom(Role.force, (i, ""), f"H{i + 1}")
+            defined = Definition(name.name, formula_of(spring.law, own), unit, told)
+            yield JointTerm(j, *(("G", 1) if potential else ("Q", -1)), name, defined)
 
 
 def contact_terms(
@@ -153,41 +143,43 @@ def contact_terms(
     for j, friction in dry.items():
         link, unit = _joint(mechanism, j)
         numbers = dict(mechanism.dry)[j]
-        falls = numbers.stribeck is not None and numbers.static > numbers.torque
-        text = "a*sign(v)"
-        known: dict[str, Any] = {"a": friction.torque}
-        if falls and friction.torque:
-            text = "sign(v)*(a + (s - a)*exp(-(v/w)**2))"
-        elif falls:
+        text = "a*sign(v)" if friction.torque else ""
+        if numbers.stribeck is not None and numbers.static > numbers.torque:
             text = "s*sign(v)*exp(-(v/w)**2)"
-        if falls:
-            known |= {"s": friction.static, "w": friction.stribeck}
-        if falls or friction.torque:
-            name = Atom(Role.force, (j, "~"), f"B{j + 1}")
+            if friction.torque:
+                text = "sign(v)*(a + (s - a)*exp(-(v/w)**2))"
+        if text:
             told = f"dry friction at the joint of {link}, in motion"
-            formula = _written(text, {**known, "v": _rate(j)})
-            yield JointTerm(j, "Q", -1, name, unit, told, formula)
+            known = {"a": friction.torque, "s": friction.static, "w": friction.stribeck}
+            yield _contact(j, -1, "B", text, known, unit, told)
     for j, stop in stops.items():
         link, unit = _joint(mechanism, j)
-        known = {"q": _angle(j), "v": _rate(j), "k": stop.stiffness}
-        damper = {"l": "", "h": ""}
-        if stop.damping:
-            known["d"] = stop.damping
-            damper = {"l": " - d*v", "h": " + d*v"}
         parts = []
-        for end, value, beyond in (("l", stop.low, "l - q"), ("h", stop.high, "q - h")):
-            if value is None:
-                continue
-            known[end] = value
-            if not value:
-                beyond = "-q" if end == "l" else "q"
-            push = f"max(0, k*({beyond}){damper[end]})"
-            push = f"step({beyond})*{push}" if stop.damping else push
-            parts.append(push if end == "l" else f"-({push})")
-        name = Atom(Role.force, (j, "~"), f"Y{j + 1}")
+        for value, sign, beyond, damper in (
+            (stop.low, "", "l - q" if stop.low else "-q", "- d*v"),
+            (stop.high, "-", "q - h" if stop.high else "q", "+ d*v"),
+        ):
+            push = f"max(0, k*({beyond}))"
+            if stop.damping:
+                push = f"step({beyond})*max(0, k*({beyond}) {damper})"
+            if value is not None:
+                parts.append(f"-({push})" if sign else push)
         told = f"push of the stops of the joint of {link}"
+        known = {"k": stop.stiffness, "d": stop.damping, "l": stop.low, "h": stop.high}
         text = " + ".join(parts).replace("+ -", "- ")
-        yield JointTerm(j, "Q", 1, name, unit, told, _written(text, known))
+        yield _contact(j, 1, "Y", text, known, unit, told)
+
+
+def _contact(
+    joint: int, sign: int, letter: str, text: str, known: Mapping[str, Any], unit: str, told: str
+) -> JointTerm:
+    """A term of Q from its formula in `known` symbols, and in q and v of its joint."""
+    known = {**known, "q": _angle(joint), "v": _rate(joint)}
+    tree = ast.parse(text, mode="eval").body
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    formula = Formula(tree, {name: value for name, value in known.items() if name in used})
+    name = Atom(Role.force, (joint, "~"), f"{letter}{joint + 1}")
+    return JointTerm(joint, "Q", sign, name, Definition(name.name, formula, unit, told))
 
 
 def _joint(mechanism: Mechanism, joint: int) -> tuple[str, str]:
@@ -200,12 +192,6 @@ def _angle(joint: int) -> Sum:
 
 def _rate(joint: int) -> Sum:
     return of(Atom(Role.rate, (joint,)))
-
-
-def _written(text: str, known: Mapping[str, Any]) -> Formula:
-    tree = ast.parse(text, mode="eval").body
-    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    return Formula(tree, {name: value for name, value in known.items() if name in used})
 
 
 class _Plain(ast.NodeTransformer):
@@ -226,8 +212,3 @@ class _Plain(ast.NodeTransformer):
             except (ArithmeticError, TypeError):
                 return found
         return found
-
-
-def _plain(tree: ast.expr) -> ast.expr:
-    plain: ast.expr = _Plain().visit(tree)
-    return plain

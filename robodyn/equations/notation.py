@@ -177,7 +177,8 @@ def broken(text: str, width: int, measure: Callable[[str], float] = len) -> list
     sizes = [measure(part) for part in parts]
     depths = [0]  # of brackets, before each part
     for part in parts:
-        depths.append(depths[-1] + _count(part, OPENING) - _count(part, CLOSING))
+        opened, closed = (sum(map(part.count, marks)) for marks in (OPENING, CLOSING))
+        depths.append(depths[-1] + opened - closed)
     lines, start = [], 0
     while start < len(parts):
         end, used = start + 1, sizes[start] + len(INDENT) * depths[start]
@@ -192,7 +193,3 @@ def broken(text: str, width: int, measure: Callable[[str], float] = len) -> list
         lines.append(INDENT * depths[start] + one_line(" ".join(parts[start:end])))
         start = end
     return lines
-
-
-def _count(text: str, marks: Sequence[str]) -> int:
-    return sum(text.count(mark) for mark in marks)

@@ -82,13 +82,13 @@ class Block(Generic[Entry]):
 
     def listed(self) -> list[tuple[list[Place], Entry]]:
         """The entries that are not zero, each with its place; equal ones of M with both places."""
-        found = []
         symmetric = self.head.shape == "symmetric"
-        for i, row in enumerate(self.rows):
-            for j, entry in enumerate(row):
-                if entry and not (symmetric and j < i):
-                    found.append(([(i, j), (j, i)][: 1 + (symmetric and i != j)], entry))
-        return found
+        return [
+            ([(i, j), (j, i)] if symmetric and i < j else [(i, j)], entry)
+            for i, row in enumerate(self.rows)
+            for j, entry in enumerate(row)
+            if entry and not (symmetric and j < i)
+        ]
 
     def numbers(self, i: int, j: int, between: str) -> str:
         """The numbers of an entry, from 1; `between` parts them where both may have two digits."""

@@ -104,21 +104,14 @@ class Parameters:
         gravity: Any = self._gravity(description.gravity)
         for k, link in enumerate(description.links):
             if isinstance(link.friction, Friction) and link.friction.torque:
-                form = "slide_friction" if link.slides else "friction"
-                numbers = self._numbers(form, k, link.friction, link.name)
-                links[k] = links[k]._replace(friction=link.friction._replace(**numbers))
+                smooth = self._at_joint("friction", k, link.friction)
+                links[k] = links[k]._replace(friction=smooth)
             if isinstance(link.friction, DryFriction) and link.friction.static:
-                form = "slide_dry_friction" if link.slides else "dry_friction"
-                numbers = self._numbers(form, k, link.friction, link.name)
-                self.dry[k] = link.friction._replace(**numbers)
+                self.dry[k] = self._at_joint("dry_friction", k, link.friction)
             if link.limits is not None and link.limits.stiffness is not None:
-                form = "slide_stops" if link.slides else "stops"
-                numbers = self._numbers(form, k, link.limits, link.name)
-                self.stops[k] = link.limits._replace(**numbers)
+                self.stops[k] = self._at_joint("stops", k, link.limits)
             if link.motor is not None:
-                form = "slide_motor" if link.slides else "motor"
-                numbers = self._numbers(form, k, link.motor, link.name)
-                links[k] = links[k]._replace(motor=link.motor._replace(**numbers))
+                links[k] = links[k]._replace(motor=self._at_joint("motor", k, link.motor))
         self.scene: Any = description._replace(
             gravity=gravity,
             links=tuple(links),
@@ -148,6 +141,11 @@ class Parameters:
             u = f"u{k + 1}"
             numbers["axis"] = self._direction(u, k, link.axis, meaning, above, Role.direction)
         return link._replace(**numbers, friction=None, limits=None)
+
+    def _at_joint(self, form: str, k: int, item: Any) -> Any:
+        link = self.description.links[k]
+        form = f"slide_{form}" if link.slides else form
+        return item._replace(**self._numbers(form, k, item, link.name))
 
     def _closure(self, c: int, closure: Closure) -> Closure:
         along: Any = closure.along

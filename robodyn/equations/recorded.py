@@ -16,7 +16,7 @@ from robodyn.engines import expression
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.formulas import RECORDED, Recorded
 from robodyn.equations.entries import Entries
-from robodyn.equations.named_laws import contact_terms
+from robodyn.equations.named_laws import Formula, contact_terms
 from robodyn.equations.outline import Block, Equations, heads
 from robodyn.equations.parameters import Parameters
 from robodyn.equations.symbolic import Planar, Role, Sum
@@ -78,11 +78,13 @@ def _add_contacts(
     functions = {
         "sign": lambda x: expression.choose(x, 0.0, -1.0, expression.choose(0.0, x, 1.0, 0.0)),
         "step": lambda x: expression.choose(0.0, x, 1.0, 0.0),
-        "max": lambda a, b: expression.greatest(a, b),
+        "max": expression.greatest,
         "exp": partial(expression.call, "exp"),
     }
     for term in contact_terms(mechanism, parameters.dry, parameters.stops):
-        value, row = term.formula.value(numbers, functions), Q[term.joint]
+        formula, row = term.defined.value, Q[term.joint]
+        assert isinstance(formula, Formula)
+        value = formula.value(numbers, functions)
         row[0] = row[0] + value if term.sign > 0 else row[0] - value
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 from typing import Any, NamedTuple
 
 from robodyn.engines.planar_numbers import Planar as Planar
@@ -99,12 +100,8 @@ class Sum:
     def __mul__(self, other: Any) -> Any:
         if not isinstance(other, Sum):
             return NotImplemented if isinstance(other, Planar) else self.times(other)
-        found: dict[Monomial, Number] = {}
-        for a, x in self.terms.items():
-            for b, y in other.terms.items():
-                product = merged(a, b)
-                found[product] = found.get(product, 0) + x * y
-        return Sum({monomial: x for monomial, x in found.items() if x})
+        pairs = product(self.terms.items(), other.terms.items())
+        return collected((merged(a, b), x * y) for (a, x), (b, y) in pairs)
 
     __rmul__ = __mul__
 
@@ -127,15 +124,12 @@ class Sum:
         """Every atom of every term, those in brackets too."""
         for monomial in self.terms:
             for factor, _ in monomial:
-                if isinstance(factor, Sum):
-                    yield from factor.atoms()
-                else:
-                    yield factor
+                yield from factor.atoms() if isinstance(factor, Sum) else [factor]
 
     def substituted(self, values: Mapping[str, Fraction]) -> Sum:
         """The sum with numbers for the symbols that `values` names."""
-        found: dict[Monomial, Number] = {}
-        for monomial, number in self.terms.items():
+
+        def put_in(monomial: Monomial, number: Number) -> tuple[Monomial, Number]:
             left: list[tuple[Any, Any]] = []
             for atom, power in monomial:
                 if atom.parameter and atom.name in values:
@@ -144,9 +138,9 @@ class Sum:
                 if isinstance(atom.speed, Atom):
                     atom = atom._replace(speed=values[atom.speed.name])
                 left.append((atom, power))
-            key = tuple(left)
-            found[key] = found.get(key, 0) + number
-        return Sum({monomial: x for monomial, x in found.items() if x})
+            return tuple(left), number
+
+        return collected(put_in(*term) for term in self.terms.items())
 
 
 ZERO = Sum({})
@@ -165,10 +159,14 @@ def summed(number: Any) -> Sum:
 
 def total(parts: Iterable[Sum]) -> Sum:
     """The sum of the parts, in their order."""
+    return collected(term for part in parts for term in part.terms.items())
+
+
+def collected(terms: Iterable[tuple[Monomial, Number]]) -> Sum:
+    """The sum of terms, those of one monomial added."""
     found: dict[Monomial, Number] = {}
-    for part in parts:
-        for monomial, number in part.terms.items():
-            found[monomial] = found.get(monomial, 0) + number
+    for monomial, number in terms:
+        found[monomial] = found.get(monomial, 0) + number
     return Sum({monomial: x for monomial, x in found.items() if x})
 
 

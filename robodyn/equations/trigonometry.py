@@ -33,7 +33,7 @@ def simplified(sum_: Sum) -> Sum:
     while changed:
         changed = False
         for term in list(terms):
-            changed |= _may_pair(term) and _paired(terms, term)
+            changed |= _paired(terms, term)
     return Sum({term: number for term, number in terms.items() if number})
 
 
@@ -51,17 +51,6 @@ def _paired(terms: dict[Monomial, Number], term: Monomial) -> bool:
             terms[both] = terms.get(both, 0) + shared * identity.turned
             return True
     return False
-
-
-def _may_pair(term: Monomial) -> bool:
-    return bool(sum(power for atom, power in term if _is_cosine(atom)) > 1)
-
-
-def _is_cosine(atom: Atom) -> bool:
-    """Whether it is a sine or cosine of angles of joints, or of a direction."""
-    if atom.role == Role.function:
-        return atom.speed is None
-    return atom.role == Role.direction
 
 
 def _identities(term: Monomial) -> Iterator[Identity]:

@@ -21,20 +21,13 @@ from typing import Any
 from robodyn.engines.formulas import Recorded
 from robodyn.engines.series import Arithmetic
 from robodyn.equations.entries import Entries
-from robodyn.equations.factoring import (
-    Key,
-    as_one,
-    by_angle,
-    by_function,
-    by_role,
-    written,
-)
+from robodyn.equations.factoring import Key, as_one, by_angle, by_function, by_role, written
 from robodyn.equations.named_laws import (
     Definition,
     Formula,
-    Loads,
     contact_terms,
     formula_of,
+    named_loads,
     spring_terms,
 )
 from robodyn.equations.outline import Block, Equations, heads
@@ -103,8 +96,8 @@ def equations(
             raise too_large(mechanism.description)
         return written(entry, levels)
 
-    loads = Loads(parameters.scene)
-    springs = _Springs(loads.scene, loads.drags)
+    scene, drags, loads = named_loads(parameters.scene)
+    springs = _Springs(scene, drags)
     acting = [*spring_terms(mechanism, parameters.scene)]
     acting += contact_terms(mechanism, parameters.dry, parameters.stops)
     named = with_kept(springs.mechanism, parameters.kept)
@@ -112,17 +105,17 @@ def equations(
     found = []
     for head in known:
         sums, levels = entries.of(head.name), LEVELS.get(head.name, LINE)
-        for term in (x for x in acting if x.block == head.name):
+        added = [x for x in acting if x.block == head.name]
+        for term in added:
             sums[term.joint][0] = sums[term.joint][0] + of(term.name).times(term.sign)
         block: list[tuple[Sum, ...]] = []
         for i, row in enumerate(sums):
             mirrored = [block[j][i] for j in range(i)] if head.shape == "symmetric" else []
             more = (write(_in_order(x, head.name), levels) for x in row[len(mirrored) :])
             block.append((*mirrored, *more))
-        names = [*springs.definitions(head.name, write), *loads.definitions(head.name, write)]
-        for term in (x for x in acting if x.block == head.name):
-            value = write(term.formula)
-            names.append(Definition(term.name.name, value, term.unit, term.meaning))
+        names = [*springs.definitions(head.name, write)]
+        further = [*(loads if head.name == "Q" else []), *(x.defined for x in added)]
+        names += [x._replace(value=write(x.value)) for x in further]
         found.append(Block(head, tuple(block), tuple(names)))
     formulas: list[Any] = [entry for block in found for row in block.rows for entry in row]
     formulas += [name.value for block in found for name in block.where]
@@ -291,10 +284,10 @@ class _Springs:
         """The names that the block uses: S, |S|, K in G, and V, P too in Q."""
         for i, spring in self.springs.items():
             law = spring.law
+            used = self._pulls(spring) if block == "G" else block == "Q" and spring.damping
             if law is not None:
-                if block != ("G" if conserves(law) else "Q"):
-                    continue
-            elif not (self._pulls(spring) if block == "G" else block == "Q" and spring.damping):
+                used = block == ("G" if conserves(law) else "Q")
+            if not used:
                 continue
             told, S = f"spring {i + 1}", _components(i)
             size = Atom(Role.stretch, (i, ""), f"S{i + 1}")
