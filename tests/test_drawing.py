@@ -13,8 +13,9 @@ import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
 from robodyn.errors import AssemblyError
 from robodyn.mechanics.mechanism import build
-from robodyn.pictures.bodies import link_points, rounded_hull
+from robodyn.pictures.bodies import link_points
 from robodyn.pictures.drawing import Drawing, drawing, first_pose, span
+from robodyn.pictures.outlines import rounded_hull
 from robodyn.pictures.picture_plan import frame, free_place, head_places, label_places, scale_bar
 from robodyn.scene.description import from_text
 from robodyn.scene.scene import JointSpring, Spring

@@ -6,10 +6,9 @@ from fractions import Fraction
 
 import pytest
 
-from robodyn.equations.factoring import by_angle, by_function, by_role, written
+from robodyn.equations.factoring import by_angle, by_function, by_role, simplified, written
 from robodyn.equations.notation import GLUE, PLAIN, PYTHON, broken, one_line
 from robodyn.equations.symbolic import ONE, ZERO, Atom, Planar, Role, Sum, of, total
-from robodyn.equations.trigonometry import simplified
 
 
 def Symbol(name: str, role: int, place: tuple[int, str]) -> Atom:

@@ -13,7 +13,7 @@ from conftest import FOUR_BAR as CRANK_ROCKER
 from conftest import TWO_LINK, Outcome, relative_error
 
 import oracles
-from robodyn.trajectories.spline_rates import derivative
+from robodyn.trajectories.splines import derivative
 
 Run = Callable[..., Outcome]
 ARM, FOUR_BAR = "robots/2r.yaml", "robots/four-bar.yaml"

@@ -28,8 +28,8 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.errors import InputError
-from robodyn.export.contacts import contact_notes, damping_ratio, restitution
 from robodyn.export.mjcf import DEEPEST, MINIMUM, TIMESTEP, mjcf
+from robodyn.export.mujoco_laws import contact_notes, damping_ratio, restitution
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.modes import Mode, in_mode, pressed
 

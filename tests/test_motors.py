@@ -28,7 +28,7 @@ from robodyn.mechanics.mechanism import load
 from robodyn.scene.description import from_text
 from robodyn.simulation.extended import reference
 from robodyn.simulation.run_torques import as_actuation
-from robodyn.trajectories.time_scaling import LimitError
+from robodyn.trajectories.motion_limits import LimitError
 
 FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it: other seeds, and more of them
 FIRST = random.randrange(10**6) if FRESH else 0

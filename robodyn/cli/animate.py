@@ -21,7 +21,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
-from robodyn.pictures.rails import at
+from robodyn.pictures.outlines import at
 from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 

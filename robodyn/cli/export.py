@@ -49,8 +49,8 @@ def export(
             gravity = f"({', '.join(vector(mechanism.gamma).split())})"
             note(f"Note: URDF has no gravity: set {gravity} m/s^2 where it is loaded")
     else:
-        from robodyn.export.contacts import contact_notes
         from robodyn.export.mjcf import TIMESTEP, mjcf
+        from robodyn.export.mujoco_laws import contact_notes
 
         step = TIMESTEP if timestep is None else timestep
         if not 0.0 < step < float("inf"):

@@ -14,7 +14,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.csv_fields import finite, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
-from robodyn.trajectories.spline_rates import FEWEST, derivative
+from robodyn.trajectories.splines import FEWEST_ROWS, derivative
 
 
 def taken_at_rest(
@@ -63,8 +63,8 @@ def found_rates(
     chunks = list(reader.chunks(columns))
     values = np.concatenate([np.zeros((0, len(columns))), *(x.values for x in chunks)])
     column = dict(zip(columns, values.T, strict=True))
-    if len(column["t"]) < FEWEST:
-        limit = f"needs {FEWEST} rows or more; there are {len(column['t'])}"
+    if len(column["t"]) < FEWEST_ROWS:
+        limit = f"needs {FEWEST_ROWS} rows or more; there are {len(column['t'])}"
         raise InputError("--differentiate", where=reader.source, limit=limit)
     check_rising(
         column["t"],

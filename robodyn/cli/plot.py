@@ -14,9 +14,10 @@ from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import load
 from robodyn.pictures import chart_figure
+from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import DOTS, save
-from robodyn.pictures.chart_tables import read_chart, read_map
 from robodyn.pictures.column_units import TURNING, scene_units
+from robodyn.pictures.value_map import read_map
 from robodyn.tables.csv_fields import shown
 
 _X = "Along x. Default: t, else the row."

@@ -24,9 +24,8 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.trajectories import time_scaling
 from robodyn.trajectories.continuation import Watch
-from robodyn.trajectories.joint_ends import check_ends
 from robodyn.trajectories.joint_paths import JointPath, path_through
-from robodyn.trajectories.motion_limits import LimitError, with_motors
+from robodyn.trajectories.motion_limits import LimitError, Limits, check_ends, with_motors
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.reference import ReferenceMotion, motion_along
 
@@ -97,7 +96,7 @@ def _motion(
     mechanism: Mechanism,
     given: TrajectoryOptions,
     duration: float | None,
-    limits: time_scaling.Limits,
+    limits: Limits,
     watch: Watch,
 ) -> ReferenceMotion:
     """The motion that the options describe, in `duration` (s; NaN: in the shortest)."""
@@ -150,7 +149,7 @@ def _motion(
     return along(path, points.q, duration, begin)
 
 
-def _checked(motion: ReferenceMotion, limits: time_scaling.Limits) -> ReferenceMotion:
+def _checked(motion: ReferenceMotion, limits: Limits) -> ReferenceMotion:
     """The motion, within its limits; a note where it asks too much of a motor."""
     time_scaling.check_limits(motion, limits)
     try:

@@ -23,7 +23,7 @@ from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Sweep
-from robodyn.trajectories.time_scaling import LimitError, Limits, limits_of
+from robodyn.trajectories.motion_limits import LimitError, Limits, limits_of
 
 MOST_CYCLES = 100_000  # of a sweep
 ProfileName = Literal["cubic", "quintic", "trapezoidal", "cycloidal", "sweep"]

@@ -20,12 +20,12 @@ from robodyn.tables.delimited import columns_told
 from robodyn.trajectories.continuation import FURTHEST, Watch
 from robodyn.trajectories.inverse_kinematics import along_branch
 from robodyn.trajectories.joint_paths import JointPath, Legs, path_through
-from robodyn.trajectories.motion_limits import with_motors
+from robodyn.trajectories.motion_limits import Limits, with_motors
 from robodyn.trajectories.plane_paths import AlongCurve, arc, spline_curve
 from robodyn.trajectories.profiles import ACCELERATION, profile
 from robodyn.trajectories.reference import ReferenceMotion, check_duration
 from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
-from robodyn.trajectories.time_scaling import Limits, Shortest, shortest_of
+from robodyn.trajectories.time_scaling import Shortest, shortest_of
 
 Array = np.ndarray
 ALIKE = 1e-12  # part of coordinates by which two points must differ

@@ -21,7 +21,15 @@ from typing import Any
 from robodyn.engines.formulas import Recorded
 from robodyn.engines.series import Arithmetic
 from robodyn.equations.entries import Entries
-from robodyn.equations.factoring import Key, as_one, by_angle, by_function, by_role, written
+from robodyn.equations.factoring import (
+    Key,
+    as_one,
+    by_angle,
+    by_function,
+    by_role,
+    simplified,
+    written,
+)
 from robodyn.equations.named_laws import (
     Definition,
     Formula,
@@ -47,7 +55,6 @@ from robodyn.equations.symbolic import (
     summed,
     total,
 )
-from robodyn.equations.trigonometry import simplified
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_rows import closure_rows
 from robodyn.mechanics.mechanism import Mechanism, constants, too_large, with_kept

@@ -15,14 +15,13 @@ makes in a motion falls with the square of the time step.
 from __future__ import annotations
 
 from cmath import phase
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
-from robodyn.export.contacts import joint_contacts, slack_stops, stop_tendon
 from robodyn.export.model_xml import (
-    INERTIA_REMARKS,
+    INERTIA_REMARK,
     Names,
     comment,
     document,
@@ -31,7 +30,7 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.export.spring_laws import LIMIT, polynomial
+from robodyn.export.mujoco_laws import LIMIT, joint_contacts, polynomial, slack_stops, stop_tendon
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, Rotor
 from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Point, Signal, Spring
@@ -43,25 +42,6 @@ REASONS = {
     "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
 }
 SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
-PAYLOAD_REMARKS = ("A payload is a point mass: a body without a joint and without inertia.",)
-ROTOR_REMARKS = (
-    "A rotor on a link that turns is the armature of a tendon, which MuJoCo has from 3.3.1 on.",
-)
-SOFT_REMARKS = (
-    "Loops and couplings are held by equality constraints, as stiff as the time step allows.  They",
-    "are open where all joints are zero: start where they hold, such as from a keyframe.",
-)
-LOAD_REMARKS = ("A load is an actuator of constant force: its control does nothing.",)
-ANGLE_REMARKS = (
-    "An angle that a closure keeps is a sum of joint angles: it counts from turn to turn.",
-)
-SLOT_REMARKS = ("Those of a slot in a link are sites of that link.",)
-LAW_REMARKS = ("Springs of the second and third power are MuJoCo's from 3.7 on.",)
-SLIDER_REMARKS = (
-    "A slider's line holds the points as far from one site of the ground as from another: two",
-    "tendons of equal length.  MuJoCo leaves out the centripetal acceleration along tendons, so",
-    "that fast motions need a short time step.",
-)
 
 
 def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | None = None) -> str:
@@ -98,19 +78,37 @@ def mjcf(mechanism: Mechanism, timestep: float = TIMESTEP, q: Sequence[float] | 
         keys = SubElement(root, "keyframe")
         angles = " ".join(number(q[k]) for k in model.order)
         SubElement(keys, "key", name="start", qpos=angles)
-    remarks = [*INERTIA_REMARKS]
-    for there, more in (
-        (any(link.payload for link in description.links), PAYLOAD_REMARKS),
-        (description.loads, LOAD_REMARKS),
-        (any(rotor.carrier is not None for rotor in mechanism.rotors), ROTOR_REMARKS),
-        (description.closures or description.couplings, SOFT_REMARKS),
-        (any(spring.law is not None for spring in description.springs), LAW_REMARKS),
-        (any(closure.along is not None for closure in description.closures), SLIDER_REMARKS),
-        (any(x.along and x.second.link is not None for x in description.closures), SLOT_REMARKS),
-        (any(closure.aligned is not None for closure in description.closures), ANGLE_REMARKS),
-    ):
-        remarks += more if there else ()
-    return document(root, comment(mechanism, model.names, remarks))
+    return document(root, comment(mechanism, model.names, _remarks(mechanism)))
+
+
+def _remarks(mechanism: Mechanism) -> Iterator[str]:
+    description = mechanism.description
+    yield INERTIA_REMARK
+    if any(link.payload for link in description.links):
+        yield "A payload is a point mass: a body without a joint and without inertia."
+    if description.loads:
+        yield "A load is an actuator of constant force: its control does nothing."
+    if any(rotor.carrier is not None for rotor in mechanism.rotors):
+        told = "is the armature of a tendon, which MuJoCo has from 3.3.1 on."
+        yield f"A rotor on a link that turns {told}"
+    if description.closures or description.couplings:
+        yield (
+            "Loops and couplings are held by equality constraints, as stiff as the time step "
+            "allows.  They are open where all joints are zero: start where they hold, such as from "
+            "a keyframe."
+        )
+    if any(spring.law is not None for spring in description.springs):
+        yield "Springs of the second and third power are MuJoCo's from 3.7 on."
+    if any(closure.along is not None for closure in description.closures):
+        yield (
+            "A slider's line holds the points as far from one site of the ground as from another: "
+            "two tendons of equal length.  MuJoCo leaves out the centripetal acceleration along "
+            "tendons, so that fast motions need a short time step."
+        )
+    if any(x.along and x.second.link is not None for x in description.closures):
+        yield "Those of a slot in a link are sites of that link."
+    if any(closure.aligned is not None for closure in description.closures):
+        yield "An angle that a closure keeps is a sum of joint angles: it counts from turn to turn."
 
 
 def _unsaid(place: str, signal: Signal) -> str:

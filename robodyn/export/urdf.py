@@ -13,9 +13,8 @@ from cmath import phase
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
-from robodyn.export.contacts import FAR
 from robodyn.export.model_xml import (
-    INERTIA_REMARKS,
+    INERTIA_REMARK,
     Names,
     comment,
     document,
@@ -24,6 +23,7 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
+from robodyn.export.mujoco_laws import FAR
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import DryFriction, Link
 
@@ -34,18 +34,6 @@ REASONS = {
     "friction": "URDF has no friction by tanh(qd/speed) or Stribeck's, only the bare torque",
     "motor": "URDF has no inertia of rotors; MJCF has",
 }
-REMARKS = (
-    "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an",
-    "unlimited (continuous) joint as its cosine and sine.",
-    *INERTIA_REMARKS,
-)
-MIMIC_REMARKS = (
-    "A joint with `mimic` follows another.  Pinocchio leaves it free without mimic=True, and",
-    "counts the angle that it follows from -pi to pi.",
-)
-SLIDE_REMARKS = ("A joint that slides must have limits, which are so wide that they are none.",)
-LIMIT_REMARKS = ("A joint that ends must have all limits; those of 1e9 are none.",)
-PAYLOAD_REMARKS = ("A payload is a point mass on a fixed joint.",)
 
 
 def urdf(mechanism: Mechanism) -> str:
@@ -94,15 +82,24 @@ def urdf(mechanism: Mechanism) -> str:
             body = names.new(f"{payload}_link")
             _link(root, body, link.payload, 0j, 0.0)
             _joint(root, payload, "fixed", (bodies[k], body), complex(link.l))
-    remarks = [*REMARKS]
+    remarks = [
+        "URDF has no gravity: set it where this file is loaded.  Pinocchio stores the angle of an "
+        "unlimited (continuous) joint as its cosine and sine.",
+        INERTIA_REMARK,
+    ]
     if couplings:
-        remarks += MIMIC_REMARKS
+        remarks.append(
+            "A joint with `mimic` follows another.  Pinocchio leaves it free without mimic=True, "
+            "and counts the angle that it follows from -pi to pi."
+        )
     if any(link.payload for link in mechanism.description.links):
-        remarks += PAYLOAD_REMARKS
+        remarks.append("A payload is a point mass on a fixed joint.")
     if any(link.slides and not link.limits for link in mechanism.description.links):
-        remarks += SLIDE_REMARKS
+        remarks.append(
+            "A joint that slides must have limits, which are so wide that they are none."
+        )
     if mechanism.limits:
-        remarks += LIMIT_REMARKS
+        remarks.append("A joint that ends must have all limits; those of 1e9 are none.")
     return document(root, comment(mechanism, joints, remarks))
 
 

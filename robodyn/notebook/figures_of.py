@@ -27,12 +27,13 @@ from robodyn.pictures.animation_files import (
     page,
     write_animation,
 )
+from robodyn.pictures.chart import read_chart
 from robodyn.pictures.chart_figure import chart_figure
-from robodyn.pictures.chart_tables import read_chart, read_map
 from robodyn.pictures.column_units import TURNING, scene_units
 from robodyn.pictures.drawing import Drawing, drawing, even_rows, first_pose, traced
 from robodyn.pictures.motion_frames import Frames, frames
-from robodyn.pictures.rails import at
+from robodyn.pictures.outlines import at
+from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
 from robodyn.tables.columns import Columns
 from robodyn.tables.csv_fields import shown
@@ -77,7 +78,7 @@ def plot(
             content = read_chart(given, x, patterns, units, degrees)
             figure: Figure = chart_figure(content, size, shown(title))
             return figure
-        from robodyn.pictures.map_figure import map_figure
+        from robodyn.pictures.chart_figure import map_figure
 
         hidden: list[str] = []
         mapped = read_map(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robodyn.errors import RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.notebook.own_settings import own_settings
-from robodyn.pictures.chart_tables import read_chart
+from robodyn.pictures.chart import read_chart
 from robodyn.pictures.column_units import scene_units
 from robodyn.tables.columns import Columns
 

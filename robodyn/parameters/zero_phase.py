@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.trajectories.spline_rates import FEWEST, derivative
+from robodyn.trajectories.splines import FEWEST_ROWS, derivative
 
 Array = NDArray[np.float64]
 
@@ -21,8 +21,8 @@ def rates(t: Array, x: Array, order: int, cutoff: float | None = None) -> Array:
     forward and backward, so that no phase is shifted.  Raises InputError for too few rows, and for
     times that a filter cannot run over.
     """
-    if len(t) < FEWEST:
-        raise InputError("rows", value=len(t), limit=f"rates need {FEWEST} or more")
+    if len(t) < FEWEST_ROWS:
+        raise InputError("rows", value=len(t), limit=f"rates need {FEWEST_ROWS} or more")
     if cutoff is not None:
         x = _filtered(t, x, cutoff)
     return derivative(t, x, order)

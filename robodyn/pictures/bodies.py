@@ -15,10 +15,20 @@ from numpy.typing import NDArray
 from robodyn.dynamics.placed import Placed
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.pictures.outlines import Shape, circle, hatched
-from robodyn.pictures.outlines import rounded_hull as rounded_hull
-from robodyn.pictures.rails import Way, block, on_ground, on_link, rails, rod, slots
-from robodyn.pictures.rails import at as at
+from robodyn.pictures.outlines import (
+    Shape,
+    Way,
+    at,
+    block,
+    circle,
+    hatched,
+    on_ground,
+    on_link,
+    rails,
+    rod,
+    rounded_hull,
+    slots,
+)
 from robodyn.scene.scene import Point, Spring
 
 Complex = NDArray[np.complex128]

@@ -8,18 +8,21 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.pictures.column_units import TURNING, quantity_of, unit_of, with_unit
+from robodyn.pictures.column_units import TURNING, in_degrees, quantity_of, unit_of, with_unit
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
+from robodyn.tables.table import Reader
 
 Array = NDArray[np.float64]
+Opened = AbstractContextManager[tuple[BinaryIO, str]]  # a table of CSV, and its name
 
 USUAL = ("q*", "tau*")  # what is drawn where nothing is asked for
 ROW = "row"  # the name of x where there is no t
@@ -161,6 +164,36 @@ def drawable(name: str, values: Array, where: str = "", flush: bool = True) -> A
         limit = f"beyond {LARGEST:g} nothing can be drawn"
         raise InputError(name, where=where, value=value, limit=limit)
     return np.where(size < 1.0 / LARGEST, 0.0, values) if flush else values
+
+
+def read_chart(
+    tables: Iterable[Opened],
+    x: str | None,
+    patterns: Sequence[str] | None,
+    units: Mapping[str, str],
+    degrees: bool,
+) -> Chart:
+    """The chart of the tables: the column x, else t or the row, and those that patterns name."""
+    names: list[str] = []
+    along: list[str | None] = []
+    read: list[dict[str, Array]] = []
+    for table in tables:
+        with table as (stream, name):
+            reader = Reader(stream, name)
+            own = choose_x(reader.header, x, name)
+            columns = choose_columns(reader.header, patterns, own, name)
+            columns = list(dict.fromkeys([*columns, *([own] if own else [])]))
+            blocks = [chunk.values for chunk in reader.chunks(columns)]
+        names.append(name)
+        along.append(own)
+        values = np.concatenate([np.zeros((0, len(columns))), *blocks])
+        read.append(dict(zip(columns, values.T, strict=True)))
+    if degrees:
+        along = [name and in_degrees(name, units)[0] for name in along]
+        for k, columns_of in enumerate(read):
+            told = {name: in_degrees(name, units) for name in columns_of}
+            read[k] = {told[x][0]: told[x][1] * values for x, values in columns_of.items()}
+    return chart(names, along, read, units)
 
 
 def thinned(x: Array, y: Array) -> tuple[Array, Array]:

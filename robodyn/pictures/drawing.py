@@ -23,8 +23,7 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.bodies import Body, bodies
 from robodyn.pictures.characters import TALL, Canvas
-from robodyn.pictures.outlines import Shape
-from robodyn.pictures.rails import at, direction
+from robodyn.pictures.outlines import Shape, at, direction
 from robodyn.scene.scene import Point
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics import parts
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-from robodyn.pictures.rails import at
+from robodyn.pictures.outlines import at
 from robodyn.scene.scene import Load, Point, Spring
 
 Array = NDArray[np.float64]

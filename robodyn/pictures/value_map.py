@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-from robodyn.pictures.chart import drawable, limits
+from robodyn.pictures.chart import Opened, choose_columns, choose_x, drawable, limits, place_of
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
-from robodyn.pictures.column_units import TURNING, unit_of
+from robodyn.pictures.column_units import TURNING, in_degrees, unit_of
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
-from robodyn.tables.table import Chunk
+from robodyn.tables.table import Chunk, Reader
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -123,6 +123,56 @@ def value_map(
         values = drawable(names[2], values, flush=not log)
     scale = None if words else colour_scale(values, log)
     return ValueMap(*names, x, y, values, tuple(words), scale, find_grid(x, y))
+
+
+def _map_in_degrees(mapped: ValueMap, units: Mapping[str, str]) -> ValueMap:
+    """The map with its angles in degrees."""
+    names = mapped.x_name, mapped.y_name, mapped.name
+    told = [in_degrees(name, units) for name in names]
+    values = told[2][1] * mapped.values if mapped.scale else mapped.values
+    log = mapped.scale is not None and mapped.scale.log
+    x, y = told[0][1] * mapped.x, told[1][1] * mapped.y
+    new = value_map((told[0][0], told[1][0], told[2][0]), x, y, values, mapped.words, log)
+    return new._replace(units=units)
+
+
+def read_map(
+    tables: Iterable[Opened],
+    x: str,
+    patterns: Sequence[str],
+    colour: str,
+    log: bool,
+    units: Mapping[str, str],
+    degrees: bool,
+    tell: Callable[[str], object],
+) -> ValueMap:
+    """The map of the column `colour` over x and the one that the patterns name.
+
+    Points that others hide are told.
+    """
+    column = ColourColumn(colour, positive=log)
+    blocks, ys = [np.zeros((0, 2))], []
+    for table in tables:
+        with table as (stream, source):
+            reader = Reader(stream, source)
+            choose_x(reader.header, x, source)
+            ys += choose_columns(reader.header, patterns, x, source)
+            if len(set(ys)) > 1:
+                raise InputError(
+                    "--y", value=", ".join(dict.fromkeys(ys)), limit="a map has one column along y"
+                )
+            place = place_of(colour, "--colour", reader.header, source)
+            for chunk in reader.chunks([x, ys[0]]):
+                column.add(chunk, place, source)
+                blocks.append(chunk.values)
+    if log and column.words:
+        limit = "needs a column of numbers; this one holds words"
+        raise InputError("--log", value=shown(colour), limit=limit)
+    along, up = np.concatenate(blocks).T
+    mapped = value_map((x, ys[0], colour), along, up, column.values, column.words, log)
+    if mapped.grid is not None and mapped.grid.hidden:
+        tell(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
+    return _map_in_degrees(mapped, units) if degrees else mapped._replace(units=units)
 
 
 def find_grid(x: Array, y: Array) -> Grid | None:

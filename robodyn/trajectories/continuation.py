@@ -307,14 +307,10 @@ class _Follower:
         near = nearest_singular(self.mechanism, q)
         return near is not None and not near.crosses
 
-    def _size(self, q: Array) -> float:
-        """The least singular value of Psi, as a part of the loop's size."""
-        s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
-        return float(s[-1] / loop_size(self.mechanism))
-
     def _kind(self, q: Array, near: float) -> str:
-        """What ends a path at q, where Psi is singular if its least part is below `near`."""
-        return "dead centre" if self._size(q) > near else "change point"
+        """What ends a path at q; Psi is singular below the part `near` of the loop's size."""
+        s = np.linalg.svd(scaled_jacobian(self.mechanism, q), compute_uv=False)
+        return "dead centre" if s[-1] / loop_size(self.mechanism) > near else "change point"
 
     def _sign(self, columns: Array) -> float:
         return float(np.linalg.slogdet(columns)[0]) if self._square else 0.0

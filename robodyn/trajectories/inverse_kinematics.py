@@ -55,11 +55,9 @@ def inverse_kinematics(
             raise InputError("angle", limit=f"must be {shape}, one a place, and finite")
         places = np.concatenate([places, turned], axis=-1)
     task = task_of(mechanism, named, angle is not None)
-    pose = (
-        None
-        if near is None
-        else pose_of(task, all_joints(mechanism, numbers("near", near)[None])[0])
-    )
+    pose = None
+    if near is not None:
+        pose = pose_of(task, all_joints(mechanism, numbers("near", near)[None])[0])
     q = along_branch(task, places.reshape(-1, places.shape[-1]), pose)
     return q.reshape(*shape, mechanism.n)
 
@@ -127,7 +125,7 @@ def _followed(task: Task, places: Array, pose: Array) -> Array:
     stations = points[moved]
     if len(stations) == 1:
         return np.repeat(pose[None], len(places), axis=0)
-    knots, way = spread(stations), profile("constant")
-    path = TaskPath(task, Legs(stations, knots, way), pose)
+    knots = spread(stations)
+    path = TaskPath(task, Legs(stations, knots, profile("constant")), pose)
     q: Array = path.evaluate(knots)[0][np.cumsum(moved)[1:] - 1]
     return q

@@ -32,6 +32,10 @@ class JointPath:
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
         """p, p', p'' at u (T,) in [0, 1]."""
+        return self.within(u, piece_at(self.breaks, u) if piece is None else piece)
+
+    def within(self, u: Array, piece: Pieces) -> Values:
+        """The same, as these pieces have it."""
         raise NotImplementedError
 
     def returns(self) -> Array:
@@ -78,9 +82,7 @@ class Legs(JointPath):
         self.breaks = np.append(starts.reshape(-1), 1.0)
         self.travel = _way(points)
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        if piece is None:
-            piece = piece_at(self.breaks, u)
+    def within(self, u: Array, piece: Pieces) -> Values:
         leg, part = np.divmod(piece, len(self.profile.breaks) - 1)
         h = self._lengths[leg]
         v = np.clip((u - self.knots[leg]) / h, 0.0, 1.0)
@@ -104,13 +106,9 @@ class Spline(JointPath):
         self.breaks = self.knots = times
         self._end, self._kind, self._natural = points[-1], kind, natural
         self.travel = _way(points)
-        self._lengths = np.diff(times)
-        degree = 3 if kind == "cubic" else 5
-        self._coefficients = splines.spline(times, points, degree, natural)
+        self._coefficients = splines.spline(times, points, 3 if kind == "cubic" else 5, natural)
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        if piece is None:
-            piece = piece_at(self.breaks, u)
+    def within(self, u: Array, piece: Pieces) -> Values:
         x = u - self.breaks[piece]
         p, p1, p2 = (splines.evaluate(self._coefficients, piece, x, k) for k in range(3))
         end = u == 1.0  # where rounding is left out
@@ -122,7 +120,8 @@ class Spline(JointPath):
         return p, p1, p2
 
     def peaks(self) -> tuple[Array, Array]:
-        first, second = (splines.largest(self._coefficients, self._lengths, k) for k in (1, 2))
+        lengths = np.diff(self.knots)
+        first, second = (splines.largest(self._coefficients, lengths, k) for k in (1, 2))
         return first, second
 
 
@@ -148,7 +147,7 @@ class Sweep(JointPath):
         self.breaks = np.concatenate([[0.0], inner, [1.0]])
         self.travel = 2.0 * len(inner) * float(np.abs(amplitude).max(initial=0.0))
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+    def within(self, u: Array, piece: Pieces) -> Values:
         phase = (u * (self._start + 0.5 * self._slope * u))[:, None]
         rate = (self._start + self._slope * u)[:, None]
         sine, cosine = np.sin(phase), np.cos(phase)
@@ -174,8 +173,7 @@ def path_through(
     """
     shape = profile(name, acceleration)
     if len(points) < 2:
-        limit = "a motion needs two points or more"
-        raise InputError("points", value=len(points), limit=limit)
+        raise InputError("points", value=len(points), limit="a motion needs two points or more")
     if times is None:
         u = spread(points)
     else:

@@ -17,7 +17,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Limits
 from robodyn.trajectories.continuation import PathEndError
 from robodyn.trajectories.joint_paths import ConstantSpeed
-from robodyn.trajectories.loop_path import LoopPath, OpenPath
+from robodyn.trajectories.loop_path import LoopPath, WholePath
 
 Array = NDArray[np.float64]
 
@@ -70,9 +70,9 @@ def _way(
     if not mechanism.rows:  # no other joint follows
         place, moved = joint, list(range(mechanism.n))
 
-    def path(ahead: Array) -> OpenPath | LoopPath:
+    def path(ahead: Array) -> WholePath:
         way = ConstantSpeed(q[moved], ahead)
-        return LoopPath(mechanism, way, q) if mechanism.rows else OpenPath(mechanism, way)
+        return LoopPath(mechanism, way, q) if mechanism.rows else WholePath(mechanism, way)
 
     slides = joint in mechanism.slides
     ended, ahead = "nothing" if slides else "full turn", np.zeros(len(moved))
@@ -126,7 +126,7 @@ def _turns(q: Array, joint: int, limit: Limits, mechanism: Mechanism) -> float:
     return math.tau * round(float(q[joint] - 0.5 * (limit.low + limit.high)) / math.tau)
 
 
-def _first_beyond(path: OpenPath | LoopPath, joint: int, side: int, end: float) -> float | None:
+def _first_beyond(path: WholePath, joint: int, side: int, end: float) -> float | None:
     """The first part of a path at which a joint passes an end, if it does."""
 
     def past(u: Array) -> Array:

@@ -8,6 +8,7 @@ interpolated, to order 12, from states on both sides.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,41 +28,39 @@ from robodyn.trajectories.continuation import (
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, travels
 
 Array = NDArray[np.float64]
+Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
 STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
 FEWEST = 64  # samples of a path of few pieces
 MOST_SAMPLES = 1_000_000
+ROUNDS = 13  # of the search between samples: each makes the interval four times shorter
+MOST_PLACES = 64  # of one column, at which to search
+BLOCK = 20_000  # samples evaluated at once
 
 
 class WholePath:
-    """The path of all joints of a mechanism that follows a path of its actuated joints."""
+    """The path of all joints of a mechanism that follows a path of its actuated joints.
 
-    mechanism: Mechanism
-    path: JointPath
-
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """q, q', q'' of all joints at u (T,), each (T, n)."""
-        raise NotImplementedError
-
-    def grid(self) -> tuple[Array, Pieces]:
-        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
-        raise NotImplementedError
-
-    def peaks(self) -> tuple[Array, Array]:
-        """The largest |q'| and |q''| of each actuated joint."""
-        return self.path.peaks()
-
-
-class OpenPath(WholePath):
-    """A path of a mechanism of which every joint is actuated and no loop is to be kept."""
+    As it is, of a mechanism of which every joint is actuated and no loop is to be kept.
+    """
 
     def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
         self.mechanism, self.path = mechanism, path
 
     def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        return self.path.evaluate(u, piece)
+        """q, q', q'' of all joints at u (T,), each (T, n)."""
+        return self.within(u, piece_at(self.path.breaks, u) if piece is None else piece)
+
+    def within(self, u: Array, piece: Pieces) -> Values:
+        """The same, as these pieces have it."""
+        return self.path.within(u, piece)
+
+    def peaks(self) -> tuple[Array, Array]:
+        """The largest |q'| and |q''| of each actuated joint."""
+        return self.path.peaks()
 
     def grid(self) -> tuple[Array, Pieces]:
+        """Samples (u, piece) close enough to follow the path, the ends of each piece included."""
         edges = self.path.breaks
         if len(returns := self.path.returns()):
             edges = np.array([0.0, returns[0]])
@@ -86,13 +85,11 @@ class LoopPath(WholePath):
     def __init__(
         self, mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
     ) -> None:
-        self.mechanism, self.path = mechanism, path
+        super().__init__(mechanism, path)
         self._nodes = follow(mechanism, path, start, watch)
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+    def within(self, u: Array, piece: Pieces) -> Values:
         """As told; SingularError where the actuated joints determine no others."""
-        if piece is None:
-            piece = piece_at(self.path.breaks, u)
         result = [np.zeros((len(u), self.mechanism.n)) for _ in range(3)]
         direct = np.ones(len(u), bool)
         period = self._nodes.period
@@ -185,3 +182,48 @@ def samples(edges: Array, pieces: Pieces, counts: NDArray[np.int_]) -> tuple[Arr
     each = zip(edges[:-1], edges[1:], counts, strict=True)
     us = [np.append(a + (b - a) / count * np.arange(count), b) for a, b, count in each]
     return np.concatenate(us), np.repeat(pieces, counts + 1)
+
+
+def least_along(columns: Columns, path: WholePath) -> tuple[float, float, int, int]:
+    """The least value of any column along a path, with its u, piece and column.
+
+    Around each sample that may lead to it nine points are taken, then nine between the two next to
+    the best of them, a quarter of the interval each time.
+    """
+    u, piece = path.grid()
+    blocks = range(0, len(u), BLOCK)
+    values = np.concatenate([columns(u[k : k + BLOCK], piece[k : k + BLOCK]) for k in blocks])
+    before, after = np.full_like(values, np.inf), np.full_like(values, np.inf)
+    joined = (piece[1:] == piece[:-1])[:, None]
+    before[1:] = np.where(joined, values[:-1], np.inf)
+    after[:-1] = np.where(joined, values[1:], np.inf)
+    lowest = (values <= before) & (values <= after) & np.isfinite(values)
+    lowest &= (values != before) | (values != after)  # of a level stretch its ends will do
+    if not lowest.any():
+        return math.inf, 0.0, 0, 0
+    # a parabola through three samples lies below the lowest by less than the rise from it
+    with np.errstate(invalid="ignore"):  # infinite where x is
+        floor = values - (np.maximum(before, after) - values)
+    lowest &= floor <= values[lowest].min()
+    each = [np.flatnonzero(column) for column in lowest.T]
+    each = [at[np.argsort(values[at, j], kind="stable")[:MOST_PLACES]] for j, at in enumerate(each)]
+    rows = np.concatenate(each)
+    places = np.repeat(np.arange(len(each)), [len(at) for at in each])
+    first = np.where((rows > 0) & (piece[np.maximum(rows - 1, 0)] == piece[rows]), rows - 1, rows)
+    following = np.minimum(rows + 1, len(u) - 1)
+    last = np.where(piece[following] == piece[rows], following, rows)
+    low, high = u[first], u[last]
+    best, at = values[rows, places], u[rows]
+    part = np.linspace(0.0, 1.0, 9)
+    index = np.arange(len(rows))
+    for _ in range(ROUNDS):
+        trial = low[:, None] + (high - low)[:, None] * part
+        tried = columns(trial.reshape(-1), np.repeat(piece[rows], 9)).reshape(*trial.shape, -1)
+        found = tried[index[:, None], np.arange(9), places[:, None]]
+        k = np.argmin(found, axis=1)
+        better = found[index, k] < best - 1e-14 * np.abs(best)
+        best = np.where(better, found[index, k], best)
+        at = np.where(better, trial[index, k], at)
+        low, high = trial[index, np.maximum(k - 1, 0)], trial[index, np.minimum(k + 1, 8)]
+    winner = int(np.argmin(best))
+    return float(best[winner]), float(at[winner]), int(piece[rows[winner]]), int(places[winner])

@@ -1,4 +1,4 @@
-"""Limits of speeds, accelerations and torques: those asked for, and those of motors."""
+"""Limits of speeds, accelerations and torques, asked for or of motors; and the ends of joints."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import NEAR, end_word
 from robodyn.mechanics.motors import rate_limits, torque_limits
 from robodyn.mechanics.per_joint import for_each_actuated
+from robodyn.trajectories.joint_paths import Pieces
+from robodyn.trajectories.loop_path import least_along
+from robodyn.trajectories.reference import ReferenceMotion
 
 Array = NDArray[np.float64]
 
@@ -90,3 +94,36 @@ def limit_unit(mechanism: Mechanism, name: str, place: int) -> str:
 def limited_joint(mechanism: Mechanism, name: str, joint: int) -> str:
     k = mechanism.actuated[joint]
     return f"{name}{k + 1} ({mechanism.link_names[k]})"
+
+
+def check_ends(motion: ReferenceMotion) -> None:
+    """Raise RobodynError, for the joint that goes farthest beyond an end, if one does anywhere.
+
+    Compliant stops give way, and are none.
+    """
+    mechanism = motion.mechanism
+    ends = [
+        (joint, side, end)
+        for joint, stop in mechanism.limits
+        for side, end in (stop.ends if stop.stiffness is None else [])
+    ]
+    if not ends:
+        return
+    joints = [joint for joint, _, _ in ends]
+    sides, places = (np.array(x, float) for x in list(zip(*ends, strict=True))[1:])
+
+    def left(u: Array, piece: Pieces) -> Array:
+        return np.asarray(sides * (places - motion.path.evaluate(u, piece)[0][:, joints]))
+
+    least, u, piece, column = least_along(left, motion.path)
+    joint, side, end = ends[column]
+    if least >= -NEAR * max(1.0, abs(end)):
+        return
+    q = float(motion.path.evaluate(np.array([u]), np.array([piece]))[0][0, joint])
+    unit = "m" if joint in mechanism.slides else "rad"
+    raise RobodynError(
+        f"q{joint + 1} ({mechanism.link_names[joint]}) at t = "
+        f"{motion.begin + u * motion.duration:.6g} s",
+        value=f"{q:.9g} {unit}",
+        limit=f"is beyond the joint's {end_word(side)}, {end:.9g} {unit}",
+    )

@@ -13,7 +13,7 @@ short enough to be right to rounding), from which tau follows by Newton's method
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +40,7 @@ class AlongCurve(JointPath):
         self.curve, self.profile = curve, profile
         self.breaks, self.travel = np.array(profile.breaks), length
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        if piece is None:
-            piece = piece_at(self.breaks, u)
+    def within(self, u: Array, piece: Pieces) -> Values:
         late, s, s1, s2 = self.profile.evaluate(u, 1.0 - u, piece)
         c, c1, c2 = self.curve(np.where(late, 1.0 - s, s))
         return c, c1 * s1[:, None], c1 * s2[:, None] + c2 * (s1 * s1)[:, None]
@@ -69,20 +67,13 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
     """
     knots = spread(points[:, :2])
     coefficients = splines.spline(knots, points, 3, natural=True)
-    edges = np.interp(np.arange(PARTS * (len(knots) - 1) + 1) / PARTS, np.arange(len(knots)), knots)
+    edges = _finer(knots)
 
     def bent(tau: Array) -> list[Array]:
         piece = piece_at(knots, tau)
         return [splines.evaluate(coefficients, piece, tau - knots[piece], k) for k in range(3)]
 
-    def lengths(begin: Array, end: Array) -> Array:
-        """From each begin to its end, within an interval of the edges."""
-        half = 0.5 * (end - begin)
-        tau = begin[:, None] + half[:, None] * (1.0 + NODES)
-        speed = np.linalg.norm(bent(tau.reshape(-1))[1][:, :2], axis=1).reshape(tau.shape)
-        return np.asarray(half * (speed @ WEIGHTS))
-
-    behind = np.append(0.0, np.cumsum(lengths(edges[:-1], edges[1:])))
+    behind = np.append(0.0, np.cumsum(_lengths(bent, edges[:-1], edges[1:])))
     length = float(behind[-1])
     low, high = edges[:-2], edges[2:]
     turned = (bent(low)[1][:, :2] * bent(high)[1][:, :2]).sum(axis=1) < 0.0
@@ -104,7 +95,7 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
         tau = low + (high - low) * wanted / (behind[k + 1] - behind[k])
         for _ in range(PASSES):
             speed = np.linalg.norm(bent(tau)[1][:, :2], axis=1)
-            tau = np.clip(tau - (lengths(low, tau) - wanted) / speed, low, high)
+            tau = np.clip(tau - (_lengths(bent, low, tau) - wanted) / speed, low, high)
         tau = np.where(s == 1.0, 1.0, tau)
         c, c1, c2 = bent(tau)
         square = (c1[:, :2] ** 2).sum(axis=1)[:, None]
@@ -116,9 +107,18 @@ def spline_curve(points: Array) -> tuple[Curve, float]:
 
 def length_until(path: JointPath, u: float = 1.0) -> float:
     """How far (m) the point of a path has gone at u."""
-    edges = np.unique(np.append(np.clip(path.breaks, 0.0, u), u))
-    fine = np.interp(np.arange(PARTS * (len(edges) - 1) + 1) / PARTS, np.arange(len(edges)), edges)
-    half = 0.5 * np.diff(fine)
-    at = fine[:-1, None] + half[:, None] * (1.0 + NODES)
-    rates = path.evaluate(at.reshape(-1))[1][:, :2]
-    return float(half @ (np.linalg.norm(rates, axis=1).reshape(at.shape) @ WEIGHTS))
+    edges = _finer(np.unique(np.append(np.clip(path.breaks, 0.0, u), u)))
+    return float(_lengths(path.evaluate, edges[:-1], edges[1:]).sum())
+
+
+def _finer(knots: Array) -> Array:
+    whole = np.arange(len(knots))
+    return np.interp(np.arange(PARTS * whole[-1] + 1) / PARTS, whole, knots)
+
+
+def _lengths(curve: Callable[[Array], Sequence[Array]], begin: Array, end: Array) -> Array:
+    """Of smooth parts of a curve in the plane, whose rates are the second of its values."""
+    half = 0.5 * (end - begin)
+    at = begin[:, None] + half[:, None] * (1.0 + NODES)
+    speed = np.linalg.norm(curve(at.reshape(-1))[1][:, :2], axis=1).reshape(at.shape)
+    return np.asarray(half * (speed @ WEIGHTS))

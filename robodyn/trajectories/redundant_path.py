@@ -35,7 +35,7 @@ from robodyn.trajectories.continuation import (
     Watch,
     corrected,
 )
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at
+from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
 from robodyn.trajectories.loop_path import FEWEST, WholePath, samples
 from robodyn.trajectories.profiles import profile
 
@@ -64,7 +64,7 @@ class RedundantPath(WholePath):
     ) -> None:
         from scipy.integrate import OdeSolution
 
-        self.mechanism, self.path = mechanism, path
+        super().__init__(mechanism, path)
         self._driven, self._passive = list(mechanism.actuated), list(mechanism.passive)
         self._units = mechanism.arrays.units[self._passive]
         self._posture = None
@@ -77,9 +77,7 @@ class RedundantPath(WholePath):
         self._u, self._pieces = [0.0], list[int]()
         self._between = OdeSolution(*self._integrated(start, watch))
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        if piece is None:
-            piece = piece_at(self.path.breaks, u)
+    def within(self, u: Array, piece: Pieces) -> Values:
         q, closed = self._closed(u, piece, self._between(u).T)
         if not closed.all():
             worst = int(np.argmin(closed))

@@ -21,13 +21,12 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.continuation import PathEndError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Spline, path_through
-from robodyn.trajectories.loop_path import LoopPath, OpenPath, WholePath
+from robodyn.trajectories.loop_path import LoopPath, WholePath
 from robodyn.trajectories.profiles import ACCELERATION
 
 Array = NDArray[np.float64]
 
 LONGEST = 1e100  # s
-
 SAME = 1e-4  # rad, by which a passive angle that is given may miss the one that is reached
 
 
@@ -129,10 +128,10 @@ def motion_along(
 
 def whole_path(
     mechanism: Mechanism, path: JointPath, points: Array, watch: Watch = lambda u: None
-) -> OpenPath | LoopPath:
+) -> WholePath:
     """The path of all joints; `points` (K, n) as for `motion_along`."""
     if not mechanism.passive and not mechanism.rows:
-        return OpenPath(mechanism, path)
+        return WholePath(mechanism, path)
     driven, passive = list(mechanism.actuated), list(mechanism.passive)
     check_driven(mechanism)
     first = path.evaluate(np.zeros(1))[0][0]

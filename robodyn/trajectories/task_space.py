@@ -27,11 +27,10 @@ from robodyn.scene.scene import Closure, Link, Point
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import PathEndError, TravelError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
-from robodyn.trajectories.loop_path import LoopPath, WholePath
+from robodyn.trajectories.loop_path import Columns, LoopPath, WholePath, least_along
 from robodyn.trajectories.plane_paths import length_until
 from robodyn.trajectories.redundant_path import RedundantPath
 from robodyn.trajectories.reference import check_driven, started
-from robodyn.trajectories.time_scaling import least_along
 
 Array = NDArray[np.float64]
 
@@ -80,13 +79,12 @@ def task_of(mechanism: Mechanism, of: NamedPoint, angle: bool = False) -> Task:
     """
     check_driven(mechanism)
     described, n = mechanism.description, mechanism.n
-    guides: list[tuple[str, int | None, complex | None]] = [
-        ("guide along Y", None, 1j),
-        ("guide along X", n, -1j),
-    ]  # so that its frame is X's
-    if angle:
-        guides.append(("guide that turns", n + 1, None))
-    links = [Link(x, 0.0, 0.0, 0j, 0.0, Point(on, 0j), axis=axis) for x, on, axis in guides]
+    # the second is turned so that its frame is X's
+    guides = ("along Y", None, 1j), ("along X", n, -1j), ("that turns", n + 1, None)
+    links = [
+        Link(f"guide {way}", 0.0, 0.0, 0j, 0.0, Point(on, 0j), axis=axis)
+        for way, on, axis in guides[: 2 + angle]
+    ]
     end = Point(n + len(links) - 1, 0j)
     if angle and mechanism.frames[of.own.link or 0] is None:
         limit = f"{mechanism.link_names[of.own.link or 0]} does not turn"
@@ -129,17 +127,15 @@ class TaskPath(WholePath):
         posture: Array | None = None,
         watch: Watch = lambda u: None,
     ) -> None:
-        self.mechanism, self.path, self._task = task.mechanism, path, task
+        super().__init__(task.mechanism, path)
+        self._task = task
         begin = task.with_guide(start, path.evaluate(np.zeros(1))[0][0])
         self._of: WholePath
         try:
             if task.redundant:
-                toward = (
-                    None
-                    if posture is None
-                    else task.with_guide(posture, np.zeros(task.coordinates))
-                )
-                self._of = RedundantPath(task.guided, path, begin, toward, watch)
+                if posture is not None:
+                    posture = task.with_guide(posture, np.zeros(task.coordinates))
+                self._of = RedundantPath(task.guided, path, begin, posture, watch)
             else:
                 self._of = LoopPath(task.guided, path, begin, watch)
         except PathEndError as error:
@@ -148,34 +144,32 @@ class TaskPath(WholePath):
             error.value = str(error.value).replace("rad", "m")
             raise
 
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
+    def within(self, u: Array, piece: Pieces) -> Values:
         n = self.mechanism.n
-        q, q1, q2 = (x[:, :n] for x in self._of.evaluate(u, piece))
+        q, q1, q2 = (x[:, :n] for x in self._of.within(u, piece))
         return q, q1, q2
 
     def grid(self) -> tuple[Array, Pieces]:
         return self._of.grid()
 
     def peaks(self) -> tuple[Array, Array]:
-        driven = list(self.mechanism.actuated)
+        def largest(order: int, k: int) -> float:
+            return self._largest(lambda u, piece: self.within(u, piece)[order][:, k : k + 1])
 
-        def largest(order: int, joint: int) -> float:
-            return -least_along(
-                lambda u, piece: -np.abs(self.evaluate(u, piece)[order][:, joint : joint + 1]), self
-            )[0]
-
-        each = [[largest(order, joint) for joint in driven] for order in (1, 2)]
+        each = [[largest(order, k) for k in self.mechanism.actuated] for order in (1, 2)]
         first, second = (1.0 + ROUNDING) * np.array(each)
         return first, second
 
     def fastest(self) -> float:
         """The largest speed of the point in u, m."""
-        return -least_along(
-            lambda u, piece: (
-                -np.linalg.norm(self.path.evaluate(u, piece)[1][:, :2], axis=1, keepdims=True)
-            ),
-            self,
-        )[0]
+        return self._largest(
+            lambda u, piece: np.linalg.norm(
+                self.path.within(u, piece)[1][:, :2], axis=1, keepdims=True
+            )
+        )
+
+    def _largest(self, column: Columns) -> float:
+        return -least_along(lambda u, piece: -np.abs(column(u, piece)), self)[0]
 
     def _end(self, error: PathEndError) -> AssemblyError:
         """What is told of the end of a path: at which length, where, how far beyond is out."""
@@ -185,16 +179,12 @@ class TaskPath(WholePath):
         missed = _missed(task, error.q, beyond)
         x, y = self.path.evaluate(np.array([u]))[0][0, :2]
         at = f"{behind:.6g} m along its path of {length:.6g} m, at ({x:.6g}, {y:.6g})"
+        what, limit = "meets a singularity", "the joints cannot go on from there on this branch"
         if missed > BEYOND * loop_size(task.guided):
-            what, limit = (
-                "leaves the workspace",
-                f"what follows is up to {missed:.6g} m out of reach",
-            )
-        else:
-            what, limit = "meets a singularity", "the joints cannot go on from there on this branch"
-        return AssemblyError(
-            f"{task.of.name} {what} {at}", where=self.mechanism.source, limit=limit
-        )
+            what = "leaves the workspace"
+            limit = f"what follows is up to {missed:.6g} m out of reach"
+        what = f"{task.of.name} {what} {at}"
+        return AssemblyError(what, where=self.mechanism.source, limit=limit)
 
 
 def _missed(task: Task, q: Array, places: Array) -> float:

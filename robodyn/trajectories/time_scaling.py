@@ -17,7 +17,6 @@ Limits hold between the rows too: extremes are found between the samples that fo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,25 +28,26 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
-from robodyn.trajectories.loop_path import WholePath
-from robodyn.trajectories.motion_limits import LimitError as LimitError
-from robodyn.trajectories.motion_limits import Limits as Limits
-from robodyn.trajectories.motion_limits import is_of_motor, limit_unit, limited_joint, with_motors
-from robodyn.trajectories.motion_limits import limits_of as limits_of
+from robodyn.trajectories.loop_path import Columns, WholePath, least_along
+from robodyn.trajectories.motion_limits import (
+    LimitError,
+    Limits,
+    is_of_motor,
+    limit_unit,
+    limited_joint,
+    limits_of,
+    with_motors,
+)
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
 from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
 
 Array = NDArray[np.float64]
-Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
 MOST_FITS = 200  # of a, b and g, each about the x that the one before gave
 SETTLED = 1e-11  # part of x by which the last two differ
-ROUNDS = 13  # of the search between samples: each makes the interval four times shorter
-MOST_PLACES = 64  # of one column, at which to search
-BLOCK = 20_000  # samples evaluated at once
 CREEP = 1e-3  # part of a friction's speed at which it is still no more than a damper
 
 
@@ -77,7 +77,7 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
 
     bounds = np.concatenate([bound for _, bound in limits.given])
     least, u, piece, column = least_along(
-        lambda u, piece: -np.abs(values(u, piece)) / bounds, motion.path
+        lambda u, of: -np.abs(values(u, of)) / bounds, motion.path
     )
     if -least <= 1.0 + ROUNDING:
         return
@@ -163,16 +163,10 @@ def shortest_along(
     """The shortest motion along a path; `points` as for `reference.motion_along`."""
     if not path.scalable:
         raise InputError("duration", value="min", limit="a sweep is another path in another time")
-    limits = all_limits(mechanism, limits)
-    return shortest_of(whole_path(mechanism, path, points, watch), limits, begin)
-
-
-def all_limits(mechanism: Mechanism, limits: Limits) -> Limits:
-    """Those and the motors'; InputError for none."""
     limits = with_motors(mechanism, limits)
     if not limits.given:
         raise InputError("duration", value="min", limit="needs a limit: a largest qd, qdd or tau")
-    return limits
+    return shortest_of(whole_path(mechanism, path, points, watch), limits, begin)
 
 
 def shortest_of(
@@ -230,9 +224,7 @@ def _shortest_by_torque(
         return least_x
 
     scale = _natural_scale(mechanism, whole)
-    slow, *place, joint = least_along(
-        lambda u, piece: -np.abs(parts(u, piece, scale)[2]) / limit, whole
-    )
+    slow, *place, joint = least_along(lambda u, of: -np.abs(parts(u, of, scale)[2]) / limit, whole)
     if -slow >= 1.0:
         there, of = (np.array([x]) for x in place)
         value = float(parts(there, of, scale)[2][0, joint])
@@ -275,48 +267,3 @@ def _friction_speeds(mechanism: Mechanism) -> list[tuple[int, float]]:
     smooth = [(joint, friction.speed) for joint, friction in mechanism.friction]
     falling = [(joint, friction.stribeck) for joint, friction in mechanism.dry]
     return smooth + [(joint, speed) for joint, speed in falling if speed is not None]
-
-
-def least_along(columns: Columns, path: WholePath) -> tuple[float, float, int, int]:
-    """The least value of any column along a path, with its u, piece and column.
-
-    Around each sample that may lead to it nine points are taken, then nine between the two next to
-    the best of them, a quarter of the interval each time.
-    """
-    u, piece = path.grid()
-    blocks = range(0, len(u), BLOCK)
-    values = np.concatenate([columns(u[k : k + BLOCK], piece[k : k + BLOCK]) for k in blocks])
-    before, after = np.full_like(values, np.inf), np.full_like(values, np.inf)
-    joined = (piece[1:] == piece[:-1])[:, None]
-    before[1:] = np.where(joined, values[:-1], np.inf)
-    after[:-1] = np.where(joined, values[1:], np.inf)
-    lowest = (values <= before) & (values <= after) & np.isfinite(values)
-    lowest &= (values != before) | (values != after)  # of a level stretch its ends will do
-    if not lowest.any():
-        return math.inf, 0.0, 0, 0
-    # a parabola through three samples lies below the lowest by less than the rise from it
-    with np.errstate(invalid="ignore"):  # infinite where x is
-        floor = values - (np.maximum(before, after) - values)
-    lowest &= floor <= values[lowest].min()
-    each = [np.flatnonzero(column) for column in lowest.T]
-    each = [at[np.argsort(values[at, j], kind="stable")[:MOST_PLACES]] for j, at in enumerate(each)]
-    rows = np.concatenate(each)
-    places = np.repeat(np.arange(len(each)), [len(at) for at in each])
-    first = np.where((rows > 0) & (piece[np.maximum(rows - 1, 0)] == piece[rows]), rows - 1, rows)
-    following = np.minimum(rows + 1, len(u) - 1)
-    last = np.where(piece[following] == piece[rows], following, rows)
-    low, high = u[first], u[last]
-    best, at = values[rows, places], u[rows]
-    part = np.linspace(0.0, 1.0, 9)
-    index = np.arange(len(rows))
-    for _ in range(ROUNDS):
-        trial = low[:, None] + (high - low)[:, None] * part
-        tried = columns(trial.reshape(-1), np.repeat(piece[rows], 9)).reshape(*trial.shape, -1)
-        found = tried[index[:, None], np.arange(9), places[:, None]]
-        k = np.argmin(found, axis=1)
-        better = found[index, k] < best - 1e-14 * np.abs(best)
-        best = np.where(better, found[index, k], best)
-        at = np.where(better, trial[index, k], at)
-        low, high = trial[index, np.maximum(k - 1, 0)], trial[index, np.minimum(k + 1, 8)]
-    winner = int(np.argmin(best))
-    return float(best[winner]), float(at[winner]), int(piece[rows[winner]]), int(places[winner])
