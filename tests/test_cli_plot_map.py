@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import Outcome
 
-from robodyn.pictures import map_figure
+from robodyn.pictures import chart_figure
 from robodyn.pictures.colour_scale import NONE, rgb, viridis
 
 Run = Callable[..., Outcome]
@@ -40,8 +40,8 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list:
     """The figures that are made, kept to be asked."""
     pytest.importorskip("matplotlib", reason="the extra `plot`")
     kept = []
-    make = map_figure.map_figure
-    monkeypatch.setattr(map_figure, "map_figure", lambda *a: kept.append(make(*a)) or kept[-1])
+    make = chart_figure.map_figure
+    monkeypatch.setattr(chart_figure, "map_figure", lambda *a: kept.append(make(*a)) or kept[-1])
     return kept
 
 
@@ -213,13 +213,13 @@ def test_many_rows_are_quick_and_small(robodyn: Run, tmp_path: Path, suffix: str
 def test_many_points_become_a_raster(
     robodyn: Run, tmp_path: Path, drawn: list, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_figure, "MOST_POINTS", 1000)
+    monkeypatch.setattr(chart_figure, "MOST_POINTS", 1000)
     points = np.random.default_rng(0).uniform(-3, 3, (1500, 2))
     rows = "".join(f"{a},{b},{a}\n" for a, b in points)
     robodyn("plot", "-", *MAP, "c", "-o", tmp_path / "x.png", stdin="q1,q2,c\n" + rows).succeeds()
     axes = drawn[0].axes[0]
     assert not axes.collections
-    assert axes.images[0].get_array().shape == (map_figure.RASTER, map_figure.RASTER, 3)
+    assert axes.images[0].get_array().shape == (chart_figure.RASTER, chart_figure.RASTER, 3)
 
 
 # Characters

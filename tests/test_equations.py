@@ -27,10 +27,10 @@ from random_mechanisms import (
     trees,
 )
 from robodyn.dynamics import closed_form, dynamics
-from robodyn.equations import equations
 from robodyn.equations.code import python
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import as_json, text
+from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism, load
 
 TURNED = """

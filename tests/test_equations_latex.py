@@ -14,8 +14,8 @@ from matplotlib.mathtext import MathTextParser
 from test_equations import SLIDING_SCENES
 
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
-from robodyn.equations import equations
 from robodyn.equations.latex import latex, measure, subscripted
+from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"

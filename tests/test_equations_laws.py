@@ -12,11 +12,11 @@ from test_equations_code import compiled, needs_compiler
 
 from random_mechanisms import assert_close, mechanism
 from robodyn.dynamics import dynamics
-from robodyn.equations import equations
 from robodyn.equations.code import c99
 from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import as_json, text
+from robodyn.equations.written import equations
 from robodyn.errors import InputError
 
 SCENE = """

@@ -11,11 +11,11 @@ from typer import Option
 from robodyn.cli.options import Model, Out
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
-from robodyn.equations import equations as equations_of
 from robodyn.equations.code import c99, python
 from robodyn.equations.latex import latex
 from robodyn.equations.recorded import recorded
 from robodyn.equations.text import WIDTH, as_json, text
+from robodyn.equations.written import equations as equations_of
 from robodyn.tables.output_file import open_output
 
 EquationFormat = Literal["text", "latex", "python", "c", "json"]  # how equations are written

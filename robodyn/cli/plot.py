@@ -92,9 +92,7 @@ def plot(
 
             write_characters(drawn, ascii, out)
             return
-        from robodyn.pictures import map_figure
-
-        save(map_figure.map_figure(mapped, extent, shown(title or "")), out, chosen, dpi)
+        save(chart_figure.map_figure(mapped, extent, shown(title or "")), out, chosen, dpi)
         return
     content = read_chart(opened, x, patterns, units, degrees)
     if chosen == "text":

@@ -14,6 +14,7 @@ from robodyn.engines.expression import FUNCTIONS, Expression, Value, needed
 from robodyn.engines.source_text import float_source
 from robodyn.equations.outline import Block, Equations, load_unit
 from robodyn.equations.parameters import Parameter
+from robodyn.equations.text import table
 
 WIDTH = 100
 TAB = "    "
@@ -46,7 +47,7 @@ def python(equations: CodeEquations) -> str:
         for x in terms
     ]
     source = f"zip({', '.join(values)})" if len(values) > 1 else values[0]
-    given = ", ".join(["q", "qd", "qdd", *_time(equations)])
+    given = ", ".join(_given(equations))
     lines += ["", "", f"def {function}({given}):", f'{TAB}"""{told}."""']
     lines += [f"{TAB}return [", f"{TAB}{TAB}{products[0]}"]
     lines += [f"{TAB}{TAB}+ {product}" for product in products[1:]]
@@ -128,9 +129,10 @@ def _c_function(block: CodeBlock, n: int) -> Iterator[str]:
     yield "}"
 
 
-def _time(equations: CodeEquations) -> list[str]:
-    """The time, where anything depends on it."""
-    return ["t"] if any("t" in block.head.inputs for block in equations.blocks) else []
+def _given(equations: CodeEquations) -> list[str]:
+    """The arguments of the torques: the time too, where anything depends on it."""
+    timed = any("t" in block.head.inputs for block in equations.blocks)
+    return ["q", "qd", "qdd", *(["t"] if timed else [])]
 
 
 def _argument(name: str, n: int) -> str:
@@ -146,9 +148,8 @@ def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[
     closed = bool(equations.side("closures"))
     what = "tau + Psi^T lambda" if closed else "tau"
     right = "".join(f" - {block.name}" for block in others)
-    told = (
-        f"{what} = {equations.told()[0].split(' = ')[0]}{right}, {load_unit(equations.mechanism)}"
-    )
+    sum_ = equations.told()[0].split(" = ")[0] + right
+    told = f"{what} = {sum_}, {load_unit(equations.mechanism)}"
     terms = [block for block in left if not block.zero] or [left[0]]
     return "joint_torques" if closed else "inverse_dynamics", told, terms, others
 
@@ -158,8 +159,7 @@ def _c_torques(equations: CodeEquations) -> Iterator[str]:
     blocks = [*terms, *others]
     used = {name for block in blocks for name in (block.head.rate, *block.head.inputs)}
     yield f"/* {told} */"
-    given = ["q", "qd", "qdd", *_time(equations)]
-    arguments = ", ".join(_argument(name, n) for name in given)
+    arguments = ", ".join(_argument(name, n) for name in _given(equations))
     yield f"void {function}({arguments}, double out[{n}])"
     yield "{"
     yield from (f"{TAB}(void){name};" for name in ("q", "qd", "qdd") if name not in used)
@@ -186,11 +186,7 @@ def _head(equations: CodeEquations) -> Iterator[str]:
     yield ""
     yield from (f"  {line}" for line in equations.told())
     yield ""
-    variables = equations.variables()
-    names = [x.name + x.numbers for x in variables]
-    widths = max(map(len, names)), max(len(x.unit) for x in variables)
-    for name, x in zip(names, variables, strict=True):
-        yield f"  {name.ljust(widths[0])}  {x.unit.ljust(widths[1])}  {x.meaning}"
+    yield from table([x.name + x.numbers, x.unit, x.meaning] for x in equations.variables())
     remarks = equations.remarks(christoffel="")
     yield from ["", *remarks] if remarks else []
 
@@ -201,9 +197,7 @@ def _meaning(parameter: Parameter) -> str:
 
 
 def _body(
-    block: CodeBlock,
-    symbol: Callable[[str], str],
-    conditional: str = "{2} if {0} < {1} else {3}",
+    block: CodeBlock, symbol: Callable[[str], str], conditional: str = "{2} if {0} < {1} else {3}"
 ) -> tuple[list[str], list[list[str]], set[str]]:
     """The statements of a block's function, the entries made of them, and the inputs it uses.
 

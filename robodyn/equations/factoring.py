@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from math import gcd
-from typing import NamedTuple
 
 from robodyn.equations.symbolic import Atom, Monomial, Number, Role, Sum, merged
 
@@ -140,16 +139,6 @@ def _rank(factor: Atom | Sum) -> tuple[object, ...]:
 # -- identities ------------------------------------------------------------------------------------
 
 
-class Identity(NamedTuple):
-    """`product`, and `sign` times `other`, are together `turned` times `both`."""
-
-    product: Powers
-    other: Powers
-    sign: int
-    both: Powers
-    turned: int = 1
-
-
 def simplified(sum_: Sum) -> Sum:
     """The sum with what the identities make of pairs of its terms."""
     terms: dict[Monomial, Number] = dict(sum_.terms)
@@ -163,45 +152,45 @@ def simplified(sum_: Sum) -> Sum:
 
 def _paired(terms: dict[Monomial, Number], term: Monomial) -> bool:
     """Put what an identity makes of a term and its partner in their place; whether there is one."""
-    for identity in _identities(term):
-        rest = merged(term, tuple((atom, -power) for atom, power in identity.product))
-        other = merged(rest, identity.other)
-        number, partner = terms[term], terms.get(other, 0) * identity.sign
+    for to_other, sign, to_both, turned in _identities(term):
+        other, both = merged(term, to_other), merged(term, to_both)
+        number, partner = terms[term], terms.get(other, 0) * sign
         if number * partner > 0:
             shared = max(number, partner) if number < 0 else min(number, partner)
-            both = merged(rest, identity.both)
             terms[term] -= shared
-            terms[other] -= shared * identity.sign
-            terms[both] = terms.get(both, 0) + shared * identity.turned
+            terms[other] -= shared * sign
+            terms[both] = terms.get(both, 0) + shared * turned
             return True
     return False
 
 
-def _identities(term: Monomial) -> Iterator[Identity]:
-    """What may be made of this product and another one."""
+def _identities(term: Monomial) -> Iterator[tuple[Powers, int, Powers, int]]:
+    """What may be made of this product and, with its sign, another one; and the sign of that.
+
+    Both by what this one is multiplied with to be it.
+    """
     calls = [atom for atom, _ in term if atom.role == Role.function and atom.speed is None]
     sines = [x for x in calls if x.name == "sin"]
     for atom, power in term:
-        if power < 2:
-            continue
+        square, other = (atom, -2), None
         if atom in sines:
-            yield Identity(((atom, 2),), ((_other(atom), 2),), 1, ())
+            other = _other(atom)
         elif atom.role == Role.direction and atom.place[1][-1] == "y":
             along = atom.place[0], atom.place[1][:-1] + "x"
             other = atom._replace(place=along, name=atom.name[:-1] + "x")
-            yield Identity(((atom, 2),), ((other, 2),), 1, ())
+        if other is not None and power > 1:
+            yield (square, (other, 2)), 1, (square,), 1
     for one in sines:
         for two in calls:
             if (difference := _difference(one.place, two.place)) is None:
                 continue
             place, sign = difference
-            others = (_other(one), 1), (_other(two), 1)
+            pair = (one, -1), (two, -1)
+            others = *pair, (_other(one), 1), (_other(two), 1)
             if two.name == "cos":
-                sine = Atom(Role.function, place, "sin")
-                yield Identity(((one, 1), (two, 1)), others, -1, ((sine, 1),), sign)
+                yield others, -1, (*pair, (Atom(Role.function, place, "sin"), 1)), sign
             elif one < two:
-                cosine = Atom(Role.function, place, "cos")
-                yield Identity(((one, 1), (two, 1)), others, 1, ((cosine, 1),))
+                yield others, 1, (*pair, (Atom(Role.function, place, "cos"), 1)), 1
 
 
 def _other(atom: Atom) -> Atom:

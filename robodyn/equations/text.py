@@ -29,11 +29,11 @@ def text(equations: Equations[Sum], width: int = WIDTH) -> str:
         for name in definitions:
             lines += _equation(name.name, PLAIN.text(name.value), width)
     lines += ["", "where", ""]
-    lines += _table([x.name + x.numbers, x.unit, x.meaning] for x in equations.variables())
+    lines += table([x.name + x.numbers, x.unit, x.meaning] for x in equations.variables())
     lines.append("")
     if equations.parameters:
         rows = ([x.name, f"{x.value:.6g}", x.unit, x.meaning] for x in equations.parameters)
-        lines += [*_table(rows), ""]
+        lines += [*table(rows), ""]
     units = [f"{block.plain_name} in {block.head.unit}" for block in equations.blocks]
     for told in (f"SI units and radians: {', '.join(units)}.", *equations.remarks()):
         lines += textwrap.wrap(told, width, initial_indent=MARGIN, subsequent_indent=2 * MARGIN)
@@ -77,7 +77,8 @@ def _label(block: Block[Sum], i: int, j: int) -> str:
     return (f"({name})" if " " in name else name) + block.numbers(i, j, ",")
 
 
-def _table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
+def table(rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    """Rows of cells as lines, columns below one another."""
     lines = list(rows)
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:

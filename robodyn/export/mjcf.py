@@ -39,7 +39,7 @@ TIMESTEP = 1e-3  # s
 MINIMUM = 1e-15  # kg and kg m^2: mjMINVAL, below which MuJoCo refuses what moves
 DEEPEST = 495  # links in a row; MuJoCo's XML reader takes elements nested 500 deep
 REASONS = {
-    "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another",
+    "friction": "MuJoCo has no friction by tanh(qd/speed), nor Stribeck's: its own is another"
 }
 SAID = ("closures", "springs", "loads", "couplings", "motor", "limits")
 

@@ -24,26 +24,25 @@ from robodyn.pictures.drawing import Drawing
 from robodyn.pictures.mechanism_picture import FONT, FOOT, LONGEST, STYLES, Picture, style_of
 from robodyn.pictures.motion_frames import FINER, Frames, time_decimals
 from robodyn.pictures.outlines import Shape
-from robodyn.pictures.picture_plan import Frame, frame, scale_bar, scale_bar_line
+from robodyn.pictures.picture_plan import Frame, Size, frame, scale_bar, scale_bar_line
 from robodyn.tables.output_file import open_output
 
 DOTS = 100  # an inch
 COLOURS_OF_GIF = 128
 APART = 8  # of 255, of two of them
 DIGITS = 4  # of coordinates, in powers of ten below the width of the picture
-PIXELS = 100  # an inch
 BEHIND = 2.9  # the height of traces, below that of links
 
-SUFFIXES = (".gif", ".mp4", ".html")
 FASTEST = {".gif": 50.0, ".mp4": 240.0, ".html": 240.0}  # browsers slow down faster gifs
+Traces = Sequence[np.ndarray]  # each has FINER points from frame to frame
 Watch = Callable[[float], object]  # the part that is done
 
 
 def check_animation(out: str, fps: float, speed: float) -> None:
     """Raise InputError, before the work, for values that no animation has."""
     suffix = Path(out).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError("out", value=out, limit=f"must end in {', '.join(SUFFIXES)}")
+    if suffix not in FASTEST:
+        raise InputError("out", value=out, limit=f"must end in {', '.join(FASTEST)}")
     if not 0.0 < fps <= FASTEST[suffix]:
         limit = f"must be > 0 and at most {FASTEST[suffix]:g} in a {suffix[1:]}"
         raise InputError("fps", value=fps, limit=limit)
@@ -65,8 +64,8 @@ def write_animation(
     drawn: Drawing,
     shown: Frames,
     speed: float,
-    traces: Sequence[np.ndarray],
-    size: tuple[float, float] | None,
+    traces: Traces,
+    size: Size,
     out: str,
     watched: Callable[[], AbstractContextManager[Watch]],
 ) -> None:
@@ -88,13 +87,7 @@ class Film(Picture):
     t (T,) are the times of the frames, s; each of the traces has FINER points from frame to frame.
     """
 
-    def __init__(
-        self,
-        drawn: Drawing,
-        t: np.ndarray,
-        traces: Sequence[np.ndarray],
-        size: tuple[float, float] | None,
-    ) -> None:
+    def __init__(self, drawn: Drawing, t: np.ndarray, traces: Traces, size: Size) -> None:
         super().__init__(drawn, size)
         self.figure.set_dpi(DOTS)
         self.count, self._t, self._traces = len(drawn.q), t, traces
@@ -229,13 +222,7 @@ requestAnimationFrame(time => {{ offset = now = time; tick(time); }});
 """
 
 
-def page(
-    drawn: Drawing,
-    shown: Frames,
-    speed: float,
-    traces: Sequence[np.ndarray],
-    size: tuple[float, float] | None,
-) -> str:
+def page(drawn: Drawing, shown: Frames, speed: float, traces: Traces, size: Size) -> str:
     """Shapes as svg in a page of html, each body moved by a matrix a frame."""
     view = frame(drawn.box(), LONGEST, size, FOOT)
     decimals = DIGITS - math.floor(math.log10(view.right - view.left))
@@ -250,7 +237,7 @@ def page(
     rounded = [np.column_stack([z.real, z.imag]).round(decimals) for z in traces]
     return PAGE.format(
         title=escape(drawn.mechanism.name),
-        width=round(view.width * PIXELS),
+        width=round(view.width * DOTS),
         view=_view_box(view),
         shapes=_shapes(drawn, view, {b: f' data-b="{b}"' for b in moving}, len(traces)),
         last=len(shown.t) - 1,
@@ -303,10 +290,11 @@ def _shapes(drawn: Drawing, view: Frame, moves: Mapping[int, str], traces: int) 
     for k in range(traces):
         stroke = f'stroke="{COLOURS[(k + 1) % len(COLOURS)]}" stroke-width="1.6"'
         parts.append((BEHIND, -1, f'<polyline fill="none" {stroke}/>'))
-    groups = []
     ordered = sorted(parts, key=lambda part: part[:2])
-    for b, paths in groupby(ordered, lambda part: part[1]):
-        groups.append(f"<g{moves.get(b, '')}>{''.join(path for _, _, path in paths)}</g>")
+    groups = [
+        f"<g{moves.get(b, '')}>{''.join(path for _, _, path in paths)}</g>"
+        for b, paths in groupby(ordered, lambda part: part[1])
+    ]
     bar, text = Shape("scale bar", scale_bar_line(view), False), scale_bar(view)[1]
     z, tall = bar.points[2] + 0.06 * view.scale, 0.12 * view.scale
     place = f'transform="matrix(1 0 0 -1 {z.real:.6g} {z.imag:.6g})" font-size="{tall:.6g}"'

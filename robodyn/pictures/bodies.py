@@ -16,10 +16,10 @@ from robodyn.dynamics.placed import Placed
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.outlines import (
+    CORNERS,
     Shape,
     Way,
     at,
-    block,
     circle,
     hatched,
     on_ground,
@@ -96,12 +96,12 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
     for closure, along, sliding in sliders:
         link, pin = closure.first.link, Shape("joint", circle(0.55 * w))
         if closure.second.link is None:
-            yield Body(link, sliding, False, (block("block", along, w), pin))
+            yield Body(link, sliding, False, (Shape("block", CORNERS).moved(0j, w * along), pin))
         elif closure.aligned is None:
             yield Body(link, sliding, False, (pin,))
         else:
             turned = along * cmath.exp(-1j * closure.aligned)
-            yield Body(link, sliding, True, (block("slider", turned, w), pin))
+            yield Body(link, sliding, True, (Shape("slider", CORNERS).moved(0j, w * turned), pin))
 
 
 def _spring(pulls: bool, first: PlanarPoint, second: PlanarPoint, poses: Placed, w: float) -> Body:
@@ -137,8 +137,7 @@ def _attached(mechanism: Mechanism, k: int) -> list[complex]:
 def _joined(mechanism: Mechanism) -> list[Point]:
     """The points that closures join; of a slider the one that slides."""
     closures = mechanism.description.closures
-    pairs = [(c.first, c.second) if c.along is None else (c.first,) for c in closures]
-    return [point for pair in pairs for point in pair]
+    return [x for c in closures for x in (c.first, c.second)[: 1 + (c.along is None)]]
 
 
 def _spring_ends(mechanism: Mechanism) -> list[Point]:
@@ -154,7 +153,7 @@ def _link(mechanism: Mechanism, k: int, ways: Sequence[Way], w: float) -> Iterat
     yield Shape("link", rounded_hull([*link_points(mechanism, k), *feet], w))
     for way in ways:
         if way.joint == k:
-            yield block("slider", 1.0, w) if way.out is None else rod(way, w)
+            yield Shape("slider", CORNERS).moved(0j, w) if way.out is None else rod(way, w)
         if way.link == k:
             yield from on_link(way, w)
     if link.payload and link.l not in sliding:

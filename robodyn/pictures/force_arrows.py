@@ -41,12 +41,7 @@ class Force(NamedTuple):
 
 
 def forces(
-    mechanism: Mechanism,
-    q: Array,
-    qd: Array,
-    qdd: Array,
-    multipliers: Array,
-    t: float = 0.0,
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array, t: float = 0.0
 ) -> list[Force]:
     """The weights, the force in every pin, loads and springs, of one motion, each (n,).
 

@@ -11,6 +11,7 @@ from robodyn.pictures.chart_figure import new_figure
 from robodyn.pictures.colour_scale import COLOURS
 from robodyn.pictures.drawing import Drawing, Trace, span
 from robodyn.pictures.picture_plan import (
+    Size,
     frame,
     head_places,
     label_places,
@@ -26,11 +27,12 @@ if TYPE_CHECKING:
 LINK_COLOURS = ("#9ad0f3", "#f5c86e", "#7fd1b4", "#e3b4cf", "#f3ec9a", "#8fb8dd", "#efaa80")
 INK = "#222222"
 FORCE_COLOURS = {"gravity": "#0072b2", "pin": "#d55e00", "load": "#007a5a"}
+DASHED = {"edgecolor": "#777777", "linewidth": 0.7, "linestyle": (0, (8, 3, 1, 3))}
 STYLES: dict[str, dict[str, Any]] = {
     "support": {"facecolor": "#e6e6e6", "edgecolor": INK, "linewidth": 0.8, "zorder": 1},
     "hatch": {"edgecolor": "#555555", "linewidth": 0.7, "zorder": 1},
     "guide": {"edgecolor": INK, "linewidth": 1.0, "zorder": 1},
-    "axis": {"edgecolor": "#777777", "linewidth": 0.7, "linestyle": (0, (8, 3, 1, 3)), "zorder": 1},
+    "axis": {**DASHED, "zorder": 1},
     "block": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2},
     # a rod lies below the link that it slides in, a block above slots and rails of its link
     "rod": {"edgecolor": INK, "linewidth": 0.9, "zorder": 2.5},
@@ -38,12 +40,7 @@ STYLES: dict[str, dict[str, Any]] = {
     "link": {"edgecolor": INK, "linewidth": 0.9, "zorder": 3},
     "rail": {"edgecolor": INK, "linewidth": 0.9, "zorder": 3.003},
     "slot": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 3.004},
-    "line": {
-        "edgecolor": "#777777",
-        "linewidth": 0.7,
-        "linestyle": (0, (8, 3, 1, 3)),
-        "zorder": 3.005,
-    },
+    "line": {**DASHED, "zorder": 3.005},
     "payload": {"facecolor": "#888888", "edgecolor": INK, "linewidth": 0.9, "zorder": 3.1},
     "centre": {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7, "zorder": 5},
     "quarter": {"facecolor": INK, "edgecolor": INK, "linewidth": 0.3, "zorder": 5.1},
@@ -73,7 +70,7 @@ def mechanism_figure(
     texts: Sequence[str] = (),
     traces: Sequence[Trace] = (),
     found: Sequence[Force] = (),
-    size: tuple[float, float] | None = None,
+    size: Size = None,
 ) -> Any:
     """The last pose of a drawing in full, the others pale behind it.
 
@@ -100,12 +97,7 @@ def mechanism_figure(
 class Picture:
     """A figure of a drawing, with room for `further` points; what moves is moved by `show`."""
 
-    def __init__(
-        self,
-        drawn: Drawing,
-        size: tuple[float, float] | None = None,
-        further: Sequence[complex] = (),
-    ) -> None:
+    def __init__(self, drawn: Drawing, size: Size = None, further: Sequence[complex] = ()) -> None:
         self.drawn = drawn
         left, bottom, right, top = drawn.box()
         z = np.array([complex(left, bottom), complex(right, top), *further])
@@ -146,9 +138,8 @@ class Picture:
         for k, (name, z) in enumerate(traces):
             colour = COLOURS[(k + 1) % len(COLOURS)]
             self.axes.plot(z.real, z.imag, color=colour, lw=1.3, zorder=2.5)
-            end = z[-1]
-            self.axes.plot(end.real, end.imag, "+", color=colour, ms=9.0, mew=1.8, zorder=9)
-            self._text(end + self.extent(name) * 0.7, name, colour, 9)
+            self.axes.plot(z[-1].real, z[-1].imag, "+", color=colour, ms=9.0, mew=1.8, zorder=9)
+            self._text(z[-1] + self.extent(name) * 0.7, name, colour, 9)
 
     def annotate(
         self,
@@ -193,6 +184,5 @@ class Picture:
         from matplotlib.patches import Polygon
 
         style = style_of(kind, closed, link) | {"joinstyle": "round", "capstyle": "round"}
-        return self.axes.add_patch(
-            Polygon(np.column_stack([z.real, z.imag]), closed=closed, **style)
-        )
+        corners = np.column_stack([z.real, z.imag])
+        return self.axes.add_patch(Polygon(corners, closed=closed, **style))

@@ -82,9 +82,7 @@ class Way(NamedTuple):
     high: float
     across: float = BLOCK  # half the height of what slides
     joint: int | None = None  # that slides; None: a point does, in a slot
-    out: float | None = (
-        None  # m from the place, where a link comes out of the one that it slides in
-    )
+    out: float | None = None  # m from the place, where a link leaves the one that it slides in
 
     def foot(self) -> complex:
         """The point of the stretch that is nearest to the link's joint."""
@@ -151,18 +149,15 @@ def slots(mechanism: Mechanism, tree: Tree, travelled: Placed) -> Iterator[Way]:
 
 
 def on_ground(way: Way, w: float) -> tuple[Shape, ...]:
-    """A guide in the ground's frame, m."""
-    return tuple(
-        shape.moved(way.place, w * way.along) for shape in guide(way.low / w, way.high / w)
-    )
-
-
-def guide(low: float, high: float) -> Iterator[Shape]:
-    """The walls on both sides of a way on the ground, and the line along it; half widths."""
+    """The walls on both sides of a way on the ground, and the line along it, m."""
+    low, high = way.low / w, way.high / w
     strokes = max(4, round((high - low + 8.0) / 1.1))
-    yield from hatched(low - 4.0 - 1.7j, high + 4.0 - 1.7j, strokes)
-    yield from hatched(high + 4.0 + 1.7j, low - 4.0 + 1.7j, strokes)
-    yield Shape("axis", np.array([low - 5.5 + 0j, high + 5.5]), False)
+    guide = [
+        *hatched(low - 4.0 - 1.7j, high + 4.0 - 1.7j, strokes),
+        *hatched(high + 4.0 + 1.7j, low - 4.0 + 1.7j, strokes),
+        Shape("axis", np.array([low - 5.5 + 0j, high + 5.5]), False),
+    ]
+    return tuple(shape.moved(way.place, w * way.along) for shape in guide)
 
 
 def on_link(way: Way, w: float) -> Iterator[Shape]:
@@ -191,8 +186,3 @@ def rod(way: Way, w: float) -> Shape:
     far = way.high if way.side > 0.0 else way.low
     back = way.out - far - 2.0 * w * way.side
     return Shape("rod", np.array([back, 0.0, 0.0, back]) + 1j * ROD * w * np.array([-1, -1, 1, 1]))
-
-
-def block(kind: str, along: complex, w: float) -> Shape:
-    """A block about 0, turned along a line, m."""
-    return Shape(kind, w * along * CORNERS)

@@ -18,6 +18,7 @@ from robodyn.pictures.drawing import Drawing
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Size = tuple[float, float] | None  # of a picture, inches; None: as what it shows
 
 MARGIN = 0.05  # of the larger extent, on each side
 FLATTEST = 0.42  # the least ratio of a picture's sides that follows from what it shows
@@ -41,12 +42,7 @@ class Frame(NamedTuple):
         return (self.right - self.left) / self.width
 
 
-def frame(
-    box: Sequence[float],
-    longest: float,
-    size: tuple[float, float] | None = None,
-    below: float = 0.0,
-) -> Frame:
+def frame(box: Sequence[float], longest: float, size: Size = None, below: float = 0.0) -> Frame:
     """The frame about a box (left, bottom, right, top), m, with a margin.
 
     A picture is as long as `longest` (inches) and as the box is shaped, or of the `size` given;
