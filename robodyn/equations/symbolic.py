@@ -105,8 +105,6 @@ class Sum:
 
     __rmul__ = __mul__
 
-    def __truediv__(self, number: float) -> Sum:
-        return self.times(1 / Fraction(number))
 
     def __rtruediv__(self, one: float) -> Sum:
         """The inverse of a symbol."""

@@ -169,7 +169,6 @@ SYMBOLIC = Arithmetic(
     functions={"tanh": _smooth},
 )
 
-
 # -- the order of terms ----------------------------------------------------------------------------
 
 

@@ -15,7 +15,7 @@ makes in a motion falls with the square of the time step.
 from __future__ import annotations
 
 from cmath import phase
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import nextafter, pi
 from xml.etree.ElementTree import Element, SubElement
 
@@ -30,9 +30,9 @@ from robodyn.export.model_xml import (
     refuse_unsaid,
     vector,
 )
-from robodyn.export.mujoco_laws import LIMIT, joint_contacts, polynomial, slack_stops, stop_tendon
+from robodyn.export.mujoco_laws import LIMIT, is_slack, joint_contacts, joint_range, polynomial
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.mechanism import Mechanism, Rotor
+from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Closure, Coupling, JointSpring, Load, Moment, Point, Signal, Spring
 
 TIMESTEP = 1e-3  # s
@@ -143,14 +143,18 @@ class _Elements:
         for c, coupling in enumerate(description.couplings):
             self._couple(f"coupling{c + 1}", coupling)
         for p, spring in enumerate(description.springs):
-            if isinstance(spring, Spring):
-                self._stretch(f"spring{p + 1}", spring)
-            elif spring.law is not None:
-                self._turn(f"spring{p + 1}", spring)
-        for k, stop in slack_stops(mechanism):
-            stop_tendon(self.tendon, f"stop{k + 1}", self.names[k], stop)
+            self._spring(f"spring{p + 1}", spring)
+        for k, stop in mechanism.limits:
+            if is_slack(stop):
+                pushes = {
+                    "springlength": joint_range(stop),
+                    "stiffness": number(stop.stiffness or 0.0),
+                }
+                self._fixed(f"stop{k + 1}", [(k, 1.0)], pushes)
         for rotor in mechanism.rotors:
-            self._spin(rotor)
+            if rotor.carrier is not None:  # else it is the armature of its joint
+                spins, inertia = mechanism.spins(rotor).items(), number(rotor.inertia)
+                self._fixed(f"rotor{rotor.joint + 1}", spins, {"armature": inertia})
         for k in mechanism.actuated:
             joint = self.names[k]
             SubElement(self.actuator, "motor", name=joint, joint=joint, gear="1")
@@ -208,34 +212,30 @@ class _Elements:
             found |= {"stiffness": number(stiffness), "springref": number(angle)}
         return found
 
-    def _spin(self, rotor: Rotor) -> None:
-        """A rotor on a link that turns: the inertia of a tendon as long as the rotor's angle."""
-        if rotor.carrier is None:
-            return
-        tendon = SubElement(self.tendon, "fixed", name=f"rotor{rotor.joint + 1}")
-        tendon.set("armature", number(rotor.inertia))
-        for k, factor in self.mechanism.spins(rotor).items():
+    def _spring(self, name: str, spring: Spring | JointSpring) -> None:
+        """A spring and damper between two points, or a law at a joint: a tendon."""
+        law = polynomial(spring.law) or {}
+        if isinstance(spring, Spring):
+            tendon = self._spatial(name, *self._ends(name, spring))
+            tendon.set("stiffness", number(spring.stiffness))
+            tendon.set("springlength", number(spring.length))
+            tendon.attrib |= {"damping": number(spring.damping)} | law
+        elif spring.law is not None:
+            free = spring.angle if spring.angle != -1.0 else nextafter(-1.0, 0.0)  # -1: of its own
+            self._fixed(name, [(spring.joint, 1.0)], {"springlength": number(free)} | law)
+
+    def _fixed(
+        self, name: str, terms: Iterable[tuple[int, float]], has: Mapping[str, str] = {}
+    ) -> None:
+        """A tendon as long as a sum of joint coordinates, each times a factor."""
+        tendon = SubElement(self.tendon, "fixed", {"name": name, **has})
+        for k, factor in terms:
             SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
 
-    def _stretch(self, name: str, spring: Spring) -> None:
-        """A spring and damper between two points: a tendon."""
-        sites = (
-            self._site(f"{name}_first", spring.first),
-            self._site(f"{name}_second", spring.second),
-        )
-        tendon = self._spatial(name, *sites)
-        tendon.set("stiffness", number(spring.stiffness))
-        tendon.set("springlength", number(spring.length))
-        tendon.set("damping", number(spring.damping))
-        tendon.attrib |= polynomial(spring.law) or {}
-
-    def _turn(self, name: str, spring: JointSpring) -> None:
-        """A law at a joint: that of a tendon as long as the joint's coordinate."""
-        tendon = SubElement(self.tendon, "fixed", name=name)
-        free = spring.angle if spring.angle != -1.0 else nextafter(-1.0, 0.0)  # -1: of its own
-        tendon.set("springlength", number(free))
-        tendon.attrib |= polynomial(spring.law) or {}
-        SubElement(tendon, "joint", joint=self.names[spring.joint], coef="1.0")
+    def _ends(self, name: str, pair: Spring | Closure) -> list[str]:
+        """The sites of the two points that a spring or a closure joins."""
+        ends = ("first", pair.first), ("second", pair.second)
+        return [self._site(f"{name}_{end}", point) for end, point in ends]
 
     def _spatial(self, name: str, *sites: str) -> Element:
         """A tendon along these sites."""
@@ -266,8 +266,7 @@ class _Elements:
         it; gap > 0: left.  MuJoCo counts lengths from those at q = 0: y - y0 = a0 + a1 (x - x0).
         """
         if closure.along is None:
-            first = self._site(f"{name}_first", closure.first)
-            second = self._site(f"{name}_second", closure.second)
+            first, second = self._ends(name, closure)
             SubElement(self.equality, "connect", name=name, site1=first, site2=second)
             return
         along, line, carrier = closure.along, closure.second.at, closure.second.link
@@ -326,9 +325,7 @@ class _Elements:
                 found.set("joint2", self.names[terms[0][0]])
                 ratio = terms[0][1]
         else:
-            tendon = SubElement(self.tendon, "fixed", name=name)
-            for k, factor in ((coupling.joint, 1.0), *((k, -ratio) for k, ratio in terms)):
-                SubElement(tendon, "joint", joint=self.names[k], coef=number(factor))
+            self._fixed(name, [(coupling.joint, 1.0), *((k, -ratio) for k, ratio in terms)])
             found = SubElement(self.equality, "tendon", name=name, tendon1=name)
         found.set("polycoef", f"{number(coupling.angle)} {number(ratio)} 0 0 0")
 

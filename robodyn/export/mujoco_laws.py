@@ -25,8 +25,7 @@ from __future__ import annotations
 import ast
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from xml.etree.ElementTree import Element, SubElement
+from collections.abc import Mapping
 
 from robodyn.export.model_xml import number
 from robodyn.mechanics.mechanism import Mechanism
@@ -76,29 +75,19 @@ def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[st
     if isinstance(link.friction, DryFriction) and link.friction.torque:
         found["frictionloss"] = number(link.friction.torque)
         found |= {"solreffriction": f"{number(2.0 * timestep)} 1", "solimpfriction": STIFF}
-    if link.limits is not None and not _slack(link.limits):
-        found |= {"limited": "true", "range": _range(link.limits)}
+    if link.limits is not None and not is_slack(link.limits):
+        found |= {"limited": "true", "range": joint_range(link.limits)}
         found |= _limit(mechanism, joint, link.limits, timestep)
     return found
 
 
-def slack_stops(mechanism: Mechanism) -> Iterator[tuple[int, Limits]]:
-    """The compliant stops without damping."""
-    return ((joint, stop) for joint, stop in mechanism.limits if _slack(stop))
-
-
-def stop_tendon(parent: Element, name: str, joint: str, stop: Limits) -> None:
-    """Stops as a tendon that is as long as the joint's coordinate, and slack between its ends."""
-    tendon = SubElement(parent, "fixed", name=name, springlength=_range(stop))
-    tendon.set("stiffness", number(stop.stiffness or 0.0))
-    SubElement(tendon, "joint", joint=joint, coef="1.0")
-
-
-def _slack(stop: Limits) -> bool:
+def is_slack(stop: Limits) -> bool:
+    """Whether it is compliant without damping, so that a tendon slack between its ends is as it."""
     return stop.stiffness is not None and not stop.damping
 
 
-def _range(stop: Limits) -> str:
+def joint_range(stop: Limits) -> str:
+    """From where to where a joint goes."""
     low = -FAR if stop.low is None else stop.low
     return f"{number(low)} {number(FAR if stop.high is None else stop.high)}"
 

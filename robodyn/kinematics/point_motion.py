@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import point_motion, points_of
 from robodyn.dynamics.placed import absolute_rates, as_states, columns, frame_rates, placed
@@ -19,9 +19,8 @@ from robodyn.kinematics.named_points import named_points
 from robodyn.loops.loop_rates import loop_velocities
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 
 @short_repr

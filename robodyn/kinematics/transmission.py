@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import points_of
 from robodyn.dynamics.placed import Placed, absolute_rates, frame_rates, placed
@@ -25,10 +25,8 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint, joint_index
 from robodyn.scene.scene import Closure
 from robodyn.scene.yaml_values import nearest
+from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 class Pair(NamedTuple):

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import Placed
 from robodyn.mechanics.link_tree import Tree
@@ -30,8 +29,7 @@ from robodyn.pictures.outlines import (
     slots,
 )
 from robodyn.scene.scene import Point, Spring
-
-Complex = NDArray[np.complex128]
+from robodyn.tables.arrays import Complex
 
 SUPPORT = 2.6  # depth of a ground support, half widths
 SMALL = 0.6  # of a support that holds a spring alone
@@ -79,11 +77,11 @@ def bodies(mechanism: Mechanism, poses: Placed, travelled: Placed, w: float) -> 
             yield Body(None, origin, False, shapes)
     ways = list(slots(mechanism, tree, travelled))
     for way in rails(mechanism, travelled):
-        if way.link is not None:
-            ways.append(way.leaving(link_points(mechanism, way.link), w))
-        else:
-            ways.append(way)
+        if way.link is None:
             yield Body(None, origin, False, on_ground(way, w))
+        else:
+            way = way.leaving(link_points(mechanism, way.link), w)
+        ways.append(way)
     for spring in mechanism.springs:
         yield _spring(bool(spring.stiffness or spring.law), *spring.ends, poses, w)
     for coil in mechanism.joint_springs:
@@ -137,7 +135,7 @@ def _attached(mechanism: Mechanism, k: int) -> list[complex]:
 def _joined(mechanism: Mechanism) -> list[Point]:
     """The points that closures join; of a slider the one that slides."""
     closures = mechanism.description.closures
-    return [x for c in closures for x in (c.first, c.second)[: 1 + (c.along is None)]]
+    return [c.first for c in closures] + [c.second for c in closures if c.along is None]
 
 
 def _spring_ends(mechanism: Mechanism) -> list[Point]:

@@ -20,10 +20,8 @@ from robodyn.pictures.chart import Chart, limits, spread, tick_texts, ticks
 from robodyn.pictures.colour_scale import NONE, axis_ticks, painted, rgb, viridis, word_colours
 from robodyn.pictures.column_units import with_unit
 from robodyn.pictures.value_map import ValueMap
+from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 BRAILLE = 0x2800
 DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])  # row from the top, side

@@ -13,15 +13,14 @@ from contextlib import AbstractContextManager
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
 from robodyn.pictures.column_units import TURNING, in_degrees, quantity_of, unit_of, with_unit
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
-Array = NDArray[np.float64]
 Opened = AbstractContextManager[tuple[BinaryIO, str]]  # a table of CSV, and its name
 
 USUAL = ("q*", "tau*")  # what is drawn where nothing is asked for
@@ -159,8 +158,7 @@ def short_names(sources: Sequence[str]) -> list[str]:
 def drawable(name: str, values: Array, where: str = "", flush: bool = True) -> Array:
     """Values whose sums and differences are numbers; with `flush` those next to 0 are 0."""
     size = np.abs(values)
-    if (size > LARGEST).any():
-        value = float(values[size > LARGEST][0])
+    for value in values[size > LARGEST].tolist():
         limit = f"beyond {LARGEST:g} nothing can be drawn"
         raise InputError(name, where=where, value=value, limit=limit)
     return np.where(size < 1.0 / LARGEST, 0.0, values) if flush else values

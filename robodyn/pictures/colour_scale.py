@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from robodyn.pictures.chart import limits, multiples, tick_texts, ticks
 from robodyn.pictures.column_units import unit_of
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 # Okabe and Ito's colours, which colour-blind people tell apart

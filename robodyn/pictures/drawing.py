@@ -25,9 +25,7 @@ from robodyn.pictures.bodies import Body, bodies
 from robodyn.pictures.characters import TALL, Canvas
 from robodyn.pictures.outlines import Shape, at, direction
 from robodyn.scene.scene import Point
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from robodyn.tables.arrays import Array, Complex
 
 HALF_WIDTH = 0.024  # of a link, as a part of the span
 LARGEST = 1e100  # m, of a half width
@@ -204,20 +202,17 @@ def drawing_lines(
     def dots(z: Complex) -> Complex:
         return np.asarray(scale * ((z.real - left) + 1j * stretch * (z.imag - bottom)), complex)
 
-    joints = []
-    for pose in range(len(drawn.q)):
-        for b, shape, z in drawn.placed(pose):
-            if shape.kind in LINES:
-                line = np.append(z, z[0]) if shape.closed else z
-                canvas.line(dots(line), drawn.bodies[b].link or 0)
-            elif shape.kind == "joint":
-                joints.append(dots(z).mean())
+    shapes = [shape for pose in range(len(drawn.q)) for shape in drawn.placed(pose)]
+    for b, shape, z in shapes:
+        if shape.kind in LINES:
+            canvas.line(dots(np.append(z, z[0]) if shape.closed else z), drawn.bodies[b].link or 0)
     for k, (name, z) in enumerate(traces):
         canvas.line(dots(z), k + 1)
         column, row = canvas.cell(dots(z)[-1])
         canvas.text(column, row, f"+ {name}", k + 1)
-    for joint in joints:
-        canvas.text(*canvas.cell(joint), "o")
+    for _, shape, z in shapes:
+        if shape.kind == "joint":
+            canvas.text(*canvas.cell(dots(z).mean()), "o")
     for k, name in enumerate(names):
         b = drawn.body_of(k)
         middle = 0.5 * drawn.mechanism.description.links[k].l

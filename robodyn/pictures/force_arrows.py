@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dynamics import (
     forward_dynamics_and_forces,
@@ -23,8 +22,7 @@ from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.pictures.outlines import at
 from robodyn.scene.scene import Load, Point, Spring
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 LONGEST = 0.3  # the longest arrow, as a part of the mechanism's span
 SEEN = 1e-9  # forces below this part of the largest are none
@@ -41,7 +39,7 @@ class Force(NamedTuple):
 
 
 def forces(
-    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array, t: float = 0.0
+    mechanism: Mechanism, q: Array, qd: Array, qdd: Array, multipliers: Array
 ) -> list[Force]:
     """The weights, the force in every pin, loads and springs, of one motion, each (n,).
 
@@ -59,7 +57,7 @@ def forces(
     for k, link in enumerate(description.links):
         add("gravity", f"m{k + 1} g", mechanism.centres[k], link.m * mechanism.gamma)
         add("gravity", f"payload {k + 1} g", mechanism.tips[k], link.payload * mechanism.gamma)
-    joints = reactions(mechanism, q, qd, qdd, multipliers, t) @ np.array([1, 1j])
+    joints = reactions(mechanism, q, qd, qdd, multipliers) @ np.array([1, 1j])
     for k, force in enumerate(joints.tolist()):
         slides = description.links[k].slides
         joint = tree.point(Point(k, 0j)) if slides else mechanism.pivots[k]
@@ -71,7 +69,7 @@ def forces(
     loads = [f"load {k + 1}" for k, x in enumerate(description.loads) if isinstance(x, Load)]
     points = [x.ends[0] for x in mechanism.springs] + [x.point for x in mechanism.forces]
     if points:
-        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, t).tolist()
+        acting = rows_of(parts.acting, mechanism).planar("forces", q, qd, 0.0).tolist()
         for name, point, force in zip(springs + loads, points, acting, strict=True):
             add("load", name, point, force)
     least = SEEN * max(abs(item.force) for item in found)

@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
 from robodyn.loops.closing import close_positions
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 MOST_FRAMES = 20_000
 FINER = 4  # points of a trace from frame to frame

@@ -10,13 +10,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.placed import Placed
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
-
-Complex = NDArray[np.complex128]
+from robodyn.tables.arrays import Complex
 
 ARC = 15  # points of half a circle
 PIN, BLOCK = 0.75, 1.5  # half the height of a slot that holds a pin, and of a block

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.pictures.drawing import Drawing
+from robodyn.tables.arrays import Array, Complex
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Size = tuple[float, float] | None  # of a picture, inches; None: as what it shows
 
 MARGIN = 0.05  # of the larger extent, on each side

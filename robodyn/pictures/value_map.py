@@ -13,10 +13,10 @@ from robodyn.errors import InputError
 from robodyn.pictures.chart import Opened, choose_columns, choose_x, drawable, limits, place_of
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import TURNING, in_degrees, unit_of
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import finite, shown, split_fields, unquoted
 from robodyn.tables.table import Chunk, Reader
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 MOST_WORDS = 20  # that colours can tell apart
@@ -258,7 +258,7 @@ class ColourColumn:
         return tuple(sorted(self._places))
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Array:
         values = np.array(self._values, float)
         if self._places:
             order = np.array([self.words.index(word) for word in self._places], float)

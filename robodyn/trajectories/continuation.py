@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, scaled_jacobian
 from robodyn.engines.singular_values import svd
@@ -28,9 +27,9 @@ from robodyn.loops.assembly import CLOSED
 from robodyn.loops.change_points import nearest_singular
 from robodyn.loops.closing import close_positions, loop_size
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array, Truth
 from robodyn.trajectories.joint_paths import ConstantSpeed, JointPath, Pieces, travels
 
-Array = NDArray[np.float64]
 Watch = Callable[[float], object]  # how far a path is followed
 
 TRAVEL = 0.1  # rad, the most that a joint moves between two nodes
@@ -105,18 +104,7 @@ class _Node(NamedTuple):
     sign: float  # of det Psi_p; 0 where that is none
 
 
-def follow(
-    mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
-) -> Nodes:
-    """The nodes of a path from the closed state `start` (n,) on; `watch` is told how far it is.
-
-    Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do not
-    determine the others, TravelError for a path that takes too many nodes.
-    """
-    return _Follower(mechanism, path, watch).nodes(start)
-
-
-def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, NDArray[np.bool_]]:
+def corrected(mechanism: Mechanism, q: Array) -> tuple[Array, Truth]:
     """q (T, n) closed by Newton's method with the actuated joints held, and which close, (T,)."""
     q = close_positions(mechanism, q, mechanism.actuated)
     gap = np.abs(closure_gap(mechanism, q)).max(axis=-1, initial=0.0)
@@ -131,8 +119,8 @@ def hermite(x: Array, h: Array, begin: Array, begin1: Array, end: Array, end1: A
     return rise + x * y * h * (y * begin1 - x * end1)
 
 
-class _Follower:
-    """Finds the nodes of one path."""
+class Follower:
+    """Finds the nodes of one path; `watch` is told how far it is."""
 
     def __init__(self, mechanism: Mechanism, path: JointPath, watch: Watch) -> None:
         self.mechanism, self.path, self.watch = mechanism, path, watch
@@ -145,6 +133,11 @@ class _Follower:
         self._least_nodes = np.zeros(1)  # up to each break, as the actuated joints move
 
     def nodes(self, start: Array) -> Nodes:
+        """The nodes from the closed state `start` (n,) on.
+
+        Raises PathEndError where the loops cannot be closed all the way, or the actuated joints do
+        not determine the others, TravelError for a path that takes too many nodes.
+        """
         here, closed = corrected(self.mechanism, start[None])
         first, q, u = here[0], here[0], 0.0
         if not closed[0]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.placed import numbers
 from robodyn.errors import AssemblyError, InputError
@@ -14,12 +14,11 @@ from robodyn.loops.assembly import assembly_plan, attempt, scene_branches
 from robodyn.loops.closing import wrapped
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import Legs, spread
 from robodyn.trajectories.profiles import profile
 from robodyn.trajectories.reference import all_joints
 from robodyn.trajectories.task_space import Task, TaskPath, pose_of, task_of
-
-Array = NDArray[np.float64]
 
 MOST_WAYS = 8  # of dyads with two branches each, of which the nearest is looked for
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.tables.arrays import Array
 from robodyn.trajectories import splines
 from robodyn.trajectories.profiles import ACCELERATION, Profile, profile
 
-Array = NDArray[np.float64]
 Pieces = NDArray[np.int64]
 Values = tuple[Array, Array, Array]  # p, p', p'', each (T, m)
 

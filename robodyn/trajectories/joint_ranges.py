@@ -8,18 +8,16 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import AssemblyError, SingularError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import Limits
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.continuation import PathEndError
 from robodyn.trajectories.joint_paths import ConstantSpeed
 from robodyn.trajectories.loop_path import LoopPath, WholePath
-
-Array = NDArray[np.float64]
 
 FARTHEST = 4.0  # sides of all loops, beyond which nothing ends a displacement
 BESIDE = 1e-6  # rad or m, from a dead centre to the last state that could be closed

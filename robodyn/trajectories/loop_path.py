@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from robodyn.loops.change_points import OFFSETS, lagrange
 from robodyn.loops.loop_rates import loop_accelerations, loop_velocities
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.continuation import (
     TRAVEL,
+    Follower,
     PathEndError,
     TravelError,
     Watch,
     corrected,
-    follow,
     hermite,
 )
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, travels
 
-Array = NDArray[np.float64]
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
 STEP = 0.03  # rad of the fastest joint, between the states that lead across a change point
@@ -86,7 +86,7 @@ class LoopPath(WholePath):
         self, mechanism: Mechanism, path: JointPath, start: Array, watch: Watch = lambda u: None
     ) -> None:
         super().__init__(mechanism, path)
-        self._nodes = follow(mechanism, path, start, watch)
+        self._nodes = Follower(mechanism, path, watch).nodes(start)
 
     def within(self, u: Array, piece: Pieces) -> Values:
         """As told; SingularError where the actuated joints determine no others."""

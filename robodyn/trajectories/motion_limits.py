@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, end_word
 from robodyn.mechanics.motors import rate_limits, torque_limits
 from robodyn.mechanics.per_joint import for_each_actuated
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import Pieces
 from robodyn.trajectories.loop_path import least_along
 from robodyn.trajectories.reference import ReferenceMotion
-
-Array = NDArray[np.float64]
 
 UNITS = {"qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N m", "N")}
 

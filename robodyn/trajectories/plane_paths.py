@@ -16,14 +16,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
+from robodyn.tables.arrays import Array
 from robodyn.trajectories import splines
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, spread
 from robodyn.trajectories.profiles import Profile
 
-Array = NDArray[np.float64]
 Curve = Callable[[Array], Values]  # c, dc/ds, d2c/ds2, each (T, m), at parts s (T,)
 
 PARTS = 16  # of each piece of a spline, in which its length is integrated

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
+from robodyn.tables.arrays import Array, Truth
 
-Array = NDArray[np.float64]
 Pieces = NDArray[np.int64]
 # w = the way in u from the nearer end, and whether it lies on a ramp: s, s', s'' there
-Half = Callable[[Array, NDArray[np.bool_]], tuple[Array, Array, Array]]
+Half = Callable[[Array, Truth], tuple[Array, Array, Array]]
 
 NAMES = ("cubic", "quintic", "trapezoidal", "cycloidal", "constant")
 ACCELERATION = 1 / 3  # part of the time in which a trapezoidal profile speeds up
@@ -45,9 +45,7 @@ class Profile:
     peak_acceleration: float  # the largest |s''|
     half: Half
 
-    def evaluate(
-        self, u: Array, left: Array, piece: Pieces
-    ) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+    def evaluate(self, u: Array, left: Array, piece: Pieces) -> tuple[Truth, Array, Array, Array]:
         """At u and left = 1 - u, (T,): whether it is late, s from the nearer end, s' and s''.
 
         Where it is late the first of the numbers is 1 - s.  `piece` tells on which side of a
@@ -78,7 +76,7 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
     speed = 1 / (1 - alpha)
     a = speed / alpha
 
-    def half(w: Array, ramp: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    def half(w: Array, ramp: Truth) -> tuple[Array, Array, Array]:
         s = np.where(ramp, 0.5 * a * w * w, speed * (w - 0.5 * alpha))
         return s, np.where(ramp, a * w, speed), np.where(ramp, a, 0.0)
 
@@ -86,12 +84,12 @@ def profile(name: str, acceleration: float = ACCELERATION) -> Profile:
     return Profile(name, breaks, speed, a, half)
 
 
-def _quintic(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _quintic(w: Array, _: Truth) -> tuple[Array, Array, Array]:
     s = w**3 * (10 + w * (6 * w - 15))
     return s, 30 * (w * (1 - w)) ** 2, 60 * w * (1 - w) * (1 - 2 * w)
 
 
-def _cycloidal(w: Array, _: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _cycloidal(w: Array, _: Truth) -> tuple[Array, Array, Array]:
     angle = 2 * pi * w
     return w - np.sin(angle) / (2 * pi), 2 * np.sin(pi * w) ** 2, 2 * pi * np.sin(angle)
 

@@ -20,13 +20,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
 from robodyn.dynamics.placed import matvec
 from robodyn.engines.singular_values import svd
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array, Truth
 from robodyn.trajectories.continuation import (
     DEAD,
     MOST_NODES,
@@ -38,8 +38,6 @@ from robodyn.trajectories.continuation import (
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
 from robodyn.trajectories.loop_path import FEWEST, WholePath, samples
 from robodyn.trajectories.profiles import profile
-
-Array = NDArray[np.float64]
 
 PULL = 10.0  # toward a posture, over the whole path
 TOLERANCE = 1e-13  # of the integration, relative and in rad
@@ -130,7 +128,7 @@ class RedundantPath(WholePath):
         q[:, self._driven], q[:, self._passive] = self.path.evaluate(u, piece)[0], y
         return q
 
-    def _closed(self, u: Array, piece: Pieces, y: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _closed(self, u: Array, piece: Pieces, y: Array) -> tuple[Array, Truth]:
         return corrected(self.mechanism, self._whole(u, piece, y))
 
     def _rates(self, q: Array, u: Array, piece: Pieces, second: bool = True) -> tuple[Array, Array]:

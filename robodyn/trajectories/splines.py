@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import RobodynError
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 FEWEST_ROWS = 6  # that determine the quintic of `derivative`
 

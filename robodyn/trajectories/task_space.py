@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.closed_form import point_motion, scaled_jacobian
 from robodyn.dynamics.placed import matvec
@@ -24,6 +23,7 @@ from robodyn.loops.assembly import scene_branches
 from robodyn.loops.closing import close_positions, closed_jacobians, loop_size
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Closure, Link, Point
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import PathEndError, TravelError, Watch
 from robodyn.trajectories.joint_paths import JointPath, Pieces, Values
@@ -31,8 +31,6 @@ from robodyn.trajectories.loop_path import Columns, LoopPath, WholePath, least_a
 from robodyn.trajectories.plane_paths import length_until
 from robodyn.trajectories.redundant_path import RedundantPath
 from robodyn.trajectories.reference import check_driven, started
-
-Array = NDArray[np.float64]
 
 MOVES = 1e-8  # part of the loop's size above which a singular value tells a freedom
 BEYOND = 1e-7  # part of the loop's size, of a point that is out of reach

@@ -20,11 +20,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 from robodyn.trajectories.continuation import Watch
 from robodyn.trajectories.joint_paths import JointPath, Legs, Pieces, path_through
@@ -41,8 +42,6 @@ from robodyn.trajectories.motion_limits import (
 from robodyn.trajectories.profiles import ACCELERATION
 from robodyn.trajectories.profiles import profile as profile_of
 from robodyn.trajectories.reference import ReferenceMotion, all_joints, motion_along, whole_path
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-12  # part of a limit by which it may be exceeded
 MARGIN = 1e-9  # part by which a duration that torques bound is longer than what was found
