@@ -318,7 +318,7 @@ class TestContacts:
         wanted = wanted - moving.arrays.damping * qd
         theirs = (model.forces(at, rates) - G)[there]
         assert_close(theirs, wanted, max(1.0, *np.abs(wanted)), 1e-13)
-        assert contact_notes(mech) == []
+        assert list(contact_notes(mech)) == []
 
     def test_a_damped_stop_is_a_limit_as_weak_as_can_be(self):
         arm = ARM.replace("0.1}", "0.1, limits: {max: 0.5, stiffness: 70, damping: 7}}")

@@ -236,6 +236,6 @@ def test_ends_of_joints_what_motors_give_and_dry_friction():
     found = ElementTree.fromstring(urdf(mech)).findall("joint/limit")
     most = [(float(x.get("effort")), float(x.get("velocity"))) for x in found]
     assert most == [(1e9, 1e9), (15.0, 10.0), (1.0, 1e9), (1e9, 1e9)]
-    told = urdf_notes(mech)
+    told = list(urdf_notes(mech))
     assert [note.split(":")[0] for note in told] == ["joint a", "joint a", "joint b", "joint d"]
     assert "at rest too, not 0.8" in told[1]

@@ -187,7 +187,7 @@ def _head(equations: CodeEquations) -> Iterator[str]:
     yield from (f"  {line}" for line in equations.told())
     yield ""
     yield from table([x.name + x.numbers, x.unit, x.meaning] for x in equations.variables())
-    remarks = equations.remarks(christoffel="")
+    remarks = list(equations.remarks(christoffel=""))
     yield from ["", *remarks] if remarks else []
 
 

@@ -111,14 +111,13 @@ class JointTerm(NamedTuple):
 
 def formula_of(law: Law, own: Mapping[str, Sum]) -> Formula:
     """The formula of an expression in t, q0.., qd0..; `own` has a spring's x and v."""
-    names = {}
-    for name in law.names:
-        if name in own:
-            names[name] = own[name]
-        elif name == "t":
-            names[name] = of(Atom(Role.force, (-1, ""), "t"))
-        else:
-            names[name] = _rate(int(name[2:])) if name[1] == "d" else _angle(int(name[1:]))
+
+    def meant(name: str) -> Sum:
+        if name == "t":
+            return of(Atom(Role.force, (-1, ""), "t"))
+        return _rate(int(name[2:])) if name[1] == "d" else _angle(int(name[1:]))
+
+    names = {name: own[name] if name in own else meant(name) for name in law.names}
     plain: ast.expr = _Plain().visit(ast.parse(law.code, mode="eval").body)
     return Formula(plain, names)
 

@@ -215,14 +215,12 @@ class Equations(Generic[Entry]):
         joints, driven = range(self.mechanism.n), self.mechanism.actuated
         return [name.format(k + 1) if k in driven else other for k in joints]
 
-    def defined(self) -> list[tuple[list[Definition], Block[Entry]]]:
+    def defined(self) -> Iterator[tuple[list[Definition], Block[Entry]]]:
         """Each block, with the names that it is the first to use."""
         told: set[str] = set()
-        found = []
         for block in self.blocks:
-            found.append(([entry for entry in block.where if entry.name not in told], block))
+            yield [entry for entry in block.where if entry.name not in told], block
             told.update(entry.name for entry in block.where)
-        return found
 
     def variables(self) -> list[Variable]:
         """q1, q2, ..., tau1, ... and lambda1, ..., and what dots on q mean."""
@@ -256,10 +254,9 @@ class Equations(Generic[Entry]):
                 rows.append(f"L{c + 1} times this is the moment of closure {c + 1} on {first}")
         for c, coupling in enumerate(description.couplings):
             driven = links[coupling.joint]
-            told = f"R{c + 1} times this is the torque of coupling {c + 1} on {driven.name}"
-            if driven.slides:
-                told = f"force of coupling {c + 1} on {driven.name}"
-            rows.append(told)
+            told = f"coupling {c + 1} on {driven.name}"
+            size = "" if driven.slides else f"R{c + 1} times this is the "
+            rows.append(f"{size}{'force' if driven.slides else 'torque'} of {told}")
         found += [Variable("lambda", f"{k + 1}", "N", meaning) for k, meaning in enumerate(rows)]
         if self.mechanism.timed:
             found.append(Variable("t", "", "s", "time"))
@@ -271,14 +268,14 @@ class Equations(Generic[Entry]):
         self,
         shown: Callable[[str], str] = str,
         christoffel: str = "C is the Christoffel one: Mdot - 2C is skew-symmetric.",
-    ) -> list[str]:
+    ) -> Iterator[str]:
         """Sentences on C, and on the parameters that do not appear, named as `shown` writes."""
-        first = [christoffel] if christoffel and ("C", "qd") in self.terms else []
+        if christoffel and ("C", "qd") in self.terms:
+            yield christoffel
         named = [entry.value for block in self.blocks for entry in block.where]
-        first += [SWITCHES] if any(isinstance(x, Formula) and x.switches for x in named) else []
-        for told, names in (
-            ("Left out, being 0 in this scene", self.zero),
-            ("Without effect on the motion", self.unused),
-        ):
-            first += [f"{told}: {', '.join(map(shown, names))}."] if names else []
-        return first
+        if any(isinstance(x, Formula) and x.switches for x in named):
+            yield SWITCHES
+        if self.zero:
+            yield f"Left out, being 0 in this scene: {', '.join(map(shown, self.zero))}."
+        if self.unused:
+            yield f"Without effect on the motion: {', '.join(map(shown, self.unused))}."

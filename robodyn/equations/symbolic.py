@@ -105,7 +105,6 @@ class Sum:
 
     __rmul__ = __mul__
 
-
     def __rtruediv__(self, one: float) -> Sum:
         """The inverse of a symbol."""
         (((((atom, power),), number)),) = self.terms.items()

@@ -93,20 +93,18 @@ def equations(
         done += 1
         if watch is not None:
             watch(min(1.0, done / most))
-        if not numeric:
-            return entry if isinstance(entry, Formula) else written(entry, levels)
-        entry = entry.substituted(parameters.values)
+        if numeric:
+            entry = entry.substituted(parameters.values)
         if isinstance(entry, Formula):
             return entry
-        limit = sys.float_info.max
-        if any(not -limit <= number <= limit for number in entry.terms.values()):
+        if numeric and any(abs(number) > sys.float_info.max for number in entry.terms.values()):
             raise too_large(mechanism.description)
         return written(entry, levels)
 
     scene, drags, loads = named_loads(parameters.scene)
     springs = _Springs(scene, drags)
-    acting = [*spring_terms(mechanism, parameters.scene)]
-    acting += contact_terms(mechanism, parameters.dry, parameters.stops)
+    contacts = contact_terms(mechanism, parameters.dry, parameters.stops)
+    acting = [*spring_terms(mechanism, parameters.scene), *contacts]
     named = with_kept(springs.mechanism, parameters.kept)
     entries = Entries(named, parameters.couplings, _Symbolic, springs.drag)
     found = []
@@ -272,8 +270,8 @@ class _Springs:
                 drags += _loads(spring, S * of(_pull("P", i)))
         loads = (*scene.loads, *pulls)
         self.mechanism = constants(scene._replace(springs=tuple(left), loads=loads))
-        nothing = scene._replace(gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
-        self.drag = constants(nothing)
+        dragged = scene._replace(gravity=NOWHERE, springs=(), closures=(), loads=tuple(drags))
+        self.drag = constants(dragged)
         pins = tuple(Closure(x.first, x.second) for x in self.springs.values())
         rows = tuple(closure_rows(scene._replace(closures=pins), self.tree))
         gaps = Entries(replace(self.mechanism, rows=rows), (), _Symbolic).gaps() if pins else []
@@ -306,8 +304,8 @@ class _Springs:
             if block == "Q" and (law is None or "v" in law.names):
                 V = [Atom(Role.stretch, (i, f"V{axis}"), f"V{i + 1}{axis}") for axis in "xy"]
                 for x, v, (_, rate) in zip(S, V, self.gaps[i], strict=True):
-                    written_rate = write(_in_order(rate, "S"))
-                    yield Definition(v.name, written_rate, "m/s", f"rate of {x.name}")
+                    value = write(_in_order(rate, "S"))
+                    yield Definition(v.name, value, "m/s", f"rate of {x.name}")
                 along = total(of(x) * of(v) for x, v in zip(S, V, strict=True))
             if law is not None:
                 own = {"x": of(size) - spring.length}

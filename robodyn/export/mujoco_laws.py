@@ -25,7 +25,7 @@ from __future__ import annotations
 import ast
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from robodyn.export.model_xml import number
 from robodyn.mechanics.mechanism import Mechanism
@@ -41,32 +41,25 @@ BOUNCE = 16.0  # time steps of a bounce
 MOST_DAMPED = 2.5  # damping ratio that a bounce of so many steps allows
 
 
-def contact_notes(mechanism: Mechanism) -> list[str]:
+def contact_notes(mechanism: Mechanism) -> Iterator[str]:
     """What MuJoCo does otherwise than the scene at ends of joints and with dry friction."""
-    found = []
     for k, link in enumerate(mechanism.description.links):
         stop, friction, joint = link.limits, link.friction, f"joint {link.name}"
         if stop is None:
             pass
         elif stop.restitution is not None:
             part = f"throws back about {restitution(damping_ratio(stop.restitution)):.2g}"
-            found.append(f"{joint}: MuJoCo's stop is soft and {part} of the speed")
+            yield f"{joint}: MuJoCo's stop is soft and {part} of the speed"
         elif stop.stiffness is None:
-            found.append(f"{joint}: MuJoCo stops it at its limits, where robodyn ends a run")
+            yield f"{joint}: MuJoCo stops it at its limits, where robodyn ends a run"
         elif stop.damping:
-            found.append(
-                f"{joint}: MuJoCo's stop misses 1e-4 of the force that would hold the joint"
-            )
+            yield f"{joint}: MuJoCo's stop misses 1e-4 of the force that would hold the joint"
         if isinstance(friction, DryFriction) and (friction.static or friction.torque):
-            told = f"{joint}: MuJoCo's friction is {friction.torque:g} {_unit(mechanism, k)}"
+            unit = "N" if k in mechanism.slides else "N m"
+            told = f"{joint}: MuJoCo's friction is {friction.torque:g} {unit}"
             if friction.static > friction.torque:
                 told += f" at rest too, not {friction.static:g}"
-            found.append(f"{told}, and what sticks creeps")
-    return found
-
-
-def _unit(mechanism: Mechanism, joint: int) -> str:
-    return "N" if joint in mechanism.slides else "N m"
+            yield f"{told}, and what sticks creeps"
 
 
 def joint_contacts(mechanism: Mechanism, joint: int, timestep: float) -> dict[str, str]:

@@ -10,6 +10,7 @@ a link that name and `_link`, as is the custom: some readers want all names of a
 from __future__ import annotations
 
 from cmath import phase
+from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement
 
 from robodyn.errors import InputError, printable
@@ -103,17 +104,15 @@ def urdf(mechanism: Mechanism) -> str:
     return document(root, comment(mechanism, joints, remarks))
 
 
-def urdf_notes(mechanism: Mechanism) -> list[str]:
+def urdf_notes(mechanism: Mechanism) -> Iterator[str]:
     """What is not told of ends of joints and of dry friction."""
-    found = []
     for link in mechanism.description.links:
         if link.limits is not None:
             told = "URDF says where it ends; what happens there is left to who reads it"
-            found.append(f"joint {link.name}: {told}")
+            yield f"joint {link.name}: {told}"
         if isinstance(link.friction, DryFriction) and link.friction.static > link.friction.torque:
             told = f"URDF's friction is {link.friction.torque:g}"
-            found.append(f"joint {link.name}: {told} at rest too, not {link.friction.static:g}")
-    return found
+            yield f"joint {link.name}: {told} at rest too, not {link.friction.static:g}"
 
 
 def _limits(link: Link) -> dict[str, float]:

@@ -55,9 +55,12 @@ class Drawing(NamedTuple):
         """Which of the bodies a link is."""
         return next(b for b, body in enumerate(self.bodies) if body.link == link and body.turns)
 
-    def box(self) -> tuple[float, float, float, float]:
-        """x and y of the least, x and y of the largest of all points at all poses, m."""
-        corners = []
+    def box(self, further: Sequence[complex] = ()) -> tuple[float, float, float, float]:
+        """x and y of the least, x and y of the largest of all points at all poses, m.
+
+        `further` points are within it too.
+        """
+        corners = [(z.real, z.imag) for z in further]
         for b, body in enumerate(self.bodies):
             points = np.concatenate([shape.points for shape in body.shapes])
             z = _moved(points, self.place[:, b, None], self.turn[:, b, None])
@@ -189,10 +192,7 @@ def drawing_lines(
     Outlines of links, supports and guides, an o for each joint, and the links' `names`, if any,
     at the last pose; the paths of `traces`, with a + and the name at the end.
     """
-    left, bottom, right, top = drawn.box()
-    for _, z in traces:
-        left, right = min(left, z.real.min()), max(right, z.real.max())
-        bottom, top = min(bottom, z.imag.min()), max(top, z.imag.max())
+    left, bottom, right, top = drawn.box([z for trace in traces for z in trace.path.tolist()])
     canvas = Canvas(width, height, ascii)
     stretch = canvas.up / canvas.across / TALL  # dots up for one across
     scale = min((canvas.width - 1) / (right - left), (canvas.height - 1) / (top - bottom) / stretch)

@@ -99,10 +99,7 @@ class Picture:
 
     def __init__(self, drawn: Drawing, size: Size = None, further: Sequence[complex] = ()) -> None:
         self.drawn = drawn
-        left, bottom, right, top = drawn.box()
-        z = np.array([complex(left, bottom), complex(right, top), *further])
-        box = (z.real.min(), z.imag.min(), z.real.max(), z.imag.max())
-        self.frame = frame(box, LONGEST, size, FOOT)
+        self.frame = frame(drawn.box(further), LONGEST, size, FOOT)
         self.figure = new_figure((self.frame.width, self.frame.height), facecolor="white")
         self.axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self.axes.set_axis_off()

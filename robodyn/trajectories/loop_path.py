@@ -26,7 +26,7 @@ from robodyn.trajectories.continuation import (
     corrected,
     hermite,
 )
-from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, piece_at, travels
+from robodyn.trajectories.joint_paths import JointPath, Pieces, Values, travels
 
 Columns = Callable[[Array, Pieces], Array]  # values (T, columns) at u (T,) of these pieces
 
@@ -38,21 +38,17 @@ MOST_PLACES = 64  # of one column, at which to search
 BLOCK = 20_000  # samples evaluated at once
 
 
-class WholePath:
+class WholePath(JointPath):
     """The path of all joints of a mechanism that follows a path of its actuated joints.
 
     As it is, of a mechanism of which every joint is actuated and no loop is to be kept.
     """
 
     def __init__(self, mechanism: Mechanism, path: JointPath) -> None:
-        self.mechanism, self.path = mechanism, path
-
-    def evaluate(self, u: Array, piece: Pieces | None = None) -> Values:
-        """q, q', q'' of all joints at u (T,), each (T, n)."""
-        return self.within(u, piece_at(self.path.breaks, u) if piece is None else piece)
+        self.mechanism, self.path, self.breaks = mechanism, path, path.breaks
 
     def within(self, u: Array, piece: Pieces) -> Values:
-        """The same, as these pieces have it."""
+        """q, q', q'' of all joints at u (T,), each (T, n), as these pieces have it."""
         return self.path.within(u, piece)
 
     def peaks(self) -> tuple[Array, Array]:
@@ -94,9 +90,8 @@ class LoopPath(WholePath):
         direct = np.ones(len(u), bool)
         period = self._nodes.period
         for at, fastest in self._nodes.crossings:
-            within = self.path.breaks[:-1] <= at
-            of = int(np.flatnonzero(within & (at <= self.path.breaks[1:]))[0])
-            begin, end = self.path.breaks[of : of + 2].tolist()
+            of = int(np.flatnonzero((self.breaks[:-1] <= at) & (at <= self.breaks[1:]))[0])
+            begin, end = self.breaks[of : of + 2].tolist()
             if at + period <= end:  # of a path that repeats itself: there is room on both sides
                 at += period
             offsets, step = _beside(at, STEP / fastest, begin, end)
@@ -117,8 +112,7 @@ class LoopPath(WholePath):
             closed = self._closed(u[direct], piece[direct])
             for values, found in zip(result, closed, strict=True):
                 values[direct] = found
-        q, q1, q2 = result
-        return q, q1, q2
+        return result[0], result[1], result[2]
 
     def grid(self) -> tuple[Array, Pieces]:
         pieces = self._nodes.pieces

@@ -35,19 +35,28 @@ class Limits:
 
 
 class LimitError(RobodynError):
-    """A motion exceeds a limit, perhaps one `of_motor`; `quantity` is qd, qdd or tau."""
+    """A motion exceeds a limit, perhaps one `of_motor`; `quantity` is qd, qdd or tau.
+
+    `place` is that of the joint among the actuated ones; `told` says what is wrong, {} the limit.
+    """
 
     def __init__(
         self,
-        what: str,
+        mechanism: Mechanism,
         quantity: str,
-        *,
-        value: object = None,
-        limit: str = "",
-        of_motor: bool = False,
+        place: int,
+        at: str,
+        value: float,
+        limit: float,
+        told: str = "exceeds the limit of {}",
     ) -> None:
-        self.quantity, self.of_motor = quantity, of_motor
-        super().__init__(what, value=value, limit=limit)
+        motors = {"qd": rate_limits, "tau": torque_limits}
+        own = motors[quantity](mechanism)[place] if quantity in motors else None
+        self.quantity, self.of_motor = quantity, bool(limit == own)
+        unit = UNITS[quantity][mechanism.actuated[place] in mechanism.slides]
+        bound = f"{limit:.9g} {unit}" + self.of_motor * " of its motor"
+        what = f"{limited_joint(mechanism, quantity, place)} at {at}"
+        super().__init__(what, value=f"{value:.9g} {unit}", limit=told.format(bound))
 
 
 def limits_of(
@@ -79,19 +88,8 @@ def with_motors(mechanism: Mechanism, limits: Limits = Limits()) -> Limits:
     return Limits(least(limits.qd, rate_limits(mechanism)), limits.qdd, tau)
 
 
-def is_of_motor(mechanism: Mechanism, name: str, place: int, bound: float) -> bool:
-    """Whether a limit of an actuated joint is that of its motor."""
-    motors = {"qd": rate_limits, "tau": torque_limits}
-    return name in motors and bool(bound == motors[name](mechanism)[place])
-
-
-def limit_unit(mechanism: Mechanism, name: str, place: int) -> str:
-    """That of a limit of an actuated joint, by its place among them."""
-    return UNITS[name][mechanism.actuated[place] in mechanism.slides]
-
-
-def limited_joint(mechanism: Mechanism, name: str, joint: int) -> str:
-    k = mechanism.actuated[joint]
+def limited_joint(mechanism: Mechanism, name: str, place: int) -> str:
+    k = mechanism.actuated[place]
     return f"{name}{k + 1} ({mechanism.link_names[k]})"
 
 

@@ -33,8 +33,6 @@ from robodyn.trajectories.loop_path import Columns, WholePath, least_along
 from robodyn.trajectories.motion_limits import (
     LimitError,
     Limits,
-    is_of_motor,
-    limit_unit,
     limited_joint,
     limits_of,
     with_motors,
@@ -83,15 +81,8 @@ def check_limits(motion: ReferenceMotion, limits: Limits) -> None:
     place, joint = divmod(column, len(driven))
     name, bound = limits.given[place]
     value = float(values(np.array([u]), np.array([piece]))[0, column])
-    own = is_of_motor(mechanism, name, joint, bound[joint])
-    limit = f"exceeds the limit of {bound[joint]:.9g} {limit_unit(mechanism, name, joint)}"
-    raise LimitError(
-        f"{limited_joint(mechanism, name, joint)} at t = {motion.begin + u * T:.6g} s",
-        name,
-        value=f"{value:.9g} {limit_unit(mechanism, name, joint)}",
-        limit=limit + own * " of its motor",
-        of_motor=own,
-    )
+    at = f"t = {motion.begin + u * T:.6g} s"
+    raise LimitError(mechanism, name, joint, at, value, float(bound[joint]))
 
 
 def shortest_motion(
@@ -228,16 +219,9 @@ def _shortest_by_torque(
         there, of = (np.array([x]) for x in place)
         value = float(parts(there, of, scale)[2][0, joint])
         at = ", ".join(f"{x:.6g}" for x in whole.evaluate(there, of)[0][0])
-        unit = limit_unit(mechanism, "tau", bounded[joint])
-        own = is_of_motor(mechanism, "tau", bounded[joint], limit[joint])
-        raise LimitError(
-            f"{limited_joint(mechanism, 'tau', bounded[joint])} at q = {at}",
-            "tau",
-            value=f"{value:.9g} {unit}",
-            limit=f"holding this pose takes that, more than the limit of {limit[joint]:.9g} "
-            f"{unit}{own * ' of its motor'}, however slow the motion",
-            of_motor=own,
-        )
+        told = "holding this pose takes that, more than the limit of {}, however slow the motion"
+        most = float(limit[joint])
+        raise LimitError(mechanism, "tau", bounded[joint], f"q = {at}", value, most, told)
     x, column = scale, 0
     for _ in range(MOST_FITS):
         before = x
