@@ -140,10 +140,7 @@ def _argument(name: str, n: int) -> str:
 
 
 def _torques(equations: CodeEquations) -> tuple[str, str, list[CodeBlock], list[CodeBlock]]:
-    """The function that sums up tau, or tau + Psi^T lambda: its name, what it is, terms, others.
-
-    The others, which stand beside tau, are taken off.
-    """
+    """What sums up tau, or tau + Psi^T lambda: its name, meaning, terms, and what is taken off."""
     left, others = equations.side("left"), equations.others
     closed = bool(equations.side("closures"))
     what = "tau + Psi^T lambda" if closed else "tau"
@@ -177,9 +174,6 @@ def _c_torques(equations: CodeEquations) -> Iterator[str]:
     yield from [f"{TAB}}}", "}"]
 
 
-# -- what both have in common ----------------------------------------------------------------------
-
-
 def _head(equations: CodeEquations) -> Iterator[str]:
     """The lines of the first comment."""
     yield f"{equations.title}: equations of motion, written by robodyn."
@@ -199,10 +193,7 @@ def _meaning(parameter: Parameter) -> str:
 def _body(
     block: CodeBlock, symbol: Callable[[str], str], conditional: str = "{2} if {0} < {1} else {3}"
 ) -> tuple[list[str], list[list[str]], set[str]]:
-    """The statements of a block's function, the entries made of them, and the inputs it uses.
-
-    `symbol` tells what parameters are called.
-    """
+    """The statements of a block's function, the entries made of them, and the inputs it uses."""
     listed = block.listed()
     outputs = [entry for _, entry in listed]
     names = _names(outputs)

@@ -136,9 +136,6 @@ def _rank(factor: Atom | Sum) -> tuple[object, ...]:
     return (max(Role.length, *roles) + 0.5,)
 
 
-# -- identities ------------------------------------------------------------------------------------
-
-
 def simplified(sum_: Sum) -> Sum:
     """The sum with what the identities make of pairs of its terms."""
     terms: dict[Monomial, Number] = dict(sum_.terms)

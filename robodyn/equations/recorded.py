@@ -89,10 +89,7 @@ def _add_contacts(
 
 
 class _Numbers:
-    """Sums of products of parameters: in variables of a graph, fractions if the scene is numeric.
-
-    What takes floats and complex numbers takes these too.
-    """
+    """Sums of products of parameters: variables of a graph, or fractions if it is numeric."""
 
     def __init__(self, parameters: Parameters, numeric: bool, graph: Graph) -> None:
         self.parameters, self.numeric, self.graph = parameters, numeric, graph

@@ -192,10 +192,7 @@ class _Elements:
             self._hang(body, k, level + 1)
 
     def _turning(self, joint: int) -> dict[str, str]:
-        """The dampers and springs of a joint; springs beside one another act as one.
-
-        A rotor on the ground is its armature.
-        """
+        """The dampers and springs of a joint; springs beside one another act as one."""
         found = {}
         for rotor in self.mechanism.rotors:
             if rotor.joint == joint and rotor.carrier is None:

@@ -209,10 +209,7 @@ class Follower:
             raise self._too_many()
 
     def _check_number(self, nodes: int, u: float, piece: int, moved: float) -> None:
-        """Raise TravelError where a path takes too many nodes, or is seen to do so.
-
-        `moved` (rad) of the piece are behind.
-        """
+        """Raise TravelError for too many nodes, or where `moved` rad of a piece foretell them."""
         done, least = u, self._least_nodes
         if not self._returns:
             done = min(least[piece] + moved / TRAVEL, least[piece + 1]) / least[-1]

@@ -101,10 +101,7 @@ def largest(coefficients: Array, lengths: Array, order: int) -> Array:
 
 
 def _solve(diagonal: Array, beside: Array, right: Array, ends_at_rest: bool) -> Array:
-    """x (K, b, m) of the symmetric block tridiagonal system; zero at both ends if at rest.
-
-    diagonal is (K, b, b), beside (K-1, b, b) the blocks above the diagonal, right (K, b, m).
-    """
+    """x (K, b, m) of a symmetric block tridiagonal system; zero at both ends if at rest."""
     x = np.zeros_like(right)
     begin, end = (1, len(right) - 1) if ends_at_rest else (0, len(right))
     diagonal, right = diagonal.copy(), right.copy()
