@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import sys
 import warnings
@@ -214,19 +213,14 @@ def _inside(content: ValueMap, flat: float | None) -> Any:
     sides = LONGEST * np.array([min(1.0, wide), min(1.0, 1.0 / wide)])
     if content.grid is None:
         return sides
-    counts = content.grid.row.shape[::-1]
-    even = np.array([_even(count, side) for count, side in zip(counts, sides, strict=True)])
+    # about as long, so that each cell has as many dots
+    counts, least = np.array(content.grid.row.shape[::-1]), LEAST_DOTS * sides / LONGEST
+    even = np.where(counts > 2 * least, sides, np.ceil(least / counts) * counts / DOTS)
     if flat is None:
         return even
     return (
         even[0] / np.array([1, wide]) if counts[0] >= counts[1] else even[1] * np.array([wide, 1])
     )
-
-
-def _even(count: int, inches: float) -> float:
-    """About `inches`, so that each of `count` cells has as many dots."""
-    least = LEAST_DOTS * inches / LONGEST
-    return inches if count > 2 * least else math.ceil(least / count) * count / DOTS
 
 
 def _colour_bar(axes: Any, content: ValueMap) -> None:
