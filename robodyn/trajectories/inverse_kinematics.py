@@ -104,15 +104,13 @@ def _nearest_branches(task: Task, place: Array, pose: Array | None) -> tuple[str
         return words
     best = np.inf
     ways = assembly_plan(task.guided).two_way
-    n, usual = task.mechanism.n, list(words)
+    n, usual = task.mechanism.n, dict(enumerate(words))
     for each in product(BRANCHES, repeat=len(ways)):
-        trial = usual.copy()
-        for closure, word in zip(ways, each, strict=True):
-            trial[closure] = word
+        trial = tuple((usual | dict(zip(ways, each, strict=True))).values())
         q, missing = attempt(task.guided, place, trial)
         away = float(np.linalg.norm(wrapped(task.mechanism, q[:n] - pose)))
         if missing <= 0.0 and away < best:
-            best, words = away, tuple(trial)
+            best, words = away, trial
     return words
 
 
