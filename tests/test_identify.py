@@ -305,8 +305,9 @@ def test_no_excitation_is_named(robodyn: Run, tmp_path: Path) -> None:
 def test_numbers_that_torques_do_not_tell_are_refused(robodyn: Run, data: Path) -> None:
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.l")
     assert done.code == 2
-    assert "links.forearm.l: is no mass, moment" in done.err
-    assert "robodyn fit --vary 'links.forearm.l=LOW:HIGH' --match" in done.err
+    assert "links.forearm.l: torques are not linear in it, as in masses" in done.err
+    way = f"robodyn fit {ROOT / ARM} --vary 'links.forearm.l=LOW:HIGH' --match {data}"
+    assert f"{way} --columns tau1,tau2 (" in done.err
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.z")
     assert "links.forearm.z: is no mass, moment, damping" in done.err
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m,")

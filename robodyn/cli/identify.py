@@ -67,10 +67,11 @@ def identify(
     linear, values = places(mechanism.description), model.values()
     for name in names:
         if name in values and name not in linear:
-            limit = (
-                f"is found by robodyn fit --vary '{name}=LOW:HIGH' --match {data} --columns tau1"
-            )
-            raise InputError(name, limit=f"is no mass, moment, friction or stiffness; {limit}..")
+            torques = ",".join(f"tau{k + 1}" for k in mechanism.actuated)
+            way = f"robodyn fit {model.model} --vary '{name}=LOW:HIGH' --match {data}"
+            limit = "torques are not linear in it, as in masses, moments, friction and stiffness"
+            limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
+            raise InputError(name, limit=limit)
     with remarks(), named_options(["cutoff"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
         q, qd, qdd = motion.states
