@@ -177,6 +177,7 @@ def test_factors_of_a_six_bar_are_told_in_lengths() -> None:
     ("name", "text"),
     [
         ("parallelogram", "J1 + l1^2 m2 + l1 mx3"),
+        ("balanced-arm", "mx1 + l1 m2 - e1x h1y/g k1"),
         ("elliptic-trammel", "mx2 - l2/2 m1 - l2/2 m2 + l2/2 m3"),
         ("rack-gripper", "J2 + 1/i1_1^2 m1 + l2^2 m3"),
         ("geared-five-bar", "i1_1^2 l3^2 m4 + (l1^2/l4 - i1_1^2 l3^2/l4) mx4"),
