@@ -15,6 +15,7 @@ from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, Source, complete, table_source
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.regression_matrix import balanced_mechanism
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
@@ -41,12 +42,14 @@ def read_motion(
     Raises InputError for gaps, for columns of another mechanism, for times that do not rise, and
     for a cutoff where no rates are to be found.
     """
+    moving = balanced_mechanism(mechanism) if mechanism.rows else mechanism
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []
     with open_input(file) as (stream, name):
         reader = Reader(stream, name)
         _check_joints(mechanism, reader.header, name)
-        sources = [table_source(mechanism, x, reader.header, name) for x in wanted]
+        sources = [table_source(moving, x, reader.header, name) for x in wanted[:3]]
+        sources += [table_source(mechanism, x, reader.header, name) for x in wanted[3:]]
         absent = [x for x in sources if not x.given]
         timed = "t" in reader.header
         if cutoff is not None and not absent:
@@ -76,7 +79,7 @@ def read_motion(
             continue
         base = next(x for x in reversed(sources[:2]) if x.given)
         names = base.columns if base.whole and not mechanism.rows else None
-        names = names or base.quantity.columns(mechanism.actuated)
+        names = names or base.quantity.columns(moving.actuated)
         _tell(absent, names, base, cutoff) if source is absent[0] else None
         given[kind] = _rates(
             t, _columns(column, names), len(kind) - len(base.quantity.name), cutoff
@@ -90,11 +93,11 @@ def read_motion(
     else:
         tau = np.zeros((len(values), 0))
     try:
-        states = complete(mechanism, found, arrays)
+        states = complete(moving, found, arrays)
     except RobodynError:
         for k, number in enumerate(numbers):  # which of the rows it is
             try:
-                complete(mechanism, found, [x[k : k + 1] for x in arrays])
+                complete(moving, found, [x[k : k + 1] for x in arrays])
             except RobodynError as error:
                 error.add_place(f"{name}: line {number}")
                 raise
