@@ -74,8 +74,9 @@ class FitOptions:
             raise InputError("STATES", value=states, limit=limit)
         if self.columns is not None and self.match is None:
             raise InputError("--columns", limit="is for --match")
-        if self.simulate and (self.subject_to or self.match is None):
-            raise InputError("--simulate", limit="is for --match, without --subject-to")
+        if self.simulate and (self.subject_to or (self.match is None and states is None)):
+            limit = "needs --match or STATES, for its times, and is without --subject-to"
+            raise InputError("--simulate", limit=limit)
         if self.tau is not None and not self.simulate:
             raise InputError("--tau", limit="is for --simulate")
 
