@@ -112,6 +112,16 @@ def test_a_motion(robodyn: Run) -> None:
     assert json.loads(done.out)["starts"] == 2
 
 
+def test_a_motion_that_goes_least_far(robodyn: Run) -> None:
+    """A rod that begins with a push goes least far with the largest damping."""
+    rows = "t,q1,qd1\n" + "".join(f"{k / 20},0,1\n" for k in range(9))
+    line = ("fit", PENDULUM, "-", "--simulate", "--minimize", "q1", "--starts", "2")
+    done = robodyn(*line, "--set", "gravity=0", "--vary", "links.rod.damping=0:0.1", stdin=rows)
+    told = json.loads(done.out)
+    assert told["at_bounds"] == {"links.rod.damping": "high"}
+    assert told["rms"]["q1"] < told["rms_before"]["q1"]
+
+
 COLUMN = ["--minimize", "tau1", "--q", "1"]
 
 
@@ -128,7 +138,7 @@ COLUMN = ["--minimize", "tau1", "--q", "1"]
         ([*VARY, "--minimize", "tau1,tau1", "--q", "1"], "each once"),
         ([*VARY, "--minimize", "tau7", "--q", "1"], "tau7: is no column"),
         ([*VARY, *COLUMN, "--columns", "tau1"], "--columns: is for --match"),
-        ([*VARY, *COLUMN, "--simulate"], "--simulate: is for --match"),
+        ([*VARY, *COLUMN, "--simulate"], "--simulate: needs --match or STATES"),
         ([*VARY, *COLUMN, "--tau", "1"], "--tau: is for --simulate"),
         ([*VARY, *COLUMN, "--starts", "0"], "--starts = 0"),
         ([*VARY, *COLUMN, "--subject-to", "1 < 2 < 3"], "one comparison"),

@@ -15,14 +15,21 @@ import robodyn
 from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import loop_forces
 from robodyn.dynamics.named_numbers import named_values
+from robodyn.dynamics.state_columns import jacobian_columns, jacobian_values
 from robodyn.errors import DescriptionError, InputError, RobodynError
+from robodyn.kinematics.named_points import named_points
 from robodyn.kinematics.point_motion import link_turns
-from robodyn.kinematics.transmission import transmission_angles, transmission_loops
+from robodyn.kinematics.transmission import (
+    rate_ratios,
+    ratio_named,
+    transmission_angles,
+    transmission_loops,
+)
 from robodyn.loops.assembly_plan import assembly_plan
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
-from robodyn.parameters import motion_lanes
+from robodyn.parameters import lane_runs, motion_lanes
 from robodyn.parameters.base_parameters import random_states
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import LaneStates, Rows
@@ -159,6 +166,8 @@ def test_every_column_of_the_examples(path) -> None:
     columns += [f"r{axis}{k + 1}" for k in range(mech.n) for axis in "xy"]
     columns += [f"rm{k + 1}" for k in mech.slides] + ["shake_fx", "shake_fy", "shake_m"]
     columns += [f"transmission{c + 1}" for c in loops]
+    ratios = [f"{x}/{mech.link_names[0]}" for x in mech.link_names[1:]]
+    columns += [*jacobian_columns(mech, named_points(mech)), *ratios]
 
     def shown(mech):
         q = robodyn.assemble(mech, given)
@@ -176,6 +185,9 @@ def test_every_column_of_the_examples(path) -> None:
         ]
         if loops:
             parts.append(transmission_angles(mech, list(transmission_loops(mech).values()), q))
+        parts.append(jacobian_values(mech, named_points(mech), q))
+        if ratios:
+            parts.append(rate_ratios(mech, [ratio_named(mech, x) for x in ratios], q, rates))
         return np.concatenate(parts, axis=-1)
 
     values = named_values(mech)
@@ -485,6 +497,60 @@ def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch)
     differences = np.moveaxis((4.0 * one - two) / 3.0, 0, -1)
     assert np.abs(exact).max(axis=(0, 1)).min() > 0.1
     assert np.abs(exact - differences).max() < 1e-5
+
+
+@pytest.mark.parametrize("machine", [True, False])
+def test_starts_advance_as_lanes(machine: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All starts in one sweep of lanes, which are the runs of each alone."""
+    monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
+    if not machine:
+        monkeypatch.setattr(lane_runs.Rows, "compile", lambda self: None)
+    changes = np.array([[0.0, 0.0, 0.0], [0.3, 0.05, -1.0], [-0.2, 0.02, 2.0]])
+    for name in ("four-bar", "spring-slider-crank") if machine else ("2r",):
+        mech = load(ROOT / f"robots/{name}.yaml")
+        last, a = mech.link_names[-1], len(mech.actuated)
+        vary = {f"links.{last}.m": (0.1, 3.0), "links[1].l": (0.1, 2.0), "qd1": (-3.0, 5.0)}
+        columns = [f"{x}{k + 1}" for x in ("q", "qd") for k in range(mech.n)]
+        start = np.linspace(0.5, 0.3, a), [1.0] * a, [0.2] * a
+        given = mech, vary, columns, np.linspace(0.0, 0.4, 9), *start
+
+        def lanes(alone: bool, given=given):
+            with monkeypatch.context() as patch:
+                if alone:
+                    patch.setattr(motion_lanes, "serves", lambda mech: False)
+                else:
+                    patch.setattr(motion_lanes, "simulate", None)
+                return robodyn.fit_motion(*given).states(changes)
+
+        (one, one_by, *_), (every, every_by, *_) = lanes(True), lanes(False)
+        assert np.abs(one - every).max() < 2e-8
+        assert np.abs(one_by - every_by).max() < 1e-7 * np.abs(one_by).max()
+
+
+def test_lanes_that_end_are_run_alone() -> None:
+    """A bar of equal lengths comes to its change point, where lanes have no way on."""
+    mech, t = load(ROOT / "robots/parallelogram.yaml"), np.linspace(0.0, 1.0, 6)
+    with pytest.raises(RobodynError, match="is of motions that pass no change point"):
+        robodyn.fit_motion(mech, {"links[1].m": (0.1, 3.0)}, ["q1"], t, [1.0], starts=1)
+
+
+def test_motions_with_stops_and_dry_friction(tmp_path) -> None:
+    """By what `simulate(sensitivity=)` has; forces at states jump, and are refused by name."""
+    path = tmp_path / "rod.yaml"
+    text = "links:\n  - {name: rod, m: 0.4, l: 0.3, r: 0.15, I: 0.0088, limits: {max: 60deg, "
+    path.write_text(f"{text}restitution: 0.6}}, friction: {{torque: 0.05, static: 0.05}}}}\n")
+    rod, t = load(path), np.linspace(0.0, 0.3, 7)
+    target = robodyn.simulate(rod, [0.9], [3.0], 0.3, t_eval=t).q
+    path.write_text(path.read_text().replace("0.6", "0.5"))
+    rod = load(path)
+    vary = {"links.rod.limits.restitution": (0.2, 0.9)}
+    found = robodyn.fit_motion(rod, vary, ["q1"], t, [0.9], [3.0], target=target, starts=1)
+    assert list(found.numbers.values()) == pytest.approx([0.6], rel=1e-6)
+    with pytest.raises(InputError, match="column = tau1: jumps where dry friction or a stop"):
+        robodyn.fit(rod, {"links.rod.r": (0.1, 0.2)}, ["tau1"], t[:, None])
+    x = robodyn.points(rod, t[:, None]).position[:, 0, :1]
+    found = robodyn.fit(rod, {"links.rod.l": (0.1, 0.5)}, ["rod_x"], t[:, None], target=x)
+    assert found.numbers["links.rod.l"] == pytest.approx(0.3)
 
 
 # -- what is wrong ---------------------------------------------------------------------------------

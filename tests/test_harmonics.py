@@ -47,6 +47,10 @@ def test_an_unbalanced_crank_has_its_weight_and_one_order(robodyn: Run, tmp_path
     )
     pull, ahead = 2 * 0.05 * SPEED**2, math.atan2(0.03, 0.04)
     assert given.column("order") == [0, 1, 2, 3]
+    alone = rows(robodyn, tmp_path, UNBALANCED, "--harmonics").succeeds().out.splitlines()
+    assert (alone[:5], len(alone)) == (given.out.splitlines(), 12)  # orders 0 to 10
+    options = "--harmonics", "--format", "csv"
+    assert rows(robodyn, tmp_path, UNBALANCED, *options).succeeds().out.splitlines() == alone
     assert given.column("shake_fx_amp") == pytest.approx([0, pull, 0, 0], rel=1e-12)
     assert given.column("shake_fx_phase")[1] == pytest.approx(ahead, rel=1e-12)
     assert given.column("shake_fy_amp") == pytest.approx([2 * 9.81, pull, 0, 0], rel=1e-12)

@@ -305,8 +305,9 @@ def test_no_excitation_is_named(robodyn: Run, tmp_path: Path) -> None:
 def test_numbers_that_torques_do_not_tell_are_refused(robodyn: Run, data: Path) -> None:
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.l")
     assert done.code == 2
-    assert "links.forearm.l: is no mass, moment" in done.err
-    assert "robodyn fit --vary 'links.forearm.l=LOW:HIGH' --match" in done.err
+    assert "links.forearm.l: torques are not linear in it, as in masses" in done.err
+    way = f"robodyn fit {ROOT / ARM} --vary 'links.forearm.l=LOW:HIGH' --match {data}"
+    assert f"{way} --columns tau1,tau2 (" in done.err
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.z")
     assert "links.forearm.z: is no mass, moment, damping" in done.err
     done = robodyn("identify", ROOT / ARM, data, "--of", "links.forearm.m,")
@@ -336,7 +337,40 @@ def test_torques_of_one_joint_alone_may_be_those_of_another_mechanism(
     mech = rd.load(ROOT / ARM)
     data = written(tmp_path / "arm.csv", mech)
     done = robodyn("identify", ROOT / "robots/rp-arm.yaml", data)
-    assert "% of tau2 are not told by" in done.err
+    done.fails(2, "arm.csv: tau2 = 69.", "50 % at most", "These are data of another mechanism")
+
+
+def test_smooth_data_of_another_mechanism_are_refused(robodyn: Run, tmp_path: Path) -> None:
+    """What no parameters tell, and is no noise; noise, and friction that lacks, are told."""
+    t = np.linspace(0.0, 2.0, 401)
+    q = np.sin(t[:, None] * [3.0, 4.0])
+    qd, qdd = np.cos(t[:, None] * [3.0, 4.0]) * [3.0, 4.0], -q * [9.0, 16.0]
+    mech, noise = rd.load(ROOT / ARM), np.random.default_rng(0).normal(size=(401, 2))
+
+    def told(tau: np.ndarray, file: str = "a.csv") -> Outcome:
+        names = "t,q1,q2,qd1,qd2,qdd1,qdd2,tau1,tau2"
+        table = np.column_stack([t, q, qd, qdd, tau])
+        np.savetxt(tmp_path / file, table, delimiter=",", header=names, comments="")
+        return robodyn("identify", ROOT / ARM, tmp_path / file)
+
+    tau = torques(mech, [q, qd, qdd])
+    assert told(tau).err == ""
+    told(np.sin(t[:, None] * [31.0, 23.0])).fails(2, "a.csv: tau1 = ", "% of its rms is left",
+                                                  "50 % at most", "another mechanism")  # fmt: skip
+    for more in (30.0 * noise, 30.0 * np.sign(qd)):
+        done = told(tau + more)
+        assert done.code == 0
+        assert "Warning" in done.err
+    assert "below 0 by" in told(tau - 2.0 * qd + 0.1 * noise).err
+
+
+def test_data_of_another_four_bar_do_not_close(robodyn: Run, tmp_path: Path) -> None:
+    bar, rows = ROOT / "robots/four-bar.yaml", tmp_path / "bar.csv"
+    robodyn("trajectory", bar, "--speed", "30rpm", "--turns", "1", "-o", rows).succeeds()
+    table = robodyn("torque", bar, rows).succeeds().out
+    done = robodyn("identify", bar, "-", "--set", "links.rocker.l=0.85", stdin=table)
+    limit = "the loops are open: gap in position = 0.05 m: 3.25e-06 m at most"
+    done.fails(2, "stdin: line 2", limit, "a closed motion of this mechanism")
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-200])
@@ -375,4 +409,9 @@ def test_a_cutoff_for_nothing_and_a_leap_of_time_are_told(robodyn: Run, tmp_path
     assert (done.code, "--cutoff = -3.0: is for rates that lack" in done.err) == (2, True)
     data = edited(written(tmp_path / "b.csv", mech, rates=False), lambda x: [*x[:50], *x[90:]])
     done = robodyn("identify", ROOT / ARM, data)
-    assert (done.code, "line 51: t leaps by" in done.err) == (0, True)
+    assert (done.code, "line 51: t leaps by" in done.err) == (2, True)
+    assert "5 steps of 0.0" in done.err
+    data = edited(written(tmp_path / "c.csv", mech, rates=False), lambda x: [*x[:9], *x[11:]])
+    done = robodyn("identify", ROOT / ARM, data, "--cutoff", "20")
+    assert done.code == 2
+    assert f"{data}: t = steps from 0.0" in done.err

@@ -365,7 +365,11 @@ def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
         (["--vary", "q1=normal(0,1)"], ["--vary q1 = normal(0,1): normal is for --sample"]),
         (["--vary", "q1=normal(0,0)", "--sample", "3"], ["the deviation must be > 0"]),
         (["--vary", "q1=normal(0,x)", "--sample", "3"], ["--vary q1 = x:"]),
-        (["--vary", "q1=normal(0)", "--sample", "3"], ["--vary q1 = normal(0)"]),
+        (
+            ["--vary", "q1=normal(0)", "--sample", "3"],
+            ["--vary q1 = normal(0): needs two numbers: normal(mean, deviation)"],
+        ),
+        (["--vary", "q1=uniform", "--sample", "3"], ["two numbers: uniform(low, high)"]),
         (["--vary", "q1=uniform(2,1)", "--sample", "3"], ["first must be below the second"]),
         (
             ["--vary", "links.upper arm.m=normal(-1,1)", "--sample", "3"],

@@ -6,7 +6,9 @@ paragraphs of the docstrings.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from itertools import zip_longest
 from typing import Any
 
 from typer.core import TyperCommand, TyperGroup
@@ -90,6 +92,7 @@ _OPTIONS = {
 }
 _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
+IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
 
 
 def group_options(command: str, parameters: Iterable[Any]) -> None:
@@ -113,6 +116,15 @@ def _heading(parameter: Any) -> str:
 
 class Command(TyperCommand):
     """A command whose help is grouped, in a pipe too."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """With the numbers of `IMPLIED` behind options that stand alone."""
+        given: list[str] = []
+        for word, following in zip_longest(args, args[1:], fillvalue=""):
+            given.append(word)
+            if word in IMPLIED and not re.fullmatch("[+-]?[0-9]+", following):
+                given.append(IMPLIED[word])
+        return super().parse_args(ctx, given)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         order = ["Arguments", OWN, *_OPTIONS.get(self.name or "", _OTHERS)]

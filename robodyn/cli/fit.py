@@ -74,8 +74,9 @@ class FitOptions:
             raise InputError("STATES", value=states, limit=limit)
         if self.columns is not None and self.match is None:
             raise InputError("--columns", limit="is for --match")
-        if self.simulate and (self.subject_to or self.match is None):
-            raise InputError("--simulate", limit="is for --match, without --subject-to")
+        if self.simulate and (self.subject_to or (self.match is None and states is None)):
+            limit = "needs --match or STATES, for its times, and is without --subject-to"
+            raise InputError("--simulate", limit=limit)
         if self.tau is not None and not self.simulate:
             raise InputError("--tau", limit="is for --simulate")
 
@@ -130,11 +131,11 @@ def fit(
 ) -> None:
     """Numbers of a scene for which columns follow a table, or are as small as they can be.
 
-    Columns are those of `points` (P_x, P_vy, w3, transmission1), `torque` (tau1, power1, fx1,
-    volt1) and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that follow.  Rows give the
-    actuated joints' q1.., qd1.., qdd1.. (rates that are left out are zero) and t; the other joints
-    are assembled anew for each trial.  The sum of squares of all columns, as they are in SI units,
-    becomes least.
+    Columns are those of `points` (P_x, P_vy, P_Jx1, w3, transmission1, rocker/crank), `torque`
+    (tau1, power1, fx1, volt1) and `reactions` (rx1, shake_fx), and q3, qd3, qdd3 of joints that
+    follow.  Rows give the actuated joints' q1.., qd1.., qdd1.. (rates that are left out are zero)
+    and t; the other joints are assembled anew for each trial.  The sum of squares of all columns,
+    as they are in SI units, becomes least.
 
     Many starts are searched at once by the exact derivatives, the best are finished by scipy's
     least_squares.  Where loops do not close on the way, what is missing counts ten times; results

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Annotated
 
+import numpy as np
 from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument
@@ -30,6 +32,10 @@ _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero ph
 _SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
 _RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
 LITTLE = 0.1  # of a torque's rms: where more is left, the scene does not tell the data
+MOST = 0.5  # of it, with friction beside, that data of this mechanism leave, but for noise
+NOISE = 0.5  # of what is left, by its steps from row to row: noise has 1, what is even has 0
+ROUNDED = 1e-3  # of a torque's rms: less is left by rounding and by rates that were found
+BELOW = 5.0  # standard errors by which what no body has below 0 is below it
 
 
 def identify(
@@ -67,15 +73,18 @@ def identify(
     linear, values = places(mechanism.description), model.values()
     for name in names:
         if name in values and name not in linear:
-            limit = (
-                f"is found by robodyn fit --vary '{name}=LOW:HIGH' --match {data} --columns tau1"
-            )
-            raise InputError(name, limit=f"is no mass, moment, friction or stiffness; {limit}..")
+            torques = ",".join(f"tau{k + 1}" for k in mechanism.actuated)
+            way = f"robodyn fit {model.model} --vary '{name}=LOW:HIGH' --match {data}"
+            limit = "torques are not linear in it, as in masses, moments, friction and stiffness"
+            limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
+            raise InputError(name, limit=limit)
     with remarks(), named_options(["cutoff"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
         q, qd, qdd = motion.states
         found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
     joints = [k + 1 for k in balanced_joints(mechanism)]
+    if not names and not physical:
+        _check_told(mechanism, found, motion)
     untold = [
         f"{100 * left / usual:.3g} % of tau{k}"
         for k, left, usual in zip(joints, found.rms, found.rms_torque, strict=True)
@@ -83,7 +92,12 @@ def identify(
     ]
     if untold:
         text = f"{', '.join(untold)} are not told by {mechanism.source} with the numbers found"
-        note(f"Warning: {motion.source}: {text}: data of another mechanism, or friction?")
+        note(f"Warning: {motion.source}: {text}: noise, friction, or data of another mechanism?")
+    rough = (found.rms > ROUNDED * found.rms_torque).any()
+    for x in found.estimates if rough else ():
+        if not re.search("m[xy]|[-.]", x.name) and x.value < -BELOW * x.error:
+            text = f"{x.name} = {x.value:.6g}, below 0 by {-x.value / x.error:.3g} standard errors"
+            note(f"Warning: {motion.source}: {text}: no body has that")
     if found.kept:
         note(f"Note: the data do not tell, and the scene's stay: {', '.join(found.kept)}")
     if residuals is not None:
@@ -103,6 +117,28 @@ def identify(
     if "-" in (fitted, residuals):  # which took the place of the results
         return
     write_structure(format, None, content, lambda: list(_tables(found, joints)))
+
+
+def _check_told(mechanism: Mechanism, found: Identification, motion: MotionFile) -> None:
+    """InputError where no parameters, nor friction or noise beside, tell the torques along t."""
+    driven = mechanism.actuated
+    places = [balanced_joints(mechanism).index(k) for k in driven]
+    usual = found.rms_torque[places]
+    usual[usual == 0.0] = np.inf  # rounding is left of torques that are none
+    if not np.any(motion.t) or not (found.rms[places] > MOST * usual).any():
+        return
+    left = motion.tau - predicted(mechanism, found, motion.states, motion.t)[:, places]
+    slip = np.sign(motion.states[1][:, list(driven)])
+    slip /= np.maximum(np.linalg.norm(slip, axis=0), 1.0)
+    left -= slip * (slip * left).sum(axis=0)
+    size = np.sqrt((left**2).mean(axis=0))
+    steps = (np.diff(left, axis=0) ** 2).mean(axis=0) / np.maximum(2.0 * size**2, 1e-300)
+    for k, part, rough in zip(driven, size / usual, steps, strict=True):
+        if part > MOST and rough < NOISE:
+            value = f"{100 * part:.3g} % of its rms is left by any masses, dampers and friction"
+            limit = f"{100 * MOST:g} % at most, but for noise, which this is not: it is even from "
+            limit += "row to row. These are data of another mechanism"
+            raise InputError(f"tau{k + 1}", where=motion.source, value=value, limit=limit)
 
 
 def _write_scene(mechanism: Mechanism, model: Model, found: Identification, out: str) -> None:

@@ -15,11 +15,12 @@ from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, Source, complete, table_source
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.regression_matrix import balanced_mechanism
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
 Array = np.ndarray
-GAP = 5.0  # times the usual step: rows are missing
+GAP = 5.0  # times the usual step: where t leaps by more, rows are missing
 
 
 class MotionFile(NamedTuple):
@@ -41,12 +42,14 @@ def read_motion(
     Raises InputError for gaps, for columns of another mechanism, for times that do not rise, and
     for a cutoff where no rates are to be found.
     """
+    moving = balanced_mechanism(mechanism) if mechanism.rows else mechanism
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []
     with open_input(file) as (stream, name):
         reader = Reader(stream, name)
         _check_joints(mechanism, reader.header, name)
-        sources = [table_source(mechanism, x, reader.header, name) for x in wanted]
+        sources = [table_source(moving, x, reader.header, name) for x in wanted[:3]]
+        sources += [table_source(mechanism, x, reader.header, name) for x in wanted[3:]]
         absent = [x for x in sources if not x.given]
         timed = "t" in reader.header
         if cutoff is not None and not absent:
@@ -65,7 +68,7 @@ def read_motion(
     t = values[:, -1] if timed else np.zeros(len(values))
     if timed:
         check_rising(t, numbers, name)
-        _tell_gap(t, numbers, name) if absent else None
+        _check_gap(t, numbers, name) if absent else None
     column = dict(zip(columns, values.T, strict=False))
     given = {x.quantity.name: _columns(column, x.columns) for x in sources if x.columns}
     found = []
@@ -76,11 +79,15 @@ def read_motion(
             continue
         base = next(x for x in reversed(sources[:2]) if x.given)
         names = base.columns if base.whole and not mechanism.rows else None
-        names = names or base.quantity.columns(mechanism.actuated)
+        names = names or base.quantity.columns(moving.actuated)
         _tell(absent, names, base, cutoff) if source is absent[0] else None
-        given[kind] = _rates(
-            t, _columns(column, names), len(kind) - len(base.quantity.name), cutoff
-        )
+        order = len(kind) - len(base.quantity.name)
+        try:
+            given[kind] = _rates(t, _columns(column, names), order, cutoff)
+        except InputError as error:
+            if error.what in ("t", "rows"):
+                error.add_place(name)
+            raise
         whole = len(names) == mechanism.n
         found.append(Source(source.quantity, [], list(names), whole))
     arrays = [given[source.quantity.name] for source in found]
@@ -90,11 +97,11 @@ def read_motion(
     else:
         tau = np.zeros((len(values), 0))
     try:
-        states = complete(mechanism, found, arrays)
+        states = complete(moving, found, arrays)
     except RobodynError:
         for k, number in enumerate(numbers):  # which of the rows it is
             try:
-                complete(mechanism, found, [x[k : k + 1] for x in arrays])
+                complete(moving, found, [x[k : k + 1] for x in arrays])
             except RobodynError as error:
                 error.add_place(f"{name}: line {number}")
                 raise
@@ -121,13 +128,17 @@ def _tell(
     note(f"Note: {missing} of {', '.join(names)}: by {how(cutoff)}")
 
 
-def _tell_gap(t: Array, numbers: Sequence[int], source: str) -> None:
-    """Warn of rows that lack among the others, where rates are found through them."""
+def _check_gap(t: Array, numbers: Sequence[int], source: str) -> None:
+    """InputError for rows that lack among the others, where rates are found through them."""
     steps = np.diff(t)
     k = int(np.argmax(steps)) if len(steps) else 0
     if len(steps) and steps[k] > GAP * (usual := float(np.median(steps))):
-        gap = f"t leaps by {steps[k]:.6g} s, where steps are {usual:.6g} s"
-        note(f"Warning: {source}: line {numbers[k + 1]}: {gap}: rates beside it are a guess")
+        limit = (
+            f"{GAP:g} steps of {usual:.6g} s at most, for rates to be found across: give qd and "
+        )
+        limit += "qdd, or the parts on their own"
+        where = f"{source}: line {numbers[k + 1]}"
+        raise InputError("t leaps by", value=f"{steps[k]:.6g} s", where=where, limit=limit)
 
 
 def _check_joints(mechanism: Mechanism, header: Sequence[str], source: str) -> None:

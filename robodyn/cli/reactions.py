@@ -22,7 +22,7 @@ from robodyn.mechanics.mechanism import Mechanism
 
 _TAU = "Joint torques, N m, in place of --qdd: all joints, or the actuated ones."
 Tau = Annotated[Text, vector("--tau", _TAU)]
-_HARMONICS = "In place of the rows, a turn: orders 0 to N of the shaking force and moment."
+_HARMONICS = "In place of the rows, a turn: orders of the shaking force and moment, 0 to N or 10."
 AGREE = 1e-6  # part of the accelerations by which those given may miss those of the torques given
 
 
@@ -34,7 +34,7 @@ def reactions(
     qdd: Qdd = None,
     tau: Tau = None,
     force: Force = None,
-    harmonics: Annotated[int | None, Option("--harmonics", metavar="N", help=_HARMONICS)] = None,
+    harmonics: Annotated[int | None, Option("--harmonics", metavar="[N]", help=_HARMONICS)] = None,
     rows: StateOptions = StateOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
@@ -50,7 +50,7 @@ def reactions(
     columns tau1..) the accelerations follow, as in `accel`.  A table may hold both, as `simulate`
     writes them, if they belong together.  Rows of STATES pass through with the columns added.
 
-    --harmonics N takes one turn of the one actuated joint, rows at equal steps of its angle theta,
+    --harmonics takes one turn of the one actuated joint, rows at equal steps of its angle theta,
     the last a step before the first or as it, and tells for each order k amplitude and phase (rad):
     shake_fx is the sum of shake_fx_amp cos(k theta + shake_fx_phase) over all orders.
 
@@ -64,7 +64,7 @@ def reactions(
       robodyn reactions 2r states.csv --format json
       robodyn reactions 2r states.csv --extremes
       robodyn trajectory slider-crank --speed 300rpm --turns 1 --points 361 | \\
-        robodyn reactions slider-crank - --harmonics 6
+        robodyn reactions slider-crank - --harmonics
     """
     if qdd is not None and tau is not None:
         limit = "give one of them: the accelerations cause the torques, or the torques those"

@@ -14,7 +14,7 @@ from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
 from robodyn.parameters.linear_parameters import linear_parameters
-from robodyn.parameters.regression_matrix import balanced_joints
+from robodyn.parameters.regression_matrix import balanced_joints, balanced_mechanism
 from robodyn.parameters.regression_matrix import regressor as matrix
 
 _BASE = (
@@ -39,7 +39,7 @@ def regressor(
 ) -> None:
     """Y(q, qd, qdd): the torques are linear in masses, moments, dampers and springs, tau = Y pi.
 
-    Columns Y1_m2, ..: of joint 1 (actuated, or free in an open chain) by the mass of link 2, m2
+    Columns Y1_m2, ..: of joint 1 (actuated, or free: its torque is 0) by the mass of link 2, m2
     (kg, payload included). The others are mx2, my2 (its first moment m r in its own frame, kg m),
     J2 (its moment of inertia about its own joint, kg m^2), d2 (damping of its joint), f2
     (friction), Jr2 (its motor's rotor), k1 (stiffness of spring 1), ds1 (its damping). Where the
@@ -55,6 +55,8 @@ def regressor(
         robodyn regressor 2r - --condition
     """
     mechanism = model.load()
+    if mechanism.rows:
+        mechanism = balanced_mechanism(mechanism)
     given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
     if condition:
         _tell_condition(mechanism, states, given, rows)

@@ -38,6 +38,7 @@ from robodyn.tables.csv_fields import shown
 MOST_VALUES = 10_000_000  # of one --vary
 MOST_POINTS = 10**12
 MOST_NAMED = 60  # names that a message lists
+DRAWN = {"normal": "normal(mean, deviation)", "uniform": "uniform(low, high)"}
 
 Kind = Literal["motion", "torque"]  # what is computed at each point
 _VARY = (
@@ -285,7 +286,10 @@ def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
     def wrong(limit: str) -> InputError:
         return InputError(where, value=shown(text), limit=limit)
 
-    drawing = re.fullmatch(r"(normal|uniform)\(([^,()]*),([^,()]*)\)", text)
+    called = re.match(r"(normal|uniform)\b", text)
+    drawing = re.fullmatch(r"(normal|uniform)\(([^,()]+),([^,()]+)\)", text)
+    if called and not drawing:
+        raise wrong(f"needs two numbers: {DRAWN[called[1]]}")
     if drawing:
         if not drawn:
             raise wrong(f"{drawing[1]} is for --sample")

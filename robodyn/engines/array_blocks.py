@@ -27,7 +27,9 @@ def shared(total: int, share: int, piece: int, run: Callable[[int, int, int], ob
 
     What one thread raises, Ctrl-C too, ends all after their pieces.
     """
-    threads = max(1, min(MAX_THREADS, os.cpu_count() or 1, total // share))
+    threads = max(1, min(MAX_THREADS, total // share))
+    if threads > 1:  # the system is asked for those there are
+        threads = min(threads, os.cpu_count() or 1)
     bounds = [total * k // threads for k in range(threads + 1)]
     failures: list[BaseException] = []
 

@@ -123,7 +123,9 @@ def check_closed(
         wrong = np.abs(gap) > GAP_ALLOWED * size
         if wrong.any():
             state = int(np.flatnonzero(wrong.any(axis=-1))[0])
-            return state, _open(mechanism, gap.reshape(-1, gap.shape[-1])[state], what, unit)
+            most = np.broadcast_to(GAP_ALLOWED * size, gap.shape).reshape(-1, gap.shape[-1])[state]
+            open = gap.reshape(-1, gap.shape[-1])[state]
+            return state, _open(mechanism, open, what, unit, float(most.min()))
     return None
 
 
@@ -144,14 +146,16 @@ def _turned_over(mechanism: Mechanism, q: Array) -> Array:
     return more
 
 
-def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
+def _open(mechanism: Mechanism, gap: Array, what: str, unit: str, most: float) -> InputError:
     """The error of a state whose closures, or else couplings, are open by `gap` (r,)."""
-    limit = "give a closed motion, or the actuated joints only (the rest is assembled)"
+    limit = "give a closed motion of this mechanism, or the actuated joints only "
+    limit += "(the rest is assembled)"
     pins = [k for k, row in enumerate(mechanism.rows) if row.closure is not None]
     apart = np.abs(gap[pins]).max(initial=0.0)
     if apart > GAP_ALLOWED * loop_size(mechanism) or not mechanism.description.couplings:
         value = f"{np.linalg.norm(gap[pins]):.6g} {unit}"
-        return InputError(f"the loops are open: gap in {what}", value=value, limit=limit)
+        most_told = f"{most:.3g} {unit} at most: {limit}"
+        return InputError(f"the loops are open: gap in {what}", value=value, limit=most_told)
     arms = np.array([row.arm if row.closure is None else np.inf for row in mechanism.rows])
     turns = np.abs(gap / arms)
     worst = int(np.argmax(turns)) - len(pins)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from robodyn.loops.loop_rates import nearest_velocities
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
-from robodyn.scene.scene import Description, Point
+from robodyn.scene.scene import Description, Point, Spring
 from robodyn.tables.short_repr import short_repr
 
 Array = NDArray[np.float64]
@@ -183,14 +183,17 @@ Symbol = tuple[str, float]
 
 
 def _symbols(description: Description) -> list[Symbol]:
-    """The lengths and ratios of a scene, by the names that equations have for them."""
+    """The lengths and ratios of a scene, by the names that equations have for them.
+
+    Springs without free length pull as weights do, by where they are held over gravity.
+    """
     links = description.links
     found: list[Symbol] = []
 
-    def point(name: str, at: Point) -> None:
-        if at.link is None:
+    def point(name: str, at: Point, held: bool = False) -> None:
+        if at.link is None and not held:
             return
-        if at.at == links[at.link].l:
+        if at.link is not None and at.at == links[at.link].l:
             return
         found.extend((f"{name}{axis}", x) for axis, x in (("x", at.at.real), ("y", at.at.imag)))
 
@@ -205,6 +208,13 @@ def _symbols(description: Description) -> list[Symbol]:
             point(f"b{c}", closure.second)
     for c, coupling in enumerate(description.couplings, start=1):
         found += [(f"i{c}_{k + 1}", ratio) for k, ratio in coupling.terms]
+    every = enumerate(description.springs, start=1)
+    springs = [(i, x) for i, x in every if isinstance(x, Spring) and not x.length]
+    for i, spring in springs:
+        point(f"e{i}", spring.first, held=True)
+        point(f"h{i}", spring.second, held=True)
+    if springs and not description.gravity.real:
+        found.append(("g", -description.gravity.imag))
     return [(name, float(x)) for name, x in found]
 
 
@@ -225,7 +235,7 @@ def _changed(
 
     lengths = [near(link.l) for link in base.links]
 
-    def moved(at: Point) -> Point:
+    def moved(at: Any) -> Any:
         if at.link is not None and at.at == base.links[at.link].l:
             return at._replace(at=complex(lengths[at.link]))
         return at._replace(at=complex(near(at.at.real), near(at.at.imag)))
@@ -238,13 +248,16 @@ def _changed(
         )
         for link, length in zip(base.links, lengths, strict=True)
     )
-    closures = tuple(
-        x._replace(first=moved(x.first), second=moved(x.second)) for x in base.closures
-    )
+    ends = [x._replace(first=moved(x.first), second=moved(x.second)) for x in base.closures]
     couplings = tuple(
         x._replace(terms=tuple((k, near(ratio)) for k, ratio in x.terms)) for x in base.couplings
     )
-    changed = base._replace(links=links, closures=closures, couplings=couplings)
+    springs = tuple(
+        x._replace(first=moved(x.first), second=moved(x.second)) if isinstance(x, Spring) else x
+        for x in base.springs
+    )
+    changed = base._replace(links=links, closures=tuple(ends), couplings=couplings, springs=springs)
+    changed = changed._replace(gravity=base.gravity * near(1.0))
     try:
         other = structural(build(changed))
     except RobodynError:

@@ -8,11 +8,13 @@ from functools import cached_property, partial
 from typing import Any
 
 from robodyn.engines import expression
-from robodyn.engines.expression import Value
+from robodyn.engines.expression import Expression, Value
+from robodyn.engines.factors import Factors
 from robodyn.engines.recorded_numbers import evaluated
+from robodyn.engines.tangents import substituted
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import NamedPoint, named_points
-from robodyn.kinematics.transmission import transmission_loops, turn_between
+from robodyn.kinematics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
@@ -24,6 +26,7 @@ from robodyn.tables.csv_fields import shown
 
 SHAKES = ("shake_fx", "shake_fy", "shake_m")
 PARTS = ("x", "y", "vx", "vy", "ax", "ay")
+_SLOPE = re.compile("J([xy])([1-9][0-9]*)", re.ASCII)
 _RELATION = re.compile(r"<=|>=|==|<|>")
 
 
@@ -41,6 +44,8 @@ class ColumnFormulas(ForceFormulas):
     def column(self, name: str, where: str = "column") -> Value:
         """The formula of a column; InputError, naming `where`, for one that is none."""
         found = self._named[name]() if name in self._named else self._point(name)
+        if found is None and "/" in name:
+            found = self._ratio(name)
         if found is None:
             limit = f"is no column that can be fitted{nearest(name, self.known)}"
             raise InputError(where, value=shown(name), limit=limit)
@@ -89,7 +94,8 @@ class ColumnFormulas(ForceFormulas):
 
     def _point(self, name: str) -> Value | None:
         stem, _, part = name.rpartition("_")
-        if part not in PARTS:
+        slope = _SLOPE.fullmatch(part)
+        if part not in PARTS and not slope:
             return None
         point: NamedPoint | None = self._points.get(stem)
         if point is None:
@@ -97,10 +103,48 @@ class ColumnFormulas(ForceFormulas):
                 (point,) = named_points(self.named, [stem])
             except (InputError, ValueError):
                 return None
+        if slope:  # how fast the point moves with an actuated joint
+            units, moved = self._units.get(int(slope[2]) - 1), self.moved(point.point, 1)
+            along = moved.real if slope[1] == "x" else moved.imag
+            return None if units is None else substituted([along], units)[0]
         moved = self.moved(
             point.point, (len(part) - 1) if part in "xy" else "va".index(part[0]) + 1
         )
         return moved.real if part[-1] == "x" else moved.imag  # type: ignore[no-any-return]
+
+    @cached_property
+    def _units(self) -> dict[int, dict[str, Value]]:
+        """The rates of all joints, by their names, where one of the actuated joints moves at 1.
+
+        The others' v, of least length, follow from Psi v = -Psi_k.
+        """
+        rates, driven = self.state.inputs[self.mechanism.n :], self.mechanism.actuated
+        passive = [k for k in range(self.mechanism.n) if k not in driven]
+        count = len(passive)
+        matrix: list[dict[int, Value]] = [{i: 1.0} for i in range(count)]
+        matrix += [{} for _ in self.Psi]
+        for r, row in enumerate(self.Psi, start=count):
+            for i, k in enumerate(passive):
+                if isinstance(row[k], Expression) or row[k]:
+                    matrix[i][r] = matrix[r][i] = row[k]
+        factors, found = Factors(matrix, count), {}
+        for k in driven:
+            each = factors.solve([0.0] * count + [-row[k] for row in self.Psi])
+            values = {k: 1.0, **dict(zip(passive, each, strict=False))}
+            found[k] = {rates[j]: values.get(j, 0.0) for j in range(self.mechanism.n)}
+        return found
+
+    def _ratio(self, name: str) -> Value | None:
+        """The rate of a link over that of another; of one freedom, at any rate."""
+        try:
+            ratio = ratio_named(self.mechanism, name)
+        except InputError:
+            return None
+        slides, qd = self.mechanism.slides, self.state.relative["qd"]
+        both = [qd[k] if k in slides else self._turn(k, 1) for k in (ratio.of, ratio.over)]
+        if len(self._units) == 1:
+            both = substituted(both, next(iter(self._units.values())))
+        return expression.multiply(both[0], 1.0 / both[1])
 
     def _taken(self, values: str, at: int, part: str) -> Value:
         found: Value = getattr(getattr(self, values)[at], part)

@@ -84,12 +84,9 @@ def fit(
     actuated joints, rad and s, t (T,) the times; what is not given is zero.  Columns are named as
     those of `points` (with `of`), `torque` and `reactions`, or q3, qd3, qdd3 of what follows.
     `subject_to` has conditions such as "links.crank.l + links.coupler.l <= 1", which hold at every
-    row where columns are in them.  Raises InputError for what does not fit, and for bounds within
-    which the loops never close.
+    row where columns are in them.  Raises InputError for what does not fit, for forces of dry
+    friction and stops, and for bounds within which the loops never close.
     """
-    if mechanism.switches:
-        limit = "dry friction and stops have no derivatives at their switches: leave them out"
-        raise InputError("fit", where=mechanism.source, limit=limit)
     values = checked(mechanism, vary)
     formulas = ColumnFormulas(mechanism, list(vary), of)
     nodes = [formulas.column(name) for name in columns]
@@ -97,7 +94,15 @@ def fit(
     every = {name: values.number(name) for name in values.names}
     every |= {name: values.number(name) for name in vary}
     conditions = [formulas.condition(text, every) for text in subject_to]
-    states = LaneStates(formulas, [*nodes, *(node for node, _ in conditions)], rows)
+    every_node = [*nodes, *(node for node, _ in conditions)]
+    if mechanism.switches:
+        forces = [f"f{i}" for i in range(len(formulas.forces))]
+        for name, node in zip([*columns, *subject_to], every_node, strict=True):
+            if _depends(node, forces):
+                limit = "jumps where dry friction or a stop switches: fit columns of points, of"
+                limit += " links and of joints that follow, or motions (--simulate)"
+                raise InputError("column", value=shown(name), where=mechanism.source, limit=limit)
+    states = LaneStates(formulas, every_node, rows)
     alone = [not _depends(node, formulas.inputs[: -len(vary)]) for node, _ in conditions]
     turns = {f"q{k + 1}" for k in range(mechanism.n) if k not in mechanism.slides}
     turns |= {f"angle{k + 1}" for k in range(mechanism.n)}

@@ -197,7 +197,7 @@ class LaneStates:
                         least_p[here, a:b],
                     )
                 if passive:
-                    dq[:, passive] = -_solved(closed_q[..., passive], closed_p)
+                    dq[:, passive] = -solved_lanes(closed_q[..., passive], closed_p)
                 moved = gap_p + Psi @ dq
                 for g, (rows, _) in enumerate(self._conditions):
                     own = list(rows)
@@ -231,22 +231,22 @@ class LaneStates:
         A = np.concatenate([Psi, chosen], axis=1)
         right = np.zeros((N, r + a, 1))
         right[:, r:, 0] = np.tile(self.rows.qd, (S, 1))
-        x[:, n : 2 * n] = _solved(A, right)[..., 0]
+        x[:, n : 2 * n] = solved_lanes(A, right)[..., 0]
         right[:, :r, 0] = -self._code("bend")(x)[0]  # with qdd zero
         right[:, r:, 0] = np.tile(self.rows.qdd, (S, 1))
-        x[:, 2 * n : 3 * n] = _solved(A, right)[..., 0]
+        x[:, 2 * n : 3 * n] = solved_lanes(A, right)[..., 0]
         (load,) = self._code("load")(x)
         torques = np.broadcast_to(np.eye(n)[:, driven], (N, n, a))
         shares = np.concatenate([torques, np.swapaxes(Psi, 1, 2)], axis=-1)
-        x[:, 3 * n + 1 : 3 * n + 1 + a + r] = _solved(shares, load[..., None])[..., 0]
+        x[:, 3 * n + 1 : 3 * n + 1 + a + r] = solved_lanes(shares, load[..., None])[..., 0]
         rate_q, rate_p, bend_q, bend_qd, bend_p, load_q, load_qd, load_qdd, load_p = self._code(
             "rates"
         )(x)
         none = np.zeros((N, a, self.k))
-        dqd = -_solved(A, np.concatenate([rate_p + rate_q @ dq, none], axis=1))
+        dqd = -solved_lanes(A, np.concatenate([rate_p + rate_q @ dq, none], axis=1))
         bent = bend_p + bend_q @ dq + bend_qd @ dqd
-        dqdd = -_solved(A, np.concatenate([bent, none], axis=1))
-        df = _solved(shares, load_p + load_q @ dq + load_qd @ dqd + load_qdd @ dqdd)
+        dqdd = -solved_lanes(A, np.concatenate([bent, none], axis=1))
+        df = solved_lanes(shares, load_p + load_q @ dq + load_qd @ dqd + load_qdd @ dqdd)
         return [dqd, dqdd, df]
 
     # -- loops -------------------------------------------------------------------------------------
@@ -317,7 +317,7 @@ class LaneStates:
         return np.where(missing > MISSED * size, missing, 0.0).reshape(q.shape[:2])
 
 
-def _solved(A: Array, b: Array) -> Array:
+def solved_lanes(A: Array, b: Array) -> Array:
     """x (N, n, m) of least length with A x = b as near as it goes; nan where A is not finite."""
     if A.shape[1] == A.shape[2]:
         try:

@@ -21,7 +21,9 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.fit_problem import Problem
 from robodyn.parameters.fitting import Fit, as_target, checked, solved
+from robodyn.parameters.lane_runs import LaneRuns, serves
 from robodyn.parameters.lane_states import compiled
+from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import simulate
 
 Array = NDArray[np.float64]
@@ -85,9 +87,15 @@ def fit_motion(
         [begin[places[x][0]][places[x][1]] if x in places else values.number(x) for x in vary]
     )
     order = [list(vary).index(name) for name in numbers]
+    T, lanes = len(times), None
+    constants = as_actuation(mechanism, tau).constants
+    if serves(mechanism) and constants is not None:
+        varied = [places.get(name) for name in vary]
+        sizes = np.where(own == 0.0, 1.0, np.abs(own))
+        lanes = LaneRuns(formulas, varied, sizes, constants, times, TOLERANCE)
 
-    def of_one(changes: Array) -> tuple[Array, Array]:
-        """The columns (T, c) and their derivatives (T, c, all of vary)."""
+    def begun(changes: Array) -> tuple[Mechanism, Array, Array]:
+        """The mechanism, q and qd where it starts."""
         at = dict(zip(vary, own + changes, strict=True))
         moved = mechanism
         if numbers:
@@ -96,7 +104,11 @@ def fit_motion(
         for name, (kind, joint) in places.items():
             start[kind][joint] = at[name]
         joints = assemble(moved, start["q"])
-        rates = loop_velocities(moved, joints, start["qd"])
+        return moved, joints, loop_velocities(moved, joints, start["qd"])
+
+    def of_one(changes: Array) -> tuple[Array, Array]:
+        """(q, qd) (T, 2n) and their derivatives (T, 2n, all of vary) of one run alone."""
+        moved, joints, rates = begun(changes)
         run = simulate(
             moved,
             joints,
@@ -108,32 +120,40 @@ def fit_motion(
             t_eval=times - times[0],
             sensitivity=list(vary),
         )
-        T = len(times)
-        found, slopes = np.full((T, count), np.nan), np.full((T, count, len(vary)), np.nan)
-        if len(run.t) == T and run.sensitivity is not None:
-            x = np.zeros((T, len(formulas.inputs)))
-            x[:, : 2 * n] = np.hstack([run.q, run.qd])
-            x[:, x.shape[1] - k :] = changes[order]
-            found, by = code(x)
-            slopes = by[..., : 2 * n] @ run.sensitivity
-            slopes[..., order] += by[..., 2 * n :]
-        return found, slopes
+        if len(run.t) < T or run.sensitivity is None:
+            return np.full((T, 2 * n), np.nan), np.full((T, 2 * n, len(vary)), np.nan)
+        return np.hstack([run.q, run.qd]), run.sensitivity
 
     def states(changes: Array) -> tuple[Array, Array, Array, Array]:
-        found: list[Array] = []
-        slopes: list[Array] = []
-        for each in changes:
+        S = len(changes)
+        y, s = np.full((S, T, 2 * n), np.nan), np.full((S, T, 2 * n, len(vary)), np.nan)
+        starts = np.full((2, S, n), np.nan)
+        for i, each in enumerate(changes):
             try:
-                one, by = of_one(each)
-            except RobodynError:  # does not close, or cannot be differentiated there
-                if not found and len(changes) == 1 and not np.any(each):
+                _, *starts[:, i] = begun(each)
+            except RobodynError:  # does not close
+                if S == 1 and not np.any(each):
                     raise
-                one = np.full((len(times), count), np.nan)
-                by = np.full((len(times), count, len(vary)), np.nan)
-            found.append(one)
-            slopes.append(by)
-        none = np.zeros((len(changes), len(times), 0))
-        return np.array(found), np.array(slopes), none, none[..., None] * np.ones(len(vary))
+        alone = np.isfinite(starts).all(axis=(0, 2))
+        if lanes is not None:
+            y, s = lanes(changes[:, order], *starts)
+            alone &= ~np.isfinite(y[:, -1]).all(axis=1)
+        for i in np.flatnonzero(alone).tolist():
+            try:
+                y[i], s[i] = of_one(changes[i])
+            except RobodynError:  # cannot be differentiated there
+                if S == 1 and not np.any(changes):
+                    raise
+        x = np.zeros((S, T, len(formulas.inputs)))
+        x[..., : 2 * n] = y
+        x[..., x.shape[-1] - k :] = changes[:, None, order]
+        found, by = code(x.reshape(S * T, -1))
+        slopes = by[..., : 2 * n] @ s.reshape(S * T, 2 * n, -1)
+        slopes[..., order] += by[..., 2 * n :]
+        none = np.zeros((S, T, 0))
+        shape = (S, T, count)
+        by_none = np.zeros((S, T, 0, len(vary)))
+        return found.reshape(shape), slopes.reshape(*shape, -1), none, by_none
 
     wanted = as_target(target, len(times), count)
     problem = Problem(states, own, vary, wanted, [False] * count, [], [], TOLERANCE, 1)

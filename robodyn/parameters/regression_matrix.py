@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, balance, cheapest, inverse_of
 from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError, SingularError
+from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
@@ -31,6 +33,8 @@ from robodyn.tables.short_repr import short_repr
 Array = NDArray[np.float64]
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once
+CHOICES = 1000  # of joints that count as free
+TINY = 1e-12  # a singular value that is none
 
 
 @short_repr
@@ -48,10 +52,10 @@ def regressor(
 ) -> Regressor:
     """Y and what is known, so that the actuated joints' torques are Y @ values + known.
 
-    Free joints of an open chain count as actuated, see `balanced_joints`.  q, qd, qdd are (..., n)
-    and broadcast.  Raises as `inverse_dynamics` does.
+    Free joints count as actuated, see `balanced_joints`.  q, qd, qdd are (..., n) and broadcast.
+    Raises as `inverse_dynamics` does.
     """
-    mechanism = replace(mechanism, actuated=balanced_joints(mechanism))
+    mechanism = balanced_mechanism(mechanism)
     given = {"q": q, "qd": qd, "qdd": qdd}
     arrays = [finite(name, n_wide(mechanism, name, x)) for name, x in given.items()]
     try:
@@ -76,9 +80,35 @@ def regressor(
     return Regressor(Y.reshape(*shape, a, p), known.reshape(*shape, a), names, values)
 
 
+@lru_cache(maxsize=64)
 def balanced_joints(mechanism: Mechanism) -> tuple[int, ...]:
-    """The joints whose torques are known: the actuated ones, and free ones of an open chain (0)."""
-    return mechanism.actuated if mechanism.rows else tuple(range(mechanism.n))
+    """The joints whose torques are known: the actuated ones, and free ones (0).
+
+    With N (n, f) whose columns keep the loops closed, N^T Y pi = N^T tau; so of a closed mechanism
+    as many joints count as free as rates are that actuated joints and loops leave open: those that
+    tell the others' rates best, in the mean of some poses.
+    """
+    n, driven = mechanism.n, mechanism.actuated
+    if not mechanism.rows:
+        return tuple(range(n))
+    free = n - regular_rank(mechanism) - len(driven)
+    if free <= 0:
+        return driven
+    Psi = closed_jacobians(mechanism) / loop_size(mechanism)
+    every = combinations([k for k in range(n) if k not in driven], free)
+
+    def told(chosen: tuple[int, ...]) -> float:
+        """How far from singular Psi is for the others' rates."""
+        others = [k for k in range(n) if k not in (*driven, *chosen)]
+        least = np.linalg.svd(Psi[..., others], compute_uv=False).min(axis=-1, initial=1.0)
+        return float(np.log(least + TINY).mean())
+
+    return tuple(sorted((*driven, *max(islice(every, CHOICES), key=told))))
+
+
+def balanced_mechanism(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with these as its actuated joints."""
+    return replace(mechanism, actuated=balanced_joints(mechanism))
 
 
 def _smooth(mechanism: Mechanism, states: list[Array], times: Array) -> tuple[Array, Array]:

@@ -33,8 +33,10 @@ def _filtered(t: Array, x: Array, cutoff: float) -> Array:
 
     steps = np.diff(t)
     step = float(steps.mean())
-    if np.abs(steps - step).max() > EVEN * step:
-        raise InputError("t", limit="must rise by even steps, for a filter to run over it")
+    if (off := float(np.abs(steps - step).max() / step)) > EVEN:
+        value = f"steps from {steps.min():.6g} to {steps.max():.6g} s"
+        limit = f"must be even to {EVEN:g} of them for a filter to run over; they are to {off:.3g}"
+        raise InputError("t", value=value, limit=limit)
     if not 0.0 < cutoff < 0.5 / step:
         limit = f"must be between 0 and half the sampling rate, {0.5 / step:.6g} Hz"
         raise InputError("cutoff", value=cutoff, limit=limit)

@@ -1,0 +1,258 @@
+"""Runs from many starts at once, each a lane: (q, qd) and d(q, qd)/dp, at given times.
+
+With the residuals R of `derivative_formulas.py` and s = d(q, qd)/dp times the size of p,
+
+    qdd = -K^-1 r        s_q' = s_qd        s_qd' = -K^-1 (R_q s_q + R_qd s_qd + R_p)
+
+One formula serves all lanes, as the varied numbers are its inputs.  Lanes have steps of their own,
+of E. Hairer's DOP853 with its dense output; each accepted state is moved back onto the loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.dense_dynamics import elimination_is_safe
+from robodyn.dynamics.dynamics import PIVOT_CUT
+from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.expression import Value
+from robodyn.engines.factors import Factors
+from robodyn.engines.formula_rows import FormulaRows
+from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
+from robodyn.engines.frames import relative
+from robodyn.engines.machine_rows import Rows
+from robodyn.engines.tangents import Tangents, slopes_by, substituted
+from robodyn.loops.closing import regular_rank
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.parameters.column_formulas import ColumnFormulas
+from robodyn.parameters.lane_states import compiled, solved_lanes
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+Start = tuple[str, int] | None  # what is varied: q or qd of a joint that is driven, or a number
+
+STEPS = 20_000  # of a lane, which then ends
+WIDE = 8  # lanes of one call at least: fewer would be padded with more to do
+WAY = "p"
+
+
+def serves(mechanism: Mechanism) -> bool:
+    """Whether one formula has all accelerations, and driven joints tell where the others are."""
+    rows = len(mechanism.rows)
+    if mechanism.switches or mechanism.timed or mechanism.n != rows + len(mechanism.actuated):
+        return False
+    return elimination_is_safe(mechanism) and (not rows or regular_rank(mechanism) == rows)
+
+
+class LaneRuns:
+    """Runs of a mechanism under constant torques tau (n) to times (T,).
+
+    `varied` tells of each of the k names what it is, `sizes` (k,) their sizes.
+    """
+
+    def __init__(
+        self,
+        formulas: ColumnFormulas,
+        varied: Sequence[Start],
+        sizes: Array,
+        tau: Sequence[float],
+        times: Array,
+        tolerance: float,
+    ) -> None:
+        self.formulas, self.varied, self.sizes = formulas, list(varied), sizes
+        self.times, self.tolerance = times, tolerance
+        self.n, self.k = formulas.mechanism.n, len(sizes)
+        self.numbers = [j for j, x in enumerate(varied) if x is None]
+        self._rates = self._code(tau)
+        f, n = formulas, self.n
+        q, p, r = f.state.inputs[:n], [f"p{i}" for i in range(len(f.p))], len(f.gap)
+        Psi = [x for row in f.Psi for x in row]
+        parts = ((f.gap, p), (f.gap_rate, q), (f.gap_rate, p))
+        slopes = [((r, len(by)), slopes_by(nodes, by)) for nodes, by in parts]
+        self._begin = compiled(f.inputs, [((r, n), Psi), *slopes])
+        self._loops = compiled(f.inputs, [((r,), f.gap), ((r, n), Psi)])
+
+    def _code(self, tau: Sequence[float]) -> Callable[..., Any]:
+        """Accelerations of the motion and of each s (1 + k, n), and the lanes without any."""
+        n, k, mechanism = self.n, self.k, self.formulas.mechanism
+        p = [f"p{i}" for i in range(len(self.numbers))]
+        states = [f"z{i}" for i in range(2 * n * k)]
+        acting: dict[str, Value] = {f"tau{j}": float(x) for j, x in enumerate(tau)}
+
+        def write(way: bool) -> Formula:
+            graph = self.formulas.graph
+            state = Recorded(self.formulas.named, KINDS[1:], way, graph=graph)
+            series, r, _, R = residuals(state)
+            factors = series.factorise()
+            assert isinstance(factors, Factors)
+            unknown = factors.solve([-x for x in r])
+            held = {f"u{i}": x for i, x in enumerate(unknown)}
+            outputs = relative(mechanism, unknown[:n])
+            for j, size in enumerate(self.sizes.tolist()):
+                own = states[2 * n * j : 2 * n * (j + 1)]
+                by: dict[str, Tangents] = {
+                    x: {WAY: graph.variable(s)}
+                    for x, s in zip(state.inputs[: 2 * n], own, strict=True)
+                }
+                if j in self.numbers:
+                    by[p[self.numbers.index(j)]] = {WAY: size}
+                right = [-x for x in substituted(slopes_by(R, by, [WAY]), held)]
+                outputs += relative(mechanism, factors.solve(right)[:n])
+            own_sizes = Recorded(mechanism, KINDS[1:], way, graph=graph)
+            every = substituted([*outputs, *closure_pivots(own_sizes, factors)], acting)
+            inputs = (*state.inputs[: 2 * n], *states, "t", *p)
+            return Formula(inputs, tuple(every[: len(outputs)]), tuple(every[len(outputs) :]))
+
+        formula = cheapest(write)
+        assert formula is not None
+        machine = Rows([formula.inputs], [formula.outputs], formula.pivots, PIVOT_CUT).compile()
+        rows = FormulaRows(formula, lambda _: formula, (n * (1 + k),), PIVOT_CUT)
+
+        def run(x: Array) -> tuple[Array, Places]:
+            if machine is None:
+                (found,), doubtful = rows.by_numpy([x], 1)
+                return found, doubtful
+            found = np.empty((len(x), n * (1 + k)))
+            return found, machine([x], [found])
+
+        return run
+
+    def __call__(self, changes: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+        """(q, qd) (S, T, 2n) from q, qd (S, n), and their derivatives (S, T, 2n, k).
+
+        The numbers of the scene differ by `changes` (S, numbers).  Lanes that end are nan.
+        """
+        n, k, T = self.n, self.k, len(self.times)
+        sound = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
+        rows = np.full((len(q), T, 2 * n * (1 + k)), np.nan)
+        if sound.any():
+            changes = changes[sound]
+            with np.errstate(all="ignore"):
+                s = self._start(changes, q[sound], qd[sound]) * self.sizes
+                y = np.concatenate([q[sound], qd[sound]], axis=1)
+                begin = np.concatenate([y[:, None], np.swapaxes(s, 1, 2)], axis=1)
+                found = self._run(changes, begin.reshape(len(y), -1))
+                flat = np.repeat(changes, T, axis=0), found.reshape(-1, rows.shape[-1])
+                rows[sound] = self._closed(*flat, passes=2)[0].reshape(found.shape)
+        parts = rows.reshape(len(q), T, 1 + k, 2 * n)
+        return parts[:, :, 0], np.moveaxis(parts[:, :, 1:], 2, 3) / self.sizes
+
+    def _x(self, changes: Array, y: Array) -> Array:
+        """Inputs of the formulas of columns."""
+        x = np.zeros((len(y), len(self.formulas.inputs)))
+        x[:, : 2 * self.n] = y[:, : 2 * self.n]
+        x[:, x.shape[1] - changes.shape[1] :] = changes
+        return x
+
+    def _start(self, changes: Array, q: Array, qd: Array) -> Array:
+        """d(q, qd)/dp (S, 2n, k): loops stay closed, and driven joints as they are given."""
+        n, driven = self.n, list(self.formulas.mechanism.actuated)
+        Psi, gap_p, rate_q, rate_p = self._begin(self._x(changes, np.hstack([q, qd])))
+        r = Psi.shape[1]
+        A = np.concatenate([Psi, np.broadcast_to(np.eye(n)[driven], (len(q), n - r, n))], axis=1)
+        right = np.zeros((2, len(q), n, self.k))
+        for j, start in enumerate(self.varied):
+            if start is not None:
+                right[int(start[0] == "qd"), :, r + start[1], j] = 1.0
+        right[0, :, :r, self.numbers] = -np.moveaxis(gap_p, 2, 0)
+        right[1, :, :r, self.numbers] = -np.moveaxis(rate_p, 2, 0)
+        dq = solved_lanes(A, right[0])
+        right[1, :, :r] -= rate_q @ dq
+        return np.concatenate([dq, solved_lanes(A, right[1])], axis=1)
+
+    def _closed(self, changes: Array, y: Array, passes: int = 1) -> tuple[Array, Array]:
+        """States moved to the nearest that close, and Psi."""
+        y, n = y.copy(), self.n
+        Psi = np.zeros((len(y), 0, n))
+        for _ in range(passes if self.formulas.gap else 0):
+            gap, Psi = self._loops(self._x(changes, y))
+            opening = np.stack([gap, (Psi @ y[:, n : 2 * n, None])[..., 0]], axis=-1)
+            back = np.swapaxes(Psi, 1, 2)
+            moved = back @ solved_lanes(Psi @ back, opening)
+            y[:, : 2 * n] -= np.swapaxes(moved, 1, 2).reshape(len(y), -1)
+        return y, Psi
+
+    def _slopes(self, t: Array, y: Array, changes: Array) -> Array:
+        """y' (S, 2n (1 + k)); nan where there is none."""
+        S, N = y.shape
+        x = np.empty((max(S, WIDE), N + 1 + changes.shape[1]))
+        x[:S, :N], x[:S, N], x[:S, N + 1 :] = y, t, changes
+        x[S:] = x[0]
+        bend, doubtful = self._rates(x)
+        bend[doubtful] = np.nan
+        found = np.empty((S, 1 + self.k, 2, self.n))
+        found[:, :, 0] = y.reshape(found.shape)[:, :, 1]
+        found[:, :, 1] = bend[:S].reshape(S, 1 + self.k, self.n)
+        return found.reshape(S, N)
+
+    def _run(self, changes: Array, y: Array) -> Array:
+        """y (S, T, N) at the times, from y (S, N) at the first."""
+        from scipy.integrate._ivp import dop853_coefficients as dop
+
+        times, (S, N) = self.times, y.shape
+        A, B, C, D, stages = dop.A, dop.B, dop.C, dop.D, dop.N_STAGES
+        rows = np.full((S, len(times), N), np.nan)
+        rows[:, 0] = y
+        lanes, t, due = np.arange(S), np.full(S, times[0]), np.ones(S, int)
+        f, Psi = self._slopes(t, y, changes), self._closed(changes, y)[1]
+        size = 1.0 + np.abs(y)
+        h = 0.01 * np.linalg.norm(y / size, axis=1) / (np.linalg.norm(f / size, axis=1) + 1e-10)
+        h = np.maximum(h, 1e-6)
+        for _ in range(STEPS):
+            ahead = (due < len(times)) & (h > 1e-14 * (1.0 + np.abs(t)))
+            ahead &= np.isfinite(f).all(axis=1)
+            if not ahead.all():
+                lanes, t, due, h = lanes[ahead], t[ahead], due[ahead], h[ahead]
+                y, f, Psi = y[ahead], f[ahead], Psi[ahead]
+            if not len(lanes):
+                break
+            numbers, step = changes[lanes], np.minimum(h, times[-1] - t)
+            K = np.empty((len(C), len(lanes), N))
+            K[0] = f
+
+            def along(weights: Array, K: Array = K) -> Array:
+                """The sum of weights K, over the first stages."""
+                count = len(weights)
+                return (weights @ K[:count].reshape(count, -1)).reshape(K.shape[1:])
+
+            for s in range(1, stages):
+                there = y + step[:, None] * along(A[s, :s])
+                K[s] = self._slopes(t + C[s] * step, there, numbers)
+            new = y + step[:, None] * along(B)
+            end = np.where(step < times[-1] - t, t + step, times[-1])
+            K[stages] = self._slopes(end, new, numbers)
+            scale = self.tolerance * (1.0 + np.maximum(np.abs(y), np.abs(new)))
+            five, three = (np.sum((along(E) / scale) ** 2, axis=1) for E in (dop.E5, dop.E3))
+            error = step * five / np.sqrt(np.maximum((five + 0.01 * three) * N, 1e-300))
+            error = np.where(np.isfinite(error), error, np.inf)
+            good = error < 1.0
+            factor = 0.9 * np.maximum(error, 1e-12) ** (-1.0 / 8.0)
+            h = step * np.clip(factor, 0.2, np.where(good, 10.0, 1.0))
+            reached = np.where(good, np.searchsorted(times, end, "right"), due)
+            told = np.flatnonzero(reached > due)
+            if len(told):
+                for s in range(stages + 1, len(C)):
+                    there = y + step[:, None] * along(A[s, :s])
+                    K[s] = self._slopes(t + C[s] * step, there, numbers)
+                width, change = step[:, None], new - y
+                F = [change, width * f - change, 2.0 * change - width * (K[stages] + f)]
+                F += [width * along(weights) for weights in D]
+                which = np.repeat(told, (reached - due)[told])
+                place = np.concatenate([np.arange(due[i], reached[i]) for i in told])
+                x = ((times[place] - t[which]) / step[which])[:, None]
+                value = np.zeros((len(x), N))
+                for i, part in enumerate(reversed(F)):
+                    value = (value + part[which]) * (x if i % 2 == 0 else 1.0 - x)
+                rows[lanes[which], place] = value + y[which]
+            due, t = reached, np.where(good, end, t)
+            moved, there = self._closed(numbers, new)
+            leapt = np.linalg.det(there @ np.swapaxes(Psi, 1, 2)) <= 0.0
+            y, Psi = np.where(good[:, None], moved, y), np.where(good[:, None, None], there, Psi)
+            f = np.where(good[:, None], K[stages], f)
+            f[good & leapt] = np.nan  # a loop turned over, or may have: for one run alone
+        rows[~np.isfinite(rows[:, -1]).all(axis=1)] = np.nan
+        return rows
