@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import random
 from itertools import product
@@ -134,8 +135,8 @@ def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: 
     assert (motion.q[rests] == 0.0).all()
     assert (motion.qd[rests] == 0.0).all()
     assert np.abs(motion.qdd[rests]).max() < 1e-12
+    hits = bounces(e, 400)
     for t, q in zip(rows[~rests], motion.q[~rests, 0], strict=True):
-        hits = bounces(e, 400)
         k = int(np.searchsorted(hits, t))
         begun = hits[k - 1] if k else 0.0
         v = e**k * math.sqrt(2.0 * G)
@@ -145,6 +146,7 @@ def test_times_of_bounces_are_a_geometric_series(e: float, method: str, engine: 
 
 @pytest.mark.parametrize("method", ["BDF", "LSODA"])
 @pytest.mark.parametrize("e", [0.0, 0.5, 0.9])
+@pytest.mark.thinned
 def test_bounces_by_multistep_methods_end_in_rest(e: float, method: str) -> None:
     motion = simulate(ball(e), [1.0], [0.0], 10.0, method=method, rtol=1e-10, atol=1e-10)
     found = times_of(motion, "block hits its min")
@@ -158,11 +160,11 @@ def test_bounces_by_multistep_methods_end_in_rest(e: float, method: str) -> None
 @pytest.mark.parametrize(("method", "engine"), ENGINES[::2])
 def test_energy_of_an_elastic_ball(method: str, engine: str) -> None:
     motion = simulate(
-        ball(1.0), [1.0], [0.0], 300.0, method=method, engine=engine, rtol=1e-10, atol=1e-10
+        ball(1.0), [1.0], [0.0], 60.0, method=method, engine=engine, rtol=1e-10, atol=1e-10
     )
     found = times_of(motion, "block hits its min")
-    assert len(found) == 332
-    assert np.abs(found - bounces(1.0, 332)).max() < 1e-9
+    assert len(found) == 66
+    assert np.abs(found - bounces(1.0, 66)).max() < 2e-10
     energy = 0.5 * motion.qd[:, 0] ** 2 + G * motion.q[:, 0]
     assert np.abs(energy / G - 1.0).max() < 1e-10
     assert (np.diff(motion.t) > 0.0).all()
@@ -251,7 +253,7 @@ def test_an_impact_goes_through_mass_and_closures(
     if mechanism.rows:
         q = robodyn.assemble(mechanism, q)
         qd = robodyn.loop_velocities(mechanism, q, qd)
-    motion = simulate(mechanism, q, qd, 3.0, method=method, rtol=1e-11, atol=1e-11)
+    motion = simulate(mechanism, q, qd, 1.0, method=method, rtol=1e-11, atol=1e-11)
     hit = next(event for event in motion.events if "hits" in event.name)
     n, end = mechanism.n, dict(mechanism.limits)[joint].ends[0][1]
     before = int(np.searchsorted(motion.t, hit.t))
@@ -326,6 +328,7 @@ def test_a_joint_at_its_stop_is_hit_through_another() -> None:
 
 @pytest.mark.parametrize("stiffness", [1e2, 1e8])
 @pytest.mark.parametrize("method", ["DOP853", "Radau", "taylor"])
+@pytest.mark.thinned
 def test_half_a_period_on_a_compliant_stop(stiffness: float, method: str) -> None:
     mechanism = slide(f"limits: {{max: 0.5, stiffness: {stiffness}}}", m=4.0)
     motion = simulate(mechanism, [0.0], [1.0], 2.0, method=method, rtol=1e-11, atol=1e-11)
@@ -388,6 +391,7 @@ def test_how_far_and_how_long_a_block_slides(method: str) -> None:
     assert motion.qd[-1, 0] == 0.0
 
 
+@functools.cache
 def stick_slip(end: float) -> tuple[list[float], float]:
     """Times of slips and sticks of a block that a spring pulls at a steady rate."""
     k, force, static, width, v = 3.0, 1.0, 2.0, 0.5, 0.1
@@ -447,7 +451,7 @@ def test_machine_code_holds_steps_at_the_bell_of_stribeck() -> None:
         found = []
         for engine in ("python", "compiled"):
             motion = simulate(
-                arm(dry(1.0, 2.0, stribeck)), [0.0], [0.0], 6.0, "3 if sin(2*t) > 0 else -3",
+                arm(dry(1.0, 2.0, stribeck)), [0.0], [0.0], 4.0, "3 if sin(2*t) > 0 else -3",
                 method="taylor", engine=engine, rtol=1e-10, atol=1e-10,
             )  # fmt: skip
             assert motion.outcome is Outcome.FINISHED
@@ -558,7 +562,7 @@ def test_two_freedoms_with_friction_at_four_joints(seed: int) -> None:
     rates = random.Random(seed)
     qd = robodyn.loop_velocities(mechanism, q, [rates.uniform(-1, 1), rates.uniform(-1, 1)])
     runs = [
-        simulate(mechanism, q, qd, 1.0, method=method, rtol=1e-11, atol=1e-11)
+        simulate(mechanism, q, qd, 0.6, method=method, rtol=1e-10, atol=1e-10)
         for method in ("DOP853", "taylor")
     ]
     assert all(run.outcome is Outcome.FINISHED for run in runs)
@@ -599,7 +603,7 @@ def brute_force(mechanism: Mechanism, q: np.ndarray, tau: np.ndarray) -> list[np
     return found
 
 
-STATES = 6
+STATES = 6 if FRESH else 3
 
 
 @pytest.mark.parametrize("seed", range(12 if FRESH else 6))
