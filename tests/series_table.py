@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from engine_cases import KINDS, ROBOTS, SEEDS, Case, cases
+from conftest import FRESH
+from engine_cases import KINDS, ROBOTS, Case, random_case, robot_cases
 from engine_table import NUMBERS
 from known_terms import DIGITS
 from mpmath import mp, mpf
@@ -32,7 +33,8 @@ LANES = 8
 
 def states(name) -> tuple[int, ...]:
     """Which cases of a kind there are, see `known`; of a file one is enough."""
-    return (0, 1) if isinstance(name, str) else (1,)
+    plain = FRESH or name in KINDS[::3]
+    return (0, 1) if isinstance(name, str) and plain else (1,)
 
 
 class Found(NamedTuple):
@@ -71,7 +73,10 @@ def known(name, which) -> tuple[Case, Actuation, Found]:
     The first is plain and its torques constant, the second with forces and torques that change;
     of a file all are as it is. In its first state a parallelogram is near singular.
     """
-    one = cases(name, SEEDS[:3])[(2, 5)[which] if isinstance(name, str) else 1 + which]
+    if isinstance(name, str):
+        one = random_case(name, 1 + which, which == 1)
+    else:
+        one = robot_cases(name)[1 + which]
     actuation = torques(one, changing=which == 1)
     return one, actuation, by_program(one, actuation, "mpmath")
 
