@@ -372,10 +372,10 @@ def test_an_option_for_columns_that_are_there(robodyn: Run, option: str) -> None
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])
 @pytest.mark.parametrize("batch", [False, True])
 def test_a_result_beyond_the_floats_is_an_error(
-    process: Run, arguments: list[str], batch: bool
+    robodyn: Run, arguments: list[str], batch: bool
 ) -> None:
     states = ["-"] if batch else ["--q", "1,2"]
-    given = process("reactions", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
+    given = robodyn("reactions", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
     given.fails(1)
     assert "nan" not in given.out
 

@@ -595,16 +595,16 @@ def test_too_many_actuators_get_the_least_torque_and_a_warning(
 
 @pytest.mark.parametrize("model", ["robots/2r.yaml", "robots/four-bar.yaml"])
 @pytest.mark.parametrize("batch", [False, True])
-def test_a_result_beyond_the_floats_is_an_error(process: Run, model: str, batch: bool) -> None:
+def test_a_result_beyond_the_floats_is_an_error(robodyn: Run, model: str, batch: bool) -> None:
     """Not nan or inf with exit code 0, nor Python's warnings in place of a message."""
     n = 2 if "2r" in model else 1
     if batch:
         names = [f"{name}{k + 1}" for name in ("q", "qd") for k in range(n)]
         stdin = ",".join(names) + "\n" + ",".join(["1"] * n + ["1e200"] * n) + "\n"
-        given = process("torque", model, "-", stdin=stdin)
+        given = robodyn("torque", model, "-", stdin=stdin)
         given.fails(1, "stdin: line 2: ")
     else:
-        given = process("torque", model, "--q", "1,2"[: 2 * n - 1], "--qd", ",".join(["1e200"] * n))
+        given = robodyn("torque", model, "--q", "1,2"[: 2 * n - 1], "--qd", ",".join(["1e200"] * n))
         given.fails(1)
     assert "nan" not in given.out
     assert "inf" not in given.out
