@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from conftest import ROOT
+from conftest import FRESH, ROOT
 from known_terms import DIGITS, Known
 from mpmath import mp
 from varied_scenes import AT, varied
@@ -202,6 +202,11 @@ def robot_cases(path):
     sample = identities.sample_states(mech, 3)
     assert len(sample.q) == 3
     return [case(mech, q, qd, k) for k, (q, qd) in enumerate(zip(sample.q, sample.qd, strict=True))]
+
+
+def plain_too(name: str | Path) -> bool:
+    """Whether what takes long is asked of a scene without its forces as well."""
+    return FRESH or name in KINDS[::3]
 
 
 def cases(name: str | Path, seeds: range) -> list[Case]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from conftest import FRESH
-from engine_cases import KINDS, ROBOTS, SEEDS, Case, cases
+from engine_cases import KINDS, ROBOTS, SEEDS, Case, cases, plain_too
 from known_terms import DIGITS
 from mpmath import mp, mpf
 
@@ -277,11 +277,12 @@ class Engine(NamedTuple):
     seeds: range = SOME
     scenes: Sequence[str | Path] = EVERYWHERE
     compiles: bool = False
+    long: bool = False  # code is written for each case: of most kinds for the one with forces
 
     def cases(self, name: str | Path) -> list[Case]:
-        """Those of a scene; machine code takes 0.1 s a formula: if it may, with forces alone."""
+        """Those of a scene."""
         found = cases(name, self.seeds)
-        return found[-1:] if self.compiles and not FRESH else found
+        return found if plain_too(name) or not (self.compiles or self.long) else found[-1:]
 
 
 ENGINES = {
@@ -293,14 +294,16 @@ ENGINES = {
     "batches, by plain machine code": Engine(
         lambda one: by_batches_of_code(one, PLAIN), FEW, EVERYWHERE[::6], compiles=True
     ),
-    "rates, straight-line": Engine(lambda one: by_rates(one, "straight-line"), FEW),
+    "rates, straight-line": Engine(lambda one: by_rates(one, "straight-line"), FEW, long=True),
     "rates, sparse": Engine(lambda one: by_rates(one, "sparse")),
     "rates, dense": Engine(lambda one: by_rates(one, "dense")),
     "series on floats": Engine(lambda one: by_series(one, "floats"), MANY),
     "series on floats, grounded": Engine(lambda one: by_series(one, "floats", grounded=True), MANY),
     "series in longdouble": Engine(lambda one: by_series(one, "longdouble")),
     "series in mpmath": Engine(lambda one: by_series(one, "mpmath")),
-    "code by angles": Engine(lambda one: by_formulas(one, False, run_text, run_blocks)),
-    "code by directions": Engine(lambda one: by_formulas(one, True, run_text, run_blocks)),
+    "code by angles": Engine(lambda one: by_formulas(one, False, run_text, run_blocks), long=True),
+    "code by directions": Engine(
+        lambda one: by_formulas(one, True, run_text, run_blocks), long=True
+    ),
     "kinematics by machine code": Engine(kinematics_by_machine_code, FEW, compiles=True),
 }
