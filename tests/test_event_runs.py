@@ -229,7 +229,7 @@ def kinked() -> tuple[Motion, int]:
     """A motion by DOP853, and how often the sign of qd1 changes between its fine rows."""
     mechanism = load("robots/2r.yaml")
     motion = simulate(mechanism, *FROM, method="DOP853", **KINKED)
-    fine = {"t_eval": np.linspace(0, 3, 30001), "method": "DOP853"}
+    fine = {"t_eval": np.linspace(0, 3, 6001), "method": "DOP853"}
     signs = np.sign(simulate(mechanism, *FROM, **fine, **KINKED).qd[:, 0])
     return motion, int((signs[1:-1] * signs[2:] < 0).sum())
 
