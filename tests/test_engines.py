@@ -205,9 +205,9 @@ def test_motions(name):
     for which in states(name):
         one, actuation, _ = known(name, which)
         mech, n, y = one.mech, one.mech.n, np.concatenate([one.q, one.qd, [0.0]])
-        times = np.array([0.05, 0.1, 0.5])
+        times = np.array([0.02, 0.1, 0.3])
         given = {"tau": actuation, "t_eval": times, "rtol": 1e-12, "atol": 1e-12}
-        motion = simulate(mech, one.q, one.qd, 0.5, **given)
+        motion = simulate(mech, one.q, one.qd, 0.3, **given)
         right = np.hstack([motion.q, motion.qd])
         for kind, count in STEPPING.items() if CODE else list(STEPPING.items())[:2]:
             made = series_table.engine(kind, name, which)
@@ -233,18 +233,18 @@ def test_motions_as_users_ask_for_them(name):
     """By every method: without torques, by a table of bent ones, and waves for Radau."""
     one = known(name, 1)[0]
     bent = table(
-        one.mech, [0.0, 0.25, 1.0], [[float(k)] * len(one.mech.actuated) for k in range(3)]
+        one.mech, [0.0, 0.15, 1.0], [[float(k)] * len(one.mech.actuated) for k in range(3)]
     )
     waves = ", ".join(["0.5*cos(t)"] * len(one.mech.actuated))
-    given = {"t_eval": np.linspace(0.0, 0.5, 6), "rtol": 1e-11, "atol": 1e-11}
+    given = {"t_eval": np.linspace(0.0, 0.3, 6), "rtol": 1e-11, "atol": 1e-11}
     for tau in (None, bent):
         first, second = (
-            simulate(one.mech, one.q, one.qd, 0.5, tau=tau, method=method, **given)
+            simulate(one.mech, one.q, one.qd, 0.3, tau=tau, method=method, **given)
             for method in ("DOP853", "taylor")
         )
         assert second.q == pytest.approx(first.q, abs=1e-8)
         assert second.report.work == pytest.approx(first.report.work, abs=1e-8)
         assert max(first.report.energy_drift, second.report.energy_drift) < 1e-9
-    motion = simulate(one.mech, one.q, one.qd, 0.5, tau=waves, method="Radau")
+    motion = simulate(one.mech, one.q, one.qd, 0.3, tau=waves, method="Radau")
     assert motion.outcome.label == "finished"
     assert motion.report.energy_drift < 1e-6
