@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+from named_case import case
 
 import oracles
 
@@ -325,28 +326,29 @@ def test_too_many_actuators(robodyn: Run, scene: Callable[[str], Path], four_bar
 # Errors
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--q", "missing"]),
-        ("robots/2r.yaml --q 1,2 --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-        ("robots/2r.yaml states.csv --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-        ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-        ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
-        ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
-        (
-            "robots/2r.yaml --q 1,2 --tau 30deg,1",
-            ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
-        ),
-        ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
-        ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
-        ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-        ("none.yaml --q 1", ["none.yaml", "no such file"]),
-        ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("reactions", *arguments.split(" ")).fails(2, *parts).out == ""
+WRONG_USAGE = [
+    ("robots/2r.yaml", ["--q", "missing"]),
+    ("robots/2r.yaml --q 1,2 --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
+    ("robots/2r.yaml states.csv --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
+    ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
+    ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
+    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
+    (
+        "robots/2r.yaml --q 1,2 --tau 30deg,1",
+        ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
+    ),
+    ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
+    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
+    ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
+    ("none.yaml --q 1", ["none.yaml", "no such file"]),
+    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
+]
+
+
+def test_wrong_usage(robodyn: Run) -> None:
+    for arguments, parts in WRONG_USAGE:
+        with case(arguments, parts):
+            assert robodyn("reactions", *arguments.split(" ")).fails(2, *parts).out == ""
 
 
 @pytest.mark.parametrize(
