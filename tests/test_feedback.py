@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TWO_LINK
+from named_case import case
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
@@ -441,28 +442,29 @@ def sampled() -> Motion:
 GAIN = {"coordinates": ["q1", "q2"], "q": [0.0, 1.5], "tau": [0], "gain": [[-1, 50, -2, 12]]}
 
 
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        ({"gain": None}, ("gain = null", "a list")),
-        ({"gain": [[1, 2, 3]]}, ("gain[0] = 3 values", "must have 4", "then their rates")),
-        ({"gain": [[1, 2, 3, 4]] * 2}, ("gain = 2 rows", "must have 1", "actuated")),
-        ({"gain": [[1, 2, 3, 10**400]]}, ("gain[0] = 1000", "finite")),
-        ({"gain": [[1, 2, 3, float("nan")]]}, ("gain[0] = NaN", "finite")),
-        ({"q": [0.0]}, ("q = 1 values", "must have 2: one a joint")),
-        ({"q": [0.0, "1"]}, ('q = "1"', "finite numbers")),
-        ({"tau": [True]}, ("tau = true", "finite numbers")),
-        ({"tau": [0, 0]}, ("tau = 2 values", "must have 1: one an actuated joint")),
-        ({"coordinates": ["q1", "q3"]}, ("coordinates = q3", "must be of q1, q2")),
-        ({"coordinates": ["q1", "q1"]}, ("coordinates = q1", "once")),
-        ({"coordinates": ["q1", ["q2"]]}, ("coordinates", "must be of q1, q2")),
-    ],
-)
-def test_wrong_gains(change: dict[str, object], parts: tuple[str, ...]) -> None:
-    with pytest.raises(InputError) as caught:
-        read_feedback(CART, json.dumps(GAIN | change).encode(), "k.json")
-    for part in ("k.json: ", *parts):
-        assert part in str(caught.value)
+WRONG_GAINS = [
+    ({"gain": None}, ("gain = null", "a list")),
+    ({"gain": [[1, 2, 3]]}, ("gain[0] = 3 values", "must have 4", "then their rates")),
+    ({"gain": [[1, 2, 3, 4]] * 2}, ("gain = 2 rows", "must have 1", "actuated")),
+    ({"gain": [[1, 2, 3, 10**400]]}, ("gain[0] = 1000", "finite")),
+    ({"gain": [[1, 2, 3, float("nan")]]}, ("gain[0] = NaN", "finite")),
+    ({"q": [0.0]}, ("q = 1 values", "must have 2: one a joint")),
+    ({"q": [0.0, "1"]}, ('q = "1"', "finite numbers")),
+    ({"tau": [True]}, ("tau = true", "finite numbers")),
+    ({"tau": [0, 0]}, ("tau = 2 values", "must have 1: one an actuated joint")),
+    ({"coordinates": ["q1", "q3"]}, ("coordinates = q3", "must be of q1, q2")),
+    ({"coordinates": ["q1", "q1"]}, ("coordinates = q1", "once")),
+    ({"coordinates": ["q1", ["q2"]]}, ("coordinates", "must be of q1, q2")),
+]
+
+
+def test_wrong_gains() -> None:
+    for change, parts in WRONG_GAINS:
+        with case(change, parts):
+            with pytest.raises(InputError) as caught:
+                read_feedback(CART, json.dumps(GAIN | change).encode(), "k.json")
+            for part in ("k.json: ", *parts):
+                assert part in str(caught.value)
 
 
 def test_gains_that_are_none() -> None:
