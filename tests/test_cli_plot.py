@@ -206,7 +206,7 @@ def test_an_output_without_braille_gets_plain_characters(shell: Run, motion: Pat
 
 
 def test_on_a_terminal(motion: Path) -> None:
-    from test_pipes import on_terminal
+    from terminals import on_terminal
 
     shown = on_terminal("plot", str(motion), columns=70)
     assert "\x1b[34m" in shown

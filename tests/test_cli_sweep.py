@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from conftest import FRESH, ROOT, Outcome
 from named_case import case
-from test_prismatic import BLOCK
+from sliding_scenes import BLOCK
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate

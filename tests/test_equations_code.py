@@ -5,13 +5,13 @@ from __future__ import annotations
 import ctypes
 import json
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from c_library import compiled, needs_compiler
 from test_equations import SLIDING_SCENES
 
 from random_mechanisms import (
@@ -30,9 +30,6 @@ from robodyn.mechanics.mechanism import Mechanism, load
 
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
-COMPILER = shutil.which("cc") or shutil.which("gcc")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 
 
 def expected(mech: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> dict:
@@ -77,20 +74,6 @@ print(sorted(name for name in sys.modules if "numpy" in name or "robodyn" in nam
     assert modules == "[]"
     for name, values in json.loads(found).items():
         assert_close(values, known[name][1], 100.0, 1e-14)
-
-
-def compiled(source: str, folder: Path) -> ctypes.CDLL:
-    """A library of the C text; a warning of the compiler is an error."""
-    assert COMPILER is not None
-    (folder / "motion.c").write_text(source, encoding="utf-8")
-    library = folder / "motion.so"
-    subprocess.run(
-        [COMPILER, *STRICT, "-shared", "-fPIC", "motion.c", "-o", str(library), "-lm"],
-        cwd=folder,
-        check=True,
-        timeout=60,
-    )
-    return ctypes.CDLL(str(library))
 
 
 def assert_c_gives_the_same(

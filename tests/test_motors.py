@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome
+from lagrangian_terms import Terms, check_accelerations, exact_acceleration
 from named_case import case
 from sliding_trees import random_tree, text_of
-from test_prismatic import Terms, check_accelerations, exact_acceleration
 
 import oracles
 import robodyn

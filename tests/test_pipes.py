@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import os
-import pty
 import re
 import select
 import shlex
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import FRESH, ROOT, TWO_LINK, Outcome, relative_error
+from terminals import on_terminal
 
 import oracles
 from robodyn import cli
@@ -536,35 +536,6 @@ def test_ctrl_c_while_a_command_is_imported_ends_quietly(
 # Terminals
 
 
-def on_terminal(*arguments: str, columns: int = 80) -> str:
-    """What a terminal of this width is shown."""
-    leader, follower = pty.openpty()
-    environment = {**os.environ, "COLUMNS": str(columns), "TERM": "xterm"}
-    environment.pop("NO_COLOR", None)
-    child = subprocess.Popen(
-        [sys.executable, "-m", "robodyn", *arguments],
-        stdin=subprocess.DEVNULL,
-        stdout=follower,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-        env=environment,
-    )
-    os.close(follower)
-    data = b""
-    try:
-        while piece := os.read(leader, 65536):
-            data += piece
-    except OSError:
-        pass  # how Linux tells that the other side of a terminal is closed
-    finally:
-        os.close(leader)
-    assert child.stderr is not None
-    with child.stderr as stream:
-        assert stream.read() == b""
-    assert child.wait(PATIENCE) == 0
-    return data.decode().replace("\r\n", "\n")
-
-
 @pytest.mark.parametrize("columns", [10**20, 0, -5])
 def test_a_size_that_no_terminal_has(columns: int) -> None:
     assert "torque" in on_terminal("--help", columns=columns)
@@ -621,8 +592,12 @@ def test_the_examples_of_the_help_work(
         (tmp_path / name).write_text("t,q1,q2,qd1,qd2\n0,0.1,0.2,0.3,0.4\n1,0.2,0.3,0.4,0.5\n")
     monkeypatch.chdir(tmp_path)
     for line in lines:
-        piped = any(mark in line for mark in "|<>")
-        given = shell(line, cwd=tmp_path) if piped else robodyn(*words(line))
+        if any(mark in line for mark in "<>") or ("| robodyn" not in line and "|" in line):
+            given = shell(line, cwd=tmp_path)
+        else:
+            given = Outcome(0, "", "")
+            for part in line.split(" | "):
+                given = robodyn(*words(part), stdin=given.out)
         assert (given.code, "Error" in given.err) == (0, False)
         assert given.out != ""
 

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 import yaml
 from documents import PAGES, ROOT
+from good_scenes import ARM, EVERYTHING, LOOP
 from jsonschema import Draft202012Validator
 from named_case import case
-from test_description import ARM, EVERYTHING, LOOP
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
