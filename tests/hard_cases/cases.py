@@ -115,7 +115,9 @@ def parallel_bars_by_chance(part: int = 1) -> Iterator[Row]:
     """Where the steps land next to the horizontal is chance: many tolerances, the worst counts."""
     for method in METHODS:
         for n, count in ((1, 40), (2, 30), (5, 10)):
-            count = max(1, count // part)
+            count = count // part
+            if not count:
+                continue
             tolerances = (10.0 ** np.linspace(-12.7, -7.0, count)).tolist()
             found = [swing(n, rtol, method) for rtol in tolerances]
             worst = max(error / rtol for (error, _, _), rtol in zip(found, tolerances, strict=True))
