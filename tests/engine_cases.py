@@ -56,7 +56,7 @@ def geared(seed, plain, joint, other, actuated):
 def plain_scene(name, seed):
     """A random scene of a kind."""
     if name == "tree":
-        return seeded_tree(seed, (12, 8, 3, 2, 1, 6)[seed % 6])
+        return seeded_tree(seed, (12, 8, 4, 2, 1, 6)[seed % 6])
     if name == "geared tree":
         tree, n = seeded_tree(seed, 2 + seed % 4), 2 + seed % 4
         joint, other = (seed % n, (seed + 1) % n)

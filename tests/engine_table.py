@@ -265,8 +265,8 @@ def kinematics_by_machine_code(one):
 # The table
 # ---------------------------------------------------------------------------------------------
 
-MANY, SOME = (SEEDS, SEEDS[:8]) if FRESH else (SEEDS[1:3], SEEDS[2:3])
-FEW = SEEDS[:1] if FRESH else SEEDS[2:3]
+# but with FRESH all engines share the cases of one seed, which take long to know
+MANY, SOME, FEW = (SEEDS, SEEDS[:8], SEEDS[:1]) if FRESH else (SEEDS[2:3],) * 3
 EVERYWHERE = (*KINDS, *ROBOTS)
 
 

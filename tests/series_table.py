@@ -73,7 +73,7 @@ def known(name, which) -> tuple[Case, Actuation, Found]:
     of a file all are as it is. In its first state a parallelogram is near singular.
     """
     if isinstance(name, str):
-        one = random_case(name, 1 + which, which == 1)
+        one = random_case(name, 2, which == 1)
     else:
         one = robot_cases(name)[1 + which]
     actuation = torques(one, changing=which == 1)
