@@ -268,6 +268,8 @@ def kinematics_by_machine_code(one):
 # but with FRESH all engines share the cases of one seed, which take long to know
 MANY, SOME, FEW = (SEEDS, SEEDS[:8], SEEDS[:1]) if FRESH else (SEEDS[2:3],) * 3
 EVERYWHERE = (*KINDS, *ROBOTS)
+# where code is made for each: all kinds, and of robots/ one in three, others by other engines
+THIRDS = [EVERYWHERE if FRESH else (*KINDS, *ROBOTS[k::3]) for k in range(3)]
 
 
 class Engine(NamedTuple):
@@ -290,7 +292,7 @@ ENGINES = {
     "dense algebra": Engine(by_dense_algebra, MANY),
     "calls": Engine(by_calls, MANY),
     "batches": Engine(by_batches),
-    "batches, by machine code": Engine(by_batches_of_code, FEW, compiles=True),
+    "batches, by machine code": Engine(by_batches_of_code, FEW, THIRDS[0], compiles=True),
     "batches, by plain machine code": Engine(
         lambda one: by_batches_of_code(one, PLAIN), FEW, EVERYWHERE[::6], compiles=True
     ),
@@ -301,9 +303,11 @@ ENGINES = {
     "series on floats, grounded": Engine(lambda one: by_series(one, "floats", grounded=True), MANY),
     "series in longdouble": Engine(lambda one: by_series(one, "longdouble")),
     "series in mpmath": Engine(lambda one: by_series(one, "mpmath")),
-    "code by angles": Engine(lambda one: by_formulas(one, False, run_text, run_blocks), long=True),
-    "code by directions": Engine(
-        lambda one: by_formulas(one, True, run_text, run_blocks), long=True
+    "code by angles": Engine(
+        lambda one: by_formulas(one, False, run_text, run_blocks), SOME, THIRDS[0], long=True
     ),
-    "kinematics by machine code": Engine(kinematics_by_machine_code, FEW, compiles=True),
+    "code by directions": Engine(
+        lambda one: by_formulas(one, True, run_text, run_blocks), SOME, THIRDS[1], long=True
+    ),
+    "kinematics by machine code": Engine(kinematics_by_machine_code, FEW, THIRDS[2], compiles=True),
 }
