@@ -361,7 +361,7 @@ def test_random_scenes(kind: str, scene: Scene) -> None:
     end, torques = 0.05, ["0.1*sin(3*t)"] * len(mech.actuated)
     tight = {"rtol": 1e-12, "atol": 1e-12, "t_eval": [0.0, 0.5 * end, end], "sensitivity": names}
     runs = []
-    straight = FRESH or kind in KINDS[::4]  # its code is long, and takes long to write
+    straight = FRESH or kind in KINDS[::8]  # its code is long, and takes long to write
     for method, engine, one_by_one in WAYS:
         with pytest.MonkeyPatch.context() as patch:
             if one_by_one:
