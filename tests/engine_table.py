@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from conftest import FRESH
-from engine_cases import KINDS, ROBOTS, SEEDS, Case
+from engine_cases import KINDS, ROBOTS, SEEDS, Case, cases, plain_too
 from known_terms import DIGITS
 from mpmath import mp, mpf
 
@@ -265,9 +265,11 @@ def kinematics_by_machine_code(one):
 # The table
 # ---------------------------------------------------------------------------------------------
 
-MANY, SOME = (SEEDS, SEEDS[:8]) if FRESH else (SEEDS[:3], SEEDS[2:3])
-FEW = SEEDS[:1]  # machine code takes 0.1 s a formula
+# but with FRESH all engines share the cases of one seed, which take long to know
+MANY, SOME, FEW = (SEEDS, SEEDS[:8], SEEDS[:1]) if FRESH else (SEEDS[2:3],) * 3
 EVERYWHERE = (*KINDS, *ROBOTS)
+# where code is made for each: all kinds, and of robots/ one in three, others by other engines
+THIRDS = [EVERYWHERE if FRESH else (*KINDS, *ROBOTS[k::3]) for k in range(3)]
 
 
 class Engine(NamedTuple):
@@ -277,6 +279,12 @@ class Engine(NamedTuple):
     seeds: range = SOME
     scenes: Sequence[str | Path] = EVERYWHERE
     compiles: bool = False
+    long: bool = False  # code is written for each case: of most kinds for the one with forces
+
+    def cases(self, name: str | Path) -> list[Case]:
+        """Those of a scene."""
+        found = cases(name, self.seeds)
+        return found if plain_too(name) or not (self.compiles or self.long) else found[-1:]
 
 
 ENGINES = {
@@ -284,18 +292,22 @@ ENGINES = {
     "dense algebra": Engine(by_dense_algebra, MANY),
     "calls": Engine(by_calls, MANY),
     "batches": Engine(by_batches),
-    "batches, by machine code": Engine(by_batches_of_code, FEW, compiles=True),
+    "batches, by machine code": Engine(by_batches_of_code, FEW, THIRDS[0], compiles=True),
     "batches, by plain machine code": Engine(
         lambda one: by_batches_of_code(one, PLAIN), FEW, EVERYWHERE[::6], compiles=True
     ),
-    "rates, straight-line": Engine(lambda one: by_rates(one, "straight-line"), FEW),
+    "rates, straight-line": Engine(lambda one: by_rates(one, "straight-line"), FEW, long=True),
     "rates, sparse": Engine(lambda one: by_rates(one, "sparse")),
     "rates, dense": Engine(lambda one: by_rates(one, "dense")),
     "series on floats": Engine(lambda one: by_series(one, "floats"), MANY),
     "series on floats, grounded": Engine(lambda one: by_series(one, "floats", grounded=True), MANY),
     "series in longdouble": Engine(lambda one: by_series(one, "longdouble")),
     "series in mpmath": Engine(lambda one: by_series(one, "mpmath")),
-    "code by angles": Engine(lambda one: by_formulas(one, False, run_text, run_blocks)),
-    "code by directions": Engine(lambda one: by_formulas(one, True, run_text, run_blocks)),
-    "kinematics by machine code": Engine(kinematics_by_machine_code, FEW, compiles=True),
+    "code by angles": Engine(
+        lambda one: by_formulas(one, False, run_text, run_blocks), SOME, THIRDS[0], long=True
+    ),
+    "code by directions": Engine(
+        lambda one: by_formulas(one, True, run_text, run_blocks), SOME, THIRDS[1], long=True
+    ),
+    "kinematics by machine code": Engine(kinematics_by_machine_code, FEW, THIRDS[2], compiles=True),
 }

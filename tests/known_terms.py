@@ -136,32 +136,78 @@ class Known:
 
     def __init__(self, mech: Mechanism, q, qd, t: float = 0.0) -> None:
         description = self.description = mech.description
-        self.mech, n = mech, len(q)
+        self.mech = mech
         with mp.workdps(DIGITS):
             q, qd = (
                 np.array([x if isinstance(x, mpf) else mpf(float(x)) for x in values])
                 for values in (q, qd)
             )
             self.q, self.qd = q, qd
-            tree = self.tree = oracle_tree(description)
-            pose = self.pose = Pose(tree, q, mp.expj)
-            self.M, self.C, G = oracles.mp_terms(tree, description.gravity, q, qd, DIGITS)
-            self.forces = Forces(description, pose, qd, mp.tanh, mpf(t))
-            potential, other, PE = self.forces.torques()
-            self.G = G - potential
-            damping = [mpf(link.damping) for link in description.links]
-            for k, link in enumerate(description.links):
+            self.tree = oracle_tree(description)
+            self.pose = Pose(self.tree, q, mp.expj)
+            self.forces = Forces(description, self.pose, qd, mp.tanh, mpf(t))
+        self._close()
+
+    @cached_property
+    def _moving(self):
+        """M, C and what weights put into G."""
+        gravity = self.description.gravity
+        return oracles.mp_terms(self.tree, gravity, self.q, self.qd, DIGITS)
+
+    @cached_property
+    def _acting(self):
+        """-dPE/dq of springs and constant loads, Q of the others, PE of the former."""
+        with mp.workdps(DIGITS):
+            return self.forces.torques()
+
+    @property
+    def M(self):
+        return self._moving[0]
+
+    @property
+    def C(self):
+        return self._moving[1]
+
+    @cached_property
+    def G(self):
+        with mp.workdps(DIGITS):
+            return self._moving[2] - self._acting[0]
+
+    @cached_property
+    def Q(self):
+        with mp.workdps(DIGITS):
+            damping = [mpf(link.damping) for link in self.description.links]
+            for k, link in enumerate(self.description.links):
                 if link.motor is not None:
                     damping[k] += mpf(link.motor.damping) * mpf(link.motor.ratio) ** 2
-            self.Q = other - np.array(damping) * qd
-            self.PE = PE - sum(
-                link["m"] * (description.gravity.conjugate() * pose.position((k, link["r"]))).real
-                for k, link in enumerate(tree)
+            return self._acting[1] - np.array(damping) * self.qd
+
+    @cached_property
+    def PE(self):
+        with mp.workdps(DIGITS):
+            gravity = self.description.gravity.conjugate()
+            return self._acting[2] - sum(
+                link["m"] * (gravity * self.pose.position((k, link["r"]))).real
+                for k, link in enumerate(self.tree)
             )
-            self.KE = qd @ self.M @ qd / 2
-            self.h = self.C @ qd + self.G - self.Q
+
+    @cached_property
+    def KE(self):
+        with mp.workdps(DIGITS):
+            return self.qd @ self.M @ self.qd / 2
+
+    @cached_property
+    def h(self):
+        with mp.workdps(DIGITS):
+            return self.C @ self.qd + self.G - self.Q
+
+    def _close(self) -> None:
+        """Psi, bias and gap."""
+        with mp.workdps(DIGITS):
+            q, qd, pose, n = self.q, self.qd, self.pose, len(self.q)
+            description = self.description
             Psi, bias, gap = [], [], []
-            arms = iter([row.arm for row in mech.rows if row.arm])
+            arms = iter([row.arm for row in self.mech.rows if row.arm])
             for closure in description.closures:
                 sides = [self.forces.place(x) for x in (closure.first, closure.second)]
                 d, slope, bend = (

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from engine_cases import KINDS, ROBOTS, SEEDS, Case, cases
+from conftest import FRESH
+from engine_cases import KINDS, ROBOTS, Case, plain_too, random_case, robot_cases
 from engine_table import NUMBERS
 from known_terms import DIGITS
 from mpmath import mp, mpf
@@ -25,14 +26,14 @@ from robodyn.mechanics.actuation import Actuation, expressions
 from robodyn.taylor.compiled import CompiledEngine
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
 
-ORDER = 12
+ORDER = 12 if FRESH else 8
 TOLERANCE = 1e-12  # of a step
 LANES = 8
 
 
 def states(name) -> tuple[int, ...]:
     """Which cases of a kind there are, see `known`; of a file one is enough."""
-    return (0, 1) if isinstance(name, str) else (1,)
+    return (0, 1) if isinstance(name, str) and plain_too(name) else (1,)
 
 
 class Found(NamedTuple):
@@ -71,7 +72,10 @@ def known(name, which) -> tuple[Case, Actuation, Found]:
     The first is plain and its torques constant, the second with forces and torques that change;
     of a file all are as it is. In its first state a parallelogram is near singular.
     """
-    one = cases(name, SEEDS[:3])[(2, 5)[which] if isinstance(name, str) else 1 + which]
+    if isinstance(name, str):
+        one = random_case(name, 2, which == 1)
+    else:
+        one = robot_cases(name)[1 + which]
     actuation = torques(one, changing=which == 1)
     return one, actuation, by_program(one, actuation, "mpmath")
 
@@ -92,7 +96,7 @@ def engine(kind, name, which):
     return kind(one.mech, closing, ORDER, TOLERANCE, TOLERANCE, actuation, True)
 
 
-def by_program(one, actuation, kind, grounded=False):
+def by_program(one, actuation, kind, grounded=False, order=ORDER):
     """By the rows of the program, in numbers of a kind."""
     arithmetic, number = NUMBERS[kind]
     with mp.workdps(DIGITS):
@@ -100,7 +104,7 @@ def by_program(one, actuation, kind, grounded=False):
         y = [number(x) for x in (*one.q, *one.qd)]
         start = motion.state(arithmetic, number(one.t), y, ((), ()))
         numbers = [number(x) for x in motion.program.numbers]
-        found = motion.expand(arithmetic, numbers, ORDER, start, grounded)
+        found = motion.expand(arithmetic, numbers, order, start, grounded)
         turns = np.array([[longs(c) for c in part] for part in (found.rho, found.theta)])
         watched = [longs(x) for x in found.watched]
         power, (rho, theta) = longs(found.power or ()), turns.astype(float)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error
+from named_case import case
 
 import oracles
 
@@ -157,25 +158,26 @@ def test_a_joint_without_inertia_is_named(robodyn: Run, scene: Callable[[str], P
 # Errors
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--q", "missing"]),
-        ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-        (
-            "robots/2r.yaml --q 1,2 --tau 30deg,1",
-            ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
-        ),
-        ("robots/2r.yaml --q 1,2 --tau 1,inf", ["--tau", "entry 2 = inf", "finite"]),
-        ("robots/2r.yaml --q 1,2 --qdd 1,2", ["--qdd"]),
-        ("robots/four-bar.yaml --q 1 --tau 1,2", ["--tau", "2 values", "(crank)"]),
-        ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-        ("none.yaml --q 1", ["none.yaml", "no such file"]),
-        ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("accel", *arguments.split()).fails(2, *parts).out == ""
+WRONG_USAGE = [
+    ("robots/2r.yaml", ["--q", "missing"]),
+    ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
+    (
+        "robots/2r.yaml --q 1,2 --tau 30deg,1",
+        ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
+    ),
+    ("robots/2r.yaml --q 1,2 --tau 1,inf", ["--tau", "entry 2 = inf", "finite"]),
+    ("robots/2r.yaml --q 1,2 --qdd 1,2", ["--qdd"]),
+    ("robots/four-bar.yaml --q 1 --tau 1,2", ["--tau", "2 values", "(crank)"]),
+    ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
+    ("none.yaml --q 1", ["none.yaml", "no such file"]),
+    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
+]
+
+
+def test_wrong_usage(robodyn: Run) -> None:
+    for arguments, parts in WRONG_USAGE:
+        with case(arguments, parts):
+            assert robodyn("accel", *arguments.split()).fails(2, *parts).out == ""
 
 
 @pytest.mark.parametrize(
@@ -200,9 +202,9 @@ def test_a_change_point_is_named(robodyn: Run, arguments: list[str]) -> None:
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])
 @pytest.mark.parametrize("batch", [False, True])
 def test_a_result_beyond_the_floats_is_an_error(
-    process: Run, arguments: list[str], batch: bool
+    robodyn: Run, arguments: list[str], batch: bool
 ) -> None:
     states = ["-"] if batch else ["--q", "1,2"]
-    given = process("accel", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
+    given = robodyn("accel", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
     given.fails(1)
     assert "nan" not in given.out

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, RP_ARM, TWO_LINK, Outcome
+from named_case import case
 
 import oracles
 
@@ -101,28 +102,41 @@ def test_a_pipe_of_three(shell: Run) -> None:
     """A reference written by awk; the torques that were applied are those that `torque` finds."""
     awk = """awk 'BEGIN {print "t,q1,q2"; for (k = 0; k <= 40; k++)
         printf "%.17g,%.17g,%.17g\\n", k/20, sin(k/20), 0.3*cos(k/10)}'"""
-    control = "--control pd+g --kp 90,20 --kd 12,1 --quiet --every 0.25"
-    for more in ("", "--tau-max 12", "--control-rate 100", "--control-rate 100 --method taylor"):
-        simulated = f"robodyn simulate robots/2r.yaml --q 0,0.3 --track - {control} {more}"
-        line = f"{awk} | {simulated} | tee >(cat >&2) | robodyn torque robots/2r.yaml -"
-        given = shell(line)
-        assert given.code == 0
-        before = Outcome(0, given.err, "")
-        assert given.out.splitlines()[0] == before.out.splitlines()[0]
-        assert len(given.rows) == 9
-        for name in ("tau1", "tau2"):
-            assert given.column(name) == pytest.approx(before.column(name), abs=1e-9)
-
-
-def test_trajectory_makes_references(shell: Run) -> None:
-    line = (
-        "robodyn trajectory robots/2r.yaml --from 0,0 --to 90deg,45deg --time 2 | "
-        "robodyn simulate robots/2r.yaml --q 0,0 --track - --control computed-torque "
-        "--kp 100 --kd 20 --quiet | tail -1"
-    )
+    simulated = f"robodyn {' '.join(PIPED)} --track -"
+    line = f"{awk} | {simulated} | tee >(cat >&2) | robodyn torque robots/2r.yaml -"
     given = shell(line)
     assert given.code == 0
-    numbers = [float(x) for x in given.out.split(",")]
+    assert_the_same_torques(given, Outcome(0, given.err, ""))
+
+
+def test_torques_that_were_applied_are_those_that_torque_finds(robodyn: Run) -> None:
+    rows = [(k / 20, math.sin(k / 20), 0.3 * math.cos(k / 10)) for k in range(41)]
+    table = "t,q1,q2\n" + "".join(f"{t!r},{a!r},{b!r}\n" for t, a, b in rows)
+    for more in ("--tau-max 12", "--control-rate 100", "--control-rate 100 --method taylor"):
+        with case(more):
+            before = robodyn(*PIPED, *more.split(), "--track", "-", stdin=table).succeeds()
+            given = robodyn("torque", "robots/2r.yaml", "-", stdin=before.out).succeeds()
+            assert_the_same_torques(given, before)
+
+
+PIPED = ["simulate", "robots/2r.yaml", "--q", "0,0.3", "--control", "pd+g"]
+PIPED += ["--kp", "90,20", "--kd", "12,1", "--quiet", "--every", "0.25"]
+
+
+def assert_the_same_torques(given: Outcome, before: Outcome) -> None:
+    assert given.out.splitlines()[0] == before.out.splitlines()[0]
+    assert len(given.rows) == 9
+    for name in ("tau1", "tau2"):
+        assert given.column(name) == pytest.approx(before.column(name), abs=1e-9)
+
+
+def test_trajectory_makes_references(robodyn: Run) -> None:
+    way = ("--from", "0,0", "--to", "90deg,45deg", "--time", 2)
+    made = robodyn("trajectory", "robots/2r.yaml", *way).succeeds()
+    law = ("--control", "computed-torque", "--kp", 100, "--kd", 20, "--quiet")
+    start = ("simulate", "robots/2r.yaml", "--q", "0,0", "--track", "-")
+    given = robodyn(*start, *law, stdin=made.out).succeeds()
+    numbers = [float(x) for x in given.out.splitlines()[-1].split(",")]
     assert numbers[:3] == pytest.approx([2.0, math.pi / 2, math.pi / 4], abs=1e-8)
 
 
@@ -295,84 +309,89 @@ def test_an_accuracy(robodyn: Run, ref: Path) -> None:
 # What is wrong
 
 
-@pytest.mark.parametrize(
-    ("options", "parts"),
-    [
-        (("--control", "pd", "--kp", 1, "--kd", 1), ("--track", "missing", "pd")),
-        (("--track", "REF", "--kp", 1, "--kd", 1), ("--track", "needs --control")),
-        (("--control", "pd", "--track", "REF", "--kd", 1), ("--kp", "missing", "pd")),
-        (("--control", "pd+g", "--track", "REF", "--kp", 1), ("--kd", "missing", "pd+g")),
-        (("--kp", 1), ("--kp", "needs --control")),
-        (("--tau-max", 1), ("--tau-max", "needs --control")),
-        (("--control-rate", 1), ("--control-rate", "needs --control")),
-        (("--control-model", "robots/2r.yaml"), ("--control-model", "needs --control")),
-        ((*PD, "--track", "REF", "--tau", "1,1"), ("--tau and --control", "exclude")),
-        ((*PD, "--track", "REF", "--tau-from", "-"), ("--tau-from and --control", "exclude")),
-        ((*PD, "--track", "REF", "--kp", "1,-2"), ("--kp = -2", ">= 0")),
-        ((*PD, "--track", "REF", "--kd", "1,2,3"), ("--kd = 3 values", "upper arm, forearm")),
-        ((*PD, "--track", "REF", "--kp", "up"), ("--kp", "entry 1 = up")),
-        ((*PD, "--track", "REF", "--tau-max", "0"), ("--tau-max = 0", "> 0")),
-        ((*PD, "--track", "REF", "--control-rate", "0"), ("--control-rate = 0", "> 0")),
-        ((*PD, "--track", "REF", "--control-rate", "fast"), ("--control-rate = fast", "100Hz")),
-        ((*PD, "--track", "REF", "--control-rate", "1e9"), ("--control-rate", "too many")),
-        ((*PD, "--track", "REF", "--time", -1), ("ref.csv", "must cover 0 to -1 s")),
-        ((*PD, "--track", "none.csv"), ("none.csv", "no such file")),
-        ((*PD, "--track", ""), ("--track", "name a file")),
-        (
-            (*PD, "--track", "REF", "--control-model", "robots/four-bar.yaml"),
-            ("--control-model = robots/four-bar.yaml", "3 joints", "2 joints in robots/2r.yaml"),
-        ),
-        ((*PD, "--track", "REF", "--method", "taylor"), ("no series", "DOP853")),
-        (("--control", "pi", "--track", "REF"), ("--control", "computed-torque", "pid")),
-        (("--control", "pid", "--track", "REF", "--kp", 1, "--kd", 1), ("--ki", "missing", "pid")),
-        ((*PD, "--track", "REF", "--ki", 1), ("--ki", "not for", "pd")),
-        ((*PD, "--track", "REF", "--hold", "0,0"), ("--track and --hold", "exclude")),
-        ((*PD, "--hold", "0"), ("--hold = 0 (1 value)", "2 values", "upper arm, forearm")),
-        ((*PD, "--hold", "0,up"), ("--hold", "entry 2 = up")),
-        ((*PD, "--hold", "0,0", "--at", "0,0"), ("--at", "not for", "pd")),
-        ((*PD, "--hold", "0,0", "--gain", "REF"), ("--gain", "not for", "pd")),
-        (("--hold", "0,0"), ("--hold", "needs --control")),
-        (("--gain", "REF"), ("--gain", "needs --control")),
-        (("--at", "0,0"), ("--at", "needs --control")),
-        (("--ki", "1"), ("--ki", "needs --control")),
-        (("--control", "state-feedback"), ("--gain", "missing", "state-feedback")),
-        ((*FED_BACK, "REF"), ("ref.csv", "is not JSON")),
-        ((*FED_BACK, "none.json"), ("none.json", "no such file")),
-        ((*FED_BACK, "REF", "--hold", "0,0"), ("--hold", "not for", "state-feedback")),
-        ((*FED_BACK, "GAIN", "--kp", "1"), ("--kp", "not for", "state-feedback")),
-        ((*FED_BACK, "GAIN", "--control-model", "robots/2r.yaml"), ("--control-model", "not for")),
-        ((*FED_BACK, "GAIN", "--at", "0,0,0"), ("--at", "3 values")),
-        ((*FED_BACK, "GAIN", "--method", "taylor"), ("no series", "DOP853")),
-    ],
-)
-def test_wrong_usage(
-    robodyn: Run, ref: Path, options: tuple[object, ...], parts: tuple[str, ...]
-) -> None:
-    gain = ref.parent / "gain.json"
-    facts = {"coordinates": ["q2"], "q": [0, 0.1], "tau": [8, 2], "gain": [[9, 1], [5, 0.4]]}
-    gain.write_text(json.dumps(facts))
-    words = [{"REF": ref, "GAIN": gain}.get(str(word), word) for word in options]
-    given = robodyn(*ARM, *words).fails(2, *parts)
-    assert given.out == ""
+WRONG_USAGE = [
+    (("--control", "pd", "--kp", 1, "--kd", 1), ("--track", "missing", "pd")),
+    (("--track", "REF", "--kp", 1, "--kd", 1), ("--track", "needs --control")),
+    (("--control", "pd", "--track", "REF", "--kd", 1), ("--kp", "missing", "pd")),
+    (("--control", "pd+g", "--track", "REF", "--kp", 1), ("--kd", "missing", "pd+g")),
+    (("--kp", 1), ("--kp", "needs --control")),
+    (("--tau-max", 1), ("--tau-max", "needs --control")),
+    (("--control-rate", 1), ("--control-rate", "needs --control")),
+    (("--control-model", "robots/2r.yaml"), ("--control-model", "needs --control")),
+    ((*PD, "--track", "REF", "--tau", "1,1"), ("--tau and --control", "exclude")),
+    ((*PD, "--track", "REF", "--tau-from", "-"), ("--tau-from and --control", "exclude")),
+    ((*PD, "--track", "REF", "--kp", "1,-2"), ("--kp = -2", ">= 0")),
+    ((*PD, "--track", "REF", "--kd", "1,2,3"), ("--kd = 3 values", "upper arm, forearm")),
+    ((*PD, "--track", "REF", "--kp", "up"), ("--kp", "entry 1 = up")),
+    ((*PD, "--track", "REF", "--tau-max", "0"), ("--tau-max = 0", "> 0")),
+    ((*PD, "--track", "REF", "--control-rate", "0"), ("--control-rate = 0", "> 0")),
+    ((*PD, "--track", "REF", "--control-rate", "fast"), ("--control-rate = fast", "100Hz")),
+    ((*PD, "--track", "REF", "--control-rate", "1e9"), ("--control-rate", "too many")),
+    ((*PD, "--track", "REF", "--time", -1), ("ref.csv", "must cover 0 to -1 s")),
+    ((*PD, "--track", "none.csv"), ("none.csv", "no such file")),
+    ((*PD, "--track", ""), ("--track", "name a file")),
+    (
+        (*PD, "--track", "REF", "--control-model", "robots/four-bar.yaml"),
+        ("--control-model = robots/four-bar.yaml", "3 joints", "2 joints in robots/2r.yaml"),
+    ),
+    ((*PD, "--track", "REF", "--method", "taylor"), ("no series", "DOP853")),
+    (("--control", "pi", "--track", "REF"), ("--control", "computed-torque", "pid")),
+    (("--control", "pid", "--track", "REF", "--kp", 1, "--kd", 1), ("--ki", "missing", "pid")),
+    ((*PD, "--track", "REF", "--ki", 1), ("--ki", "not for", "pd")),
+    ((*PD, "--track", "REF", "--hold", "0,0"), ("--track and --hold", "exclude")),
+    ((*PD, "--hold", "0"), ("--hold = 0 (1 value)", "2 values", "upper arm, forearm")),
+    ((*PD, "--hold", "0,up"), ("--hold", "entry 2 = up")),
+    ((*PD, "--hold", "0,0", "--at", "0,0"), ("--at", "not for", "pd")),
+    ((*PD, "--hold", "0,0", "--gain", "REF"), ("--gain", "not for", "pd")),
+    (("--hold", "0,0"), ("--hold", "needs --control")),
+    (("--gain", "REF"), ("--gain", "needs --control")),
+    (("--at", "0,0"), ("--at", "needs --control")),
+    (("--ki", "1"), ("--ki", "needs --control")),
+    (("--control", "state-feedback"), ("--gain", "missing", "state-feedback")),
+    ((*FED_BACK, "REF"), ("ref.csv", "is not JSON")),
+    ((*FED_BACK, "none.json"), ("none.json", "no such file")),
+    ((*FED_BACK, "REF", "--hold", "0,0"), ("--hold", "not for", "state-feedback")),
+    ((*FED_BACK, "GAIN", "--kp", "1"), ("--kp", "not for", "state-feedback")),
+    ((*FED_BACK, "GAIN", "--control-model", "robots/2r.yaml"), ("--control-model", "not for")),
+    ((*FED_BACK, "GAIN", "--at", "0,0,0"), ("--at", "3 values")),
+    ((*FED_BACK, "GAIN", "--method", "taylor"), ("no series", "DOP853")),
+]
 
 
-@pytest.mark.parametrize(
-    ("table", "parts"),
-    [
-        ("t,q1\n0,1\n1,2\n", ("column q2 is missing", "t, q1")),
-        ("q1,q2\n0,1\n1,2\n", ("column t is missing",)),
-        ("t,q1,q2,qd1\n0,1,1,1\n1,2,1,1\n", ("column qd2 is missing", "qd1")),
-        ("t,q1,q2,qdd1,qdd2\n0,1,1,1,1\n1,2,1,1,1\n", ("column qd1 is missing", "qdd1")),
-        ("t,q1,q2\n0,1,1\n", ("rows = 1", "two or more")),
-        ("t,q1,q2\n", ("rows = 0", "two or more")),
-        ("t,q1,q2\n0,1,1\n0,1,1\n", ("t = 0", "increase")),
-        ("t,q1,q2\n0,1,1\n1,x,1\n", ("line 3", "q1 = x")),
-        ("t,q1,q2\n0.5,1,1\n1,1,1\n", ("0.5 to 1 s", "must cover 0 to 1 s")),
-        ("", ("the input is empty",)),
-    ],
-)
-def test_wrong_references(robodyn: Run, table: str, parts: tuple[str, ...]) -> None:
-    robodyn(*ARM, *PD, "--track", "-", stdin=table).fails(2, "stdin", *parts)
+def test_wrong_usage(robodyn: Run, ref: Path) -> None:
+    for options, parts in WRONG_USAGE:
+        with case(options, parts):
+            gain = ref.parent / "gain.json"
+            facts = {
+                "coordinates": ["q2"],
+                "q": [0, 0.1],
+                "tau": [8, 2],
+                "gain": [[9, 1], [5, 0.4]],
+            }
+            gain.write_text(json.dumps(facts))
+            words = [{"REF": ref, "GAIN": gain}.get(str(word), word) for word in options]
+            given = robodyn(*ARM, *words).fails(2, *parts)
+            assert given.out == ""
+
+
+WRONG_REFERENCES = [
+    ("t,q1\n0,1\n1,2\n", ("column q2 is missing", "t, q1")),
+    ("q1,q2\n0,1\n1,2\n", ("column t is missing",)),
+    ("t,q1,q2,qd1\n0,1,1,1\n1,2,1,1\n", ("column qd2 is missing", "qd1")),
+    ("t,q1,q2,qdd1,qdd2\n0,1,1,1,1\n1,2,1,1,1\n", ("column qd1 is missing", "qdd1")),
+    ("t,q1,q2\n0,1,1\n", ("rows = 1", "two or more")),
+    ("t,q1,q2\n", ("rows = 0", "two or more")),
+    ("t,q1,q2\n0,1,1\n0,1,1\n", ("t = 0", "increase")),
+    ("t,q1,q2\n0,1,1\n1,x,1\n", ("line 3", "q1 = x")),
+    ("t,q1,q2\n0.5,1,1\n1,1,1\n", ("0.5 to 1 s", "must cover 0 to 1 s")),
+    ("", ("the input is empty",)),
+]
+
+
+def test_wrong_references(robodyn: Run) -> None:
+    for table, parts in WRONG_REFERENCES:
+        with case(table, parts):
+            robodyn(*ARM, *PD, "--track", "-", stdin=table).fails(2, "stdin", *parts)
 
 
 def test_sampling_does_not_run_backwards(robodyn: Run) -> None:

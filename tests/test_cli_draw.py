@@ -215,7 +215,7 @@ def test_text(robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 
 def test_on_a_terminal() -> None:
-    from test_pipes import on_terminal
+    from terminals import on_terminal
 
     shown = on_terminal(*BAR, columns=70)
     assert "\x1b[3" in shown

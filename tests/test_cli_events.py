@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from conftest import Outcome
+from named_case import case
 
 
 def done(outcome: Outcome) -> Outcome:
@@ -78,45 +79,44 @@ def test_units(robodyn: Run, text: str, value: float) -> None:
     assert given.column("t")[-1] == pytest.approx(value, abs=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("--event", "apex"), "--event = apex: must be NAME=EXPR"),
-        (("--event", "apex="), "--event = apex=: must be NAME=EXPR"),
-        (("--event", "=qd1"), "--event = =qd1: must be NAME=EXPR"),
-        (("--event", "a==qd1"), "--event = a==qd1: must be NAME=EXPR"),
-        (("--event", "a=qd1", "--event", "a=qd2"), "--event = a: each event needs a name"),
-        (("--event", "until=qd1"), "--event = until: each event needs a name"),
-        (("--event", "1a=qd1"), "--event: name of an event = 1a: must be a letter"),
-        (("--event", "a b=qd1"), "--event: name of an event = a b: must be a letter"),
-        (("--event", "a=q9"), "--event a: an event does not allow name q9"),
-        (("--event", "a=x"), "--event a: an event does not allow name x; known: t, q1..q2"),
-        (("--event", "a=3"), "never changes"),
-        (("--event", "a=q1,q2"), "without a comma"),
-        (("--event", "a=q1 == 2"), "does not allow"),
-        (("--event", "a=0 < q1 < 1"), "does not allow"),
-        (("--event", "a=(q1 > 0) > 0.5"), "compares a comparison"),
-        (("--event", "a=q1 > 0 and q2 > 0"), "does not allow"),
-        (("--event", "a=not q1"), "does not allow"),
-        (("--event", "a=qd1.real"), "does not allow"),
-        (("--event", "a=__import__('os')"), "does not allow"),
-        (("--event", "a=q1 >"), "is no expression"),
-        (("--event", "a=q1 > 30degrees"), "is no expression"),
-        (("--until", ""), "--until"),
-        (("--until", "1 > 0"), "never changes"),
-        (("--until", "q3 > 0"), "--until: an event does not allow name q3"),
-        (("--until", "foo(q1)"), "function foo"),
-        (("--events", "x.csv"), "--events: there are none"),
-    ],
-)
-def test_what_is_refused(
-    robodyn: Run, tmp_path: Path, options: tuple[str, ...], named: str
-) -> None:
-    given = robodyn(*ARM, *[str(tmp_path / x) if x == "x.csv" else x for x in options])
-    assert given.code == 2
-    assert named in given.err
-    assert not given.out
-    assert not list(tmp_path.iterdir())
+WHAT_IS_REFUSED = [
+    (("--event", "apex"), "--event = apex: must be NAME=EXPR"),
+    (("--event", "apex="), "--event = apex=: must be NAME=EXPR"),
+    (("--event", "=qd1"), "--event = =qd1: must be NAME=EXPR"),
+    (("--event", "a==qd1"), "--event = a==qd1: must be NAME=EXPR"),
+    (("--event", "a=qd1", "--event", "a=qd2"), "--event = a: each event needs a name"),
+    (("--event", "until=qd1"), "--event = until: each event needs a name"),
+    (("--event", "1a=qd1"), "--event: name of an event = 1a: must be a letter"),
+    (("--event", "a b=qd1"), "--event: name of an event = a b: must be a letter"),
+    (("--event", "a=q9"), "--event a: an event does not allow name q9"),
+    (("--event", "a=x"), "--event a: an event does not allow name x; known: t, q1..q2"),
+    (("--event", "a=3"), "never changes"),
+    (("--event", "a=q1,q2"), "without a comma"),
+    (("--event", "a=q1 == 2"), "does not allow"),
+    (("--event", "a=0 < q1 < 1"), "does not allow"),
+    (("--event", "a=(q1 > 0) > 0.5"), "compares a comparison"),
+    (("--event", "a=q1 > 0 and q2 > 0"), "does not allow"),
+    (("--event", "a=not q1"), "does not allow"),
+    (("--event", "a=qd1.real"), "does not allow"),
+    (("--event", "a=__import__('os')"), "does not allow"),
+    (("--event", "a=q1 >"), "is no expression"),
+    (("--event", "a=q1 > 30degrees"), "is no expression"),
+    (("--until", ""), "--until"),
+    (("--until", "1 > 0"), "never changes"),
+    (("--until", "q3 > 0"), "--until: an event does not allow name q3"),
+    (("--until", "foo(q1)"), "function foo"),
+    (("--events", "x.csv"), "--events: there are none"),
+]
+
+
+def test_what_is_refused(robodyn: Run, tmp_path: Path) -> None:
+    for options, named in WHAT_IS_REFUSED:
+        with case(options, named):
+            given = robodyn(*ARM, *[str(tmp_path / x) if x == "x.csv" else x for x in options])
+            assert given.code == 2
+            assert named in given.err
+            assert not given.out
+            assert not list(tmp_path.iterdir())
 
 
 def test_the_file_of_events_is_never_half_written(robodyn: Run, tmp_path: Path) -> None:

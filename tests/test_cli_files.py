@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import typer
 from conftest import ROOT, Outcome
+from named_case import case
 
 from robodyn import cli
 from robodyn.cli import files
@@ -46,15 +47,18 @@ def words(param: Any, name: object) -> list[object]:
     return [param.opts[0], name] if param.opts[0].startswith("-") else [name]
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_option_that_names_a_file_says_what_is_done_with_it(command: str) -> None:
-    for param, role in declared(command):
-        text = f"{param.metavar} {getattr(param, 'help', '')}"
-        looks = any(word in text for word in ("FILE", "CSV", "MODEL", "STATES", "PATH", "Write "))
-        if param.name not in NO_FILES:
-            assert bool(role) == looks, param.name
-        if param.name in ("model", "out"):
-            assert role == {"model": "reads", "out": "writes"}[param.name]
+def test_every_option_that_names_a_file_says_what_is_done_with_it() -> None:
+    for command in cli.COMMANDS:
+        with case(command):
+            for param, role in declared(command):
+                text = f"{param.metavar} {getattr(param, 'help', '')}"
+                looks = any(
+                    word in text for word in ("FILE", "CSV", "MODEL", "STATES", "PATH", "Write ")
+                )
+                if param.name not in NO_FILES:
+                    assert bool(role) == looks, param.name
+                if param.name in ("model", "out"):
+                    assert role == {"model": "reads", "out": "writes"}[param.name]
 
 
 def test_the_walk_finds_what_is_there() -> None:
@@ -110,7 +114,7 @@ def test_what_is_kept_beside_an_output_is_no_input_either(
         assert path.read_text() == ARM
 
 
-def test_streams_are_files_too(shell: Run, tmp_path: Path) -> None:
+def test_streams_are_files_too(robodyn: Run, shell: Run, tmp_path: Path) -> None:
     rows = tmp_path / "rows.csv"
     rows.write_text("q1,q2\n1,2\n")
     torque = "robodyn torque robots/2r.yaml"
@@ -119,11 +123,12 @@ def test_streams_are_files_too(shell: Run, tmp_path: Path) -> None:
         f"{torque} {rows} >>{rows}",
         f"{torque} - <{rows} >>{rows}",
         f"robodyn simulate robots/2r.yaml --q 0,0 --report {rows} >>{rows}",
-        "robodyn simulate robots/2r.yaml --q 0,0 --report -",
     ):
         shell(line).fails(2, "would write over")
         assert rows.read_text() == "q1,q2\n1,2\n"
     shell(f"{torque} - <{rows} | {torque} - -o {rows}.new").succeeds()
+    given = robodyn("simulate", "robots/2r.yaml", "--q", "0,0", "--report", "-")
+    given.fails(2, "would write over")
 
 
 def test_a_device_takes_all(robodyn: Run) -> None:
@@ -137,10 +142,11 @@ def test_rows_that_a_failed_run_kept_can_be_read(robodyn: Run, tmp_path: Path) -
     robodyn("torque", "robots/2r.yaml", rows, "-o", tmp_path / "run.csv").succeeds()
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_an_empty_name_is_a_usage_error(robodyn: Run, command: str) -> None:
-    for param, role in declared(command):
-        if role:
-            given = [] if param.name in ("model", "files") else ["robots/2r.yaml"]
-            shown = robodyn(command, *given, *words(param, "")).err
-            assert "is empty: name a file" in shown, param.name
+def test_an_empty_name_is_a_usage_error(robodyn: Run) -> None:
+    for command in cli.COMMANDS:
+        with case(command):
+            for param, role in declared(command):
+                if role:
+                    given = [] if param.name in ("model", "files") else ["robots/2r.yaml"]
+                    shown = robodyn(command, *given, *words(param, "")).err
+                    assert "is empty: name a file" in shown, param.name

@@ -240,7 +240,7 @@ def test_text_in_a_pipe(robodyn: Run, sweep: Path, monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_on_a_terminal(sweep: Path, monkeypatch: pytest.MonkeyPatch, deep: bool) -> None:
-    from test_pipes import on_terminal
+    from terminals import on_terminal
 
     monkeypatch.setenv("COLORTERM", "truecolor" if deep else "")
     shown = on_terminal("plot", str(sweep), *MAP, "flip", "--log", columns=70)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
+from named_case import case
 
 import oracles
 
@@ -325,28 +326,29 @@ def test_too_many_actuators(robodyn: Run, scene: Callable[[str], Path], four_bar
 # Errors
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--q", "missing"]),
-        ("robots/2r.yaml --q 1,2 --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-        ("robots/2r.yaml states.csv --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-        ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-        ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
-        ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
-        (
-            "robots/2r.yaml --q 1,2 --tau 30deg,1",
-            ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
-        ),
-        ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
-        ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
-        ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-        ("none.yaml --q 1", ["none.yaml", "no such file"]),
-        ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("reactions", *arguments.split(" ")).fails(2, *parts).out == ""
+WRONG_USAGE = [
+    ("robots/2r.yaml", ["--q", "missing"]),
+    ("robots/2r.yaml --q 1,2 --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
+    ("robots/2r.yaml states.csv --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
+    ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
+    ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
+    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
+    (
+        "robots/2r.yaml --q 1,2 --tau 30deg,1",
+        ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
+    ),
+    ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
+    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
+    ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
+    ("none.yaml --q 1", ["none.yaml", "no such file"]),
+    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
+]
+
+
+def test_wrong_usage(robodyn: Run) -> None:
+    for arguments, parts in WRONG_USAGE:
+        with case(arguments, parts):
+            assert robodyn("reactions", *arguments.split(" ")).fails(2, *parts).out == ""
 
 
 @pytest.mark.parametrize(
@@ -372,10 +374,10 @@ def test_an_option_for_columns_that_are_there(robodyn: Run, option: str) -> None
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])
 @pytest.mark.parametrize("batch", [False, True])
 def test_a_result_beyond_the_floats_is_an_error(
-    process: Run, arguments: list[str], batch: bool
+    robodyn: Run, arguments: list[str], batch: bool
 ) -> None:
     states = ["-"] if batch else ["--q", "1,2"]
-    given = process("reactions", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
+    given = robodyn("reactions", "robots/2r.yaml", *states, *arguments, stdin="q1,q2\n1,2\n")
     given.fails(1)
     assert "nan" not in given.out
 

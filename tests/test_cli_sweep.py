@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 from conftest import FRESH, ROOT, Outcome
-from test_prismatic import BLOCK
+from named_case import case
+from sliding_scenes import BLOCK
 
 import robodyn as package
 from robodyn import inverse_dynamics, load, simulate
@@ -45,23 +46,24 @@ def test_a_grid_of_starts(robodyn: Run) -> None:
         assert end == pytest.approx([*motion.q[-1], *motion.qd[-1]], abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("spec", "values"),
-    [
-        ("gravity=0:10:3", [0.0, 5.0, 10.0]),  # a whole number counts
-        ("gravity=0:10:5.0", [0.0, 5.0, 10.0]),  # a point makes it a step
-        ("gravity=0:10:4.", [0.0, 4.0, 8.0]),
-        ("q1=0:180deg:90deg", [0.0, math.pi / 2, math.pi]),
-        ("q1=-pi:pi:3", [-math.pi, 0.0, math.pi]),
-        ("q1=1:0:-0.5", [1.0, 0.5, 0.0]),
-        ("links.upper arm.m= 1, 2.5 ,3e-1", [1.0, 2.5, 0.3]),
-        ("tau2=4", [4.0]),
-    ],
-)
-def test_the_grammar_of_values(robodyn: Run, spec: str, values: list[float]) -> None:
-    given = robodyn(*ARM, "--vary", spec, "--time", 0.01, "--quiet").succeeds()
-    name = spec.partition("=")[0]
-    assert given.column(name) == pytest.approx(values, abs=1e-15)
+THE_GRAMMAR_OF_VALUES = [
+    ("gravity=0:10:3", [0.0, 5.0, 10.0]),  # a whole number counts
+    ("gravity=0:10:5.0", [0.0, 5.0, 10.0]),  # a point makes it a step
+    ("gravity=0:10:4.", [0.0, 4.0, 8.0]),
+    ("q1=0:180deg:90deg", [0.0, math.pi / 2, math.pi]),
+    ("q1=-pi:pi:3", [-math.pi, 0.0, math.pi]),
+    ("q1=1:0:-0.5", [1.0, 0.5, 0.0]),
+    ("links.upper arm.m= 1, 2.5 ,3e-1", [1.0, 2.5, 0.3]),
+    ("tau2=4", [4.0]),
+]
+
+
+def test_the_grammar_of_values(robodyn: Run) -> None:
+    for spec, values in THE_GRAMMAR_OF_VALUES:
+        with case(spec, values):
+            given = robodyn(*ARM, "--vary", spec, "--time", 0.01, "--quiet").succeeds()
+            name = spec.partition("=")[0]
+            assert given.column(name) == pytest.approx(values, abs=1e-15)
 
 
 def test_a_sample_is_the_same_for_the_same_seed(robodyn: Run) -> None:
@@ -121,46 +123,47 @@ def test_flip_of_a_link(robodyn: Run) -> None:
 # Refusals
 
 
-@pytest.mark.parametrize(
-    ("options", "parts"),
-    [
-        (["--vary", "mass=1:2:3"], ["mass", "known: q1, q2", "links.forearm.m"]),
-        (["--vary", "links.forearm.mm=1:2:3"], ["did you mean links.forearm.m?"]),
-        (["--vary", "q1"], ["NAME=VALUES"]),
-        (["--vary", "q1="], ["NAME=VALUES"]),
-        (["--vary", "q1=0:1"], ["--vary q1", "--sample"]),
-        (["--vary", "q1=1:0", "--sample", "3"], ["below"]),
-        (["--vary", "q1=0:1:0"], ["count"]),
-        (["--vary", "q1=0:1:-0.1"], ["leads nowhere"]),
-        (["--vary", "q1=0:1:1e-9"], ["makes more than"]),
-        (["--vary", "q1=0:1:2:3"], ["first:last:count"]),
-        (["--vary", "q1=0,x"], ["x: is not a number", "30deg"]),
-        (["--vary", "links.forearm.m=30deg"], ["30deg"]),
-        (["--vary", "q1=0", "--vary", "q1=1"], ["twice"]),
-        (["--vary", "links.forearm.m=1", "--vary", "links[1].m=1"], ["one number"]),
-        (["--vary", "links.forearm.m=-1:1:3"], ["links[1] (forearm).m = -1.0", ">= 0"]),
-        (["--vary", "q1=0", "--sample", "0"], ["--sample = 0"]),
-        (["--vary", "q1=0:1", "--sample", "3", "--seed", "-1"], ["--seed = -1"]),
-        (["--vary", "q1=0", "--time", "0"], ["--time = 0"]),
-        (["--vary", "q1=0", "--rtol", "0"], ["--rtol"]),
-        (["--vary", "q1=0", "--max-steps", "0"], ["--max-steps"]),
-        (["--vary", "q1=0", "--result", "final,speed"], ["--result = speed", "extremes"]),
-        (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
-        (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
-        (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
-        (["--vary", "q1=0", "--patience", "9"], ["--patience", "--scheduler"]),
-        (
-            ["--vary", "q1=0", "--patience", "nan", "--scheduler", "tcp://x"],
-            ["--patience = nan", ">= 0"],
-        ),
-        (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
-        (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
-        (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),
-        (["--vary", "tau1=0", "--kind", "torque"], ["tau1", "known: q1"]),
-    ],
-)
-def test_wrong_options_are_told(robodyn: Run, options: list[str], parts: list[str]) -> None:
-    robodyn(*ARM, *options).fails(2, *parts)
+WRONG_OPTIONS_ARE_TOLD = [
+    (["--vary", "mass=1:2:3"], ["mass", "known: q1, q2", "links.forearm.m"]),
+    (["--vary", "links.forearm.mm=1:2:3"], ["did you mean links.forearm.m?"]),
+    (["--vary", "q1"], ["NAME=VALUES"]),
+    (["--vary", "q1="], ["NAME=VALUES"]),
+    (["--vary", "q1=0:1"], ["--vary q1", "--sample"]),
+    (["--vary", "q1=1:0", "--sample", "3"], ["below"]),
+    (["--vary", "q1=0:1:0"], ["count"]),
+    (["--vary", "q1=0:1:-0.1"], ["leads nowhere"]),
+    (["--vary", "q1=0:1:1e-9"], ["makes more than"]),
+    (["--vary", "q1=0:1:2:3"], ["first:last:count"]),
+    (["--vary", "q1=0,x"], ["x: is not a number", "30deg"]),
+    (["--vary", "links.forearm.m=30deg"], ["30deg"]),
+    (["--vary", "q1=0", "--vary", "q1=1"], ["twice"]),
+    (["--vary", "links.forearm.m=1", "--vary", "links[1].m=1"], ["one number"]),
+    (["--vary", "links.forearm.m=-1:1:3"], ["links[1] (forearm).m = -1.0", ">= 0"]),
+    (["--vary", "q1=0", "--sample", "0"], ["--sample = 0"]),
+    (["--vary", "q1=0:1", "--sample", "3", "--seed", "-1"], ["--seed = -1"]),
+    (["--vary", "q1=0", "--time", "0"], ["--time = 0"]),
+    (["--vary", "q1=0", "--rtol", "0"], ["--rtol"]),
+    (["--vary", "q1=0", "--max-steps", "0"], ["--max-steps"]),
+    (["--vary", "q1=0", "--result", "final,speed"], ["--result = speed", "extremes"]),
+    (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
+    (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
+    (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
+    (["--vary", "q1=0", "--patience", "9"], ["--patience", "--scheduler"]),
+    (
+        ["--vary", "q1=0", "--patience", "nan", "--scheduler", "tcp://x"],
+        ["--patience = nan", ">= 0"],
+    ),
+    (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
+    (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
+    (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),
+    (["--vary", "tau1=0", "--kind", "torque"], ["tau1", "known: q1"]),
+]
+
+
+def test_wrong_options_are_told(robodyn: Run) -> None:
+    for options, parts in WRONG_OPTIONS_ARE_TOLD:
+        with case(options, parts):
+            robodyn(*ARM, *options).fails(2, *parts)
 
 
 def test_a_passive_joint_cannot_vary(robodyn: Run) -> None:
@@ -174,7 +177,7 @@ def test_missing_vary_is_a_usage_error(robodyn: Run) -> None:
 # Files
 
 
-SMALL = ("--vary", "q1=0:3:30", "--vary", "q2=0:3:30", "--time", 0.3, "--engine", "python")
+SMALL = ("--vary", "q1=0:3:30", "--vary", "q2=0:3:30", "--time", 0.05, "--engine", "python")
 
 
 @pytest.fixture
@@ -275,7 +278,7 @@ def _cut_off(robodyn: Run, path: Path, chunks: int) -> None:
 def test_a_killed_process_leaves_whole_chunks(number: int, tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     command = [sys.executable, "-m", "robodyn", *ARM, "--vary", "q1=0:3:200", "--vary",
-               "q2=0:3:200", "--time", "0.3", "--engine", "python", "-o", str(path)]  # fmt: skip
+               "q2=0:3:200", "--time", "0.1", "--engine", "python", "-o", str(path)]  # fmt: skip
     command += ["--workers", "2" if number == signal.SIGTERM else "1"]
     partial = tmp_path / "out.csv.partial"
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)

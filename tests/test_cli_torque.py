@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, RP_ARM, TWO_LINK, Outcome, relative_error
+from named_case import case
 
 import oracles
 
@@ -361,36 +362,37 @@ def test_out_writes_what_stdout_would_have(robodyn: Run, tmp_path: Path, format:
 # Wrong input: exit code 2, nothing on stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--q", "missing", "CSV"]),
-        ("robots/2r.yaml --q 1", ["--q", "1 value", "2 values", "upper arm, forearm"]),
-        ("robots/2r.yaml --q 1,2,3", ["--q", "3 values", "2 values"]),
-        ("robots/2r.yaml --q 1,2 --qd 1", ["--qd", "1 value", "2 values"]),
-        ("robots/2r.yaml --q 1,nan", ["--q", "entry 2 = nan", "finite"]),
-        ("robots/2r.yaml --q 1,inf", ["--q", "entry 2 = inf", "finite"]),
-        ("robots/2r.yaml --q 1,1e999", ["--q", "entry 2 = 1e999", "too large"]),
-        ("robots/2r.yaml --q 1e999/1e999,2", ["--q", "entry 1 = 1e999/1e999", "too large"]),
-        ("robots/2r.yaml --q 1,two", ["--q", "entry 2 = two", "30deg"]),
-        ("robots/2r.yaml --q 1,2 --tau 1,2", ["--tau"]),
-        ("robots/2r.yaml --q 1,2 --format xml", ["--format", "xml", "csv"]),
-        ("robots/2r.yaml --q", ["--q", "argument"]),
-        ("robots/none.yaml --q 1,2", ["robots/none.yaml", "no such file"]),
-        ("robots --q 1,2", ["robots", "directory"]),
-        ("README.md --q 1,2", ["README.md"]),
-        ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-        ("robots/2r.yaml robots", ["robots", "directory"]),
-        ("robots/2r.yaml --q 1,2 --out nowhere/x.csv", ["nowhere/x.csv", "no such file"]),
-        ("robots/2r.yaml --q 1,2 --out robots", ["robots", "directory"]),
-        ("robots/2r.yaml a b", ["b"]),
-        ("", ["MODEL"]),
-        ("robots/four-bar.yaml --q 1,2", ["--q", "2 values", "3 values", "or 1", "(crank)"]),
-        ("robots/four-bar.yaml --q 1 --qd 1,2", ["--qd", "2 values", "3 values", "(crank)"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("torque", *arguments.split()).fails(2, *parts).out == ""
+WRONG_USAGE = [
+    ("robots/2r.yaml", ["--q", "missing", "CSV"]),
+    ("robots/2r.yaml --q 1", ["--q", "1 value", "2 values", "upper arm, forearm"]),
+    ("robots/2r.yaml --q 1,2,3", ["--q", "3 values", "2 values"]),
+    ("robots/2r.yaml --q 1,2 --qd 1", ["--qd", "1 value", "2 values"]),
+    ("robots/2r.yaml --q 1,nan", ["--q", "entry 2 = nan", "finite"]),
+    ("robots/2r.yaml --q 1,inf", ["--q", "entry 2 = inf", "finite"]),
+    ("robots/2r.yaml --q 1,1e999", ["--q", "entry 2 = 1e999", "too large"]),
+    ("robots/2r.yaml --q 1e999/1e999,2", ["--q", "entry 1 = 1e999/1e999", "too large"]),
+    ("robots/2r.yaml --q 1,two", ["--q", "entry 2 = two", "30deg"]),
+    ("robots/2r.yaml --q 1,2 --tau 1,2", ["--tau"]),
+    ("robots/2r.yaml --q 1,2 --format xml", ["--format", "xml", "csv"]),
+    ("robots/2r.yaml --q", ["--q", "argument"]),
+    ("robots/none.yaml --q 1,2", ["robots/none.yaml", "no such file"]),
+    ("robots --q 1,2", ["robots", "directory"]),
+    ("README.md --q 1,2", ["README.md"]),
+    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
+    ("robots/2r.yaml robots", ["robots", "directory"]),
+    ("robots/2r.yaml --q 1,2 --out nowhere/x.csv", ["nowhere/x.csv", "no such file"]),
+    ("robots/2r.yaml --q 1,2 --out robots", ["robots", "directory"]),
+    ("robots/2r.yaml a b", ["b"]),
+    ("", ["MODEL"]),
+    ("robots/four-bar.yaml --q 1,2", ["--q", "2 values", "3 values", "or 1", "(crank)"]),
+    ("robots/four-bar.yaml --q 1 --qd 1,2", ["--qd", "2 values", "3 values", "(crank)"]),
+]
+
+
+def test_wrong_usage(robodyn: Run) -> None:
+    for arguments, parts in WRONG_USAGE:
+        with case(arguments, parts):
+            assert robodyn("torque", *arguments.split()).fails(2, *parts).out == ""
 
 
 @pytest.mark.parametrize(
@@ -449,17 +451,16 @@ BAD_ROWS = [
 ]
 
 
-@pytest.mark.parametrize(("row", "parts"), BAD_ROWS)
-@pytest.mark.parametrize("before", [0, 2, 500])
-def test_a_bad_row_names_its_line_after_the_rows_before_it(
-    robodyn: Run, row: str, parts: list[str], before: int
-) -> None:
-    stdin = "q1,q2\n" + "1,2\n" * before + f"{row}\n5,6\n"
-    failed = robodyn("torque", "robots/2r.yaml", "-", stdin=stdin)
-    failed.fails(2, f"stdin: line {before + 2}: ", *parts)
-    assert failed.out.count("\n") == 1 + before
-    good = robodyn("torque", "robots/2r.yaml", "-", stdin="q1,q2\n" + "1,2\n" * before)
-    assert failed.out == good.out
+def test_a_bad_row_names_its_line_after_the_rows_before_it(robodyn: Run) -> None:
+    for row, parts in BAD_ROWS:
+        for before in [0, 2, 500]:
+            with case(row, parts, before):
+                stdin = "q1,q2\n" + "1,2\n" * before + f"{row}\n5,6\n"
+                failed = robodyn("torque", "robots/2r.yaml", "-", stdin=stdin)
+                failed.fails(2, f"stdin: line {before + 2}: ", *parts)
+                assert failed.out.count("\n") == 1 + before
+                good = robodyn("torque", "robots/2r.yaml", "-", stdin="q1,q2\n" + "1,2\n" * before)
+                assert failed.out == good.out
 
 
 def test_lines_are_counted_as_an_editor_does(robodyn: Run) -> None:
@@ -595,16 +596,16 @@ def test_too_many_actuators_get_the_least_torque_and_a_warning(
 
 @pytest.mark.parametrize("model", ["robots/2r.yaml", "robots/four-bar.yaml"])
 @pytest.mark.parametrize("batch", [False, True])
-def test_a_result_beyond_the_floats_is_an_error(process: Run, model: str, batch: bool) -> None:
+def test_a_result_beyond_the_floats_is_an_error(robodyn: Run, model: str, batch: bool) -> None:
     """Not nan or inf with exit code 0, nor Python's warnings in place of a message."""
     n = 2 if "2r" in model else 1
     if batch:
         names = [f"{name}{k + 1}" for name in ("q", "qd") for k in range(n)]
         stdin = ",".join(names) + "\n" + ",".join(["1"] * n + ["1e200"] * n) + "\n"
-        given = process("torque", model, "-", stdin=stdin)
+        given = robodyn("torque", model, "-", stdin=stdin)
         given.fails(1, "stdin: line 2: ")
     else:
-        given = process("torque", model, "--q", "1,2"[: 2 * n - 1], "--qd", ",".join(["1e200"] * n))
+        given = robodyn("torque", model, "--q", "1,2"[: 2 * n - 1], "--qd", ",".join(["1e200"] * n))
         given.fails(1)
     assert "nan" not in given.out
     assert "inf" not in given.out

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from contact_scenes import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
 from scipy.linalg import null_space
 from scipy.optimize import linprog
-from test_contacts import FIVE_BAR, FOUR_BAR, SLIDER_CRANK, dry, kkt, scene
 
 import robodyn
 from robodyn.dynamics import closed_form

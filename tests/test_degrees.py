@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from conftest import Outcome
+from named_case import case
 
 Run = Callable[..., Outcome]
 ROWS = "note,t,q1,q2,qd1,qd2\nfirst,0,0.5,0.1,1,0.2\nlast,1,-0.25,0.15,2,0.1\n"
@@ -31,23 +32,24 @@ def turns(name: str, line: str) -> bool:
     return name.rstrip("0123456789") in ("angle", "w", "wd", "transmission")
 
 
-@pytest.mark.parametrize(("line", "stdin"), LINES, ids=[line for line, _ in LINES])
-def test_columns_of_angles_alone_are_others(robodyn: Run, line: str, stdin: str) -> None:
-    plain = robodyn(*line.split(), stdin=stdin)
-    told = robodyn(*line.split(), "--degrees", stdin=stdin)
-    assert (plain.code, told.code, told.err) == (0, 0, plain.err)
-    assert len(plain.rows) == len(told.rows) > 0
-    changed = 0
-    for one, other in zip(plain.rows, told.rows, strict=True):
-        assert len(one) == len(other)
-        for (name, text), (new, value) in zip(one.items(), other.items(), strict=True):
-            if turns(name, line):
-                assert new == f"{name}_deg"
-                assert float(value) == pytest.approx(math.degrees(float(text)), rel=1e-15)
-                changed += 1
-            else:
-                assert (new, value) == (name, text)
-    assert changed
+def test_columns_of_angles_alone_are_others(robodyn: Run) -> None:
+    for line, stdin in LINES:
+        with case(line, stdin):
+            plain = robodyn(*line.split(), stdin=stdin)
+            told = robodyn(*line.split(), "--degrees", stdin=stdin)
+            assert (plain.code, told.code, told.err) == (0, 0, plain.err)
+            assert len(plain.rows) == len(told.rows) > 0
+            changed = 0
+            for one, other in zip(plain.rows, told.rows, strict=True):
+                assert len(one) == len(other)
+                for (name, text), (new, value) in zip(one.items(), other.items(), strict=True):
+                    if turns(name, line):
+                        assert new == f"{name}_deg"
+                        assert float(value) == pytest.approx(math.degrees(float(text)), rel=1e-15)
+                        changed += 1
+                    else:
+                        assert (new, value) == (name, text)
+            assert changed
 
 
 def test_tables_json_and_extremes(robodyn: Run) -> None:

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT, within
+from conftest import FRESH, ROOT, within
+from good_scenes import ARM, EVERYTHING, LOOP
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from named_case import case
 
 from robodyn.errors import MOST_FAULTS, DescriptionError, InputError
 from robodyn.mechanics.mechanism import build
@@ -25,41 +27,6 @@ NAMES = [
     *("2r", "3r", "pendulum", "four-bar", "parallelogram", "slider-crank", "five-bar"),
     *("watt-six-bar", "stephenson-six-bar"),
 ]
-
-ARM = """\
-name: arm
-gravity: 9.81
-links:
-  - {name: upper, m: 1.5, l: 0.8, r: 0.36, I: 0.082}
-  - {name: lower, m: 0.9, l: 0.6, r: 0.25, I: 0.031}
-"""
-LOOP = """\
-name: loop
-gravity: 9.81
-links:
-  - {name: crank,   m: 0.6, l: 0.35, r: 0.15, I: 0.008}
-  - {name: coupler, m: 1.3, l: 0.95, r: 0.45, I: 0.102}
-  - {name: rocker,  m: 1.0, l: 0.80, r: 0.36, I: 0.061, from: [1.1, 0.0]}
-closures:
-  - [coupler, rocker]
-actuated: [crank]
-assembly: open
-"""
-EVERYTHING = """\
-name: everything
-gravity: [0.3, -9.7]
-links:
-  - {name: plate, m: 2.0, l: 0.5, r: [0.21, 0.13], I: 0.05, payload: 0.4, damping: 0.02}
-  - {name: left, m: 0.5, l: 0.3, r: 0.14, I: 0.004, from: {link: plate, at: [0.3, 0.2]}}
-  - {name: right, m: 0.6, l: 0.4, r: [-0.1, 0], I: 0.007, from: plate}
-  - {name: slide, m: 0.7, l: 0.9, r: 0.4, I: 0.06, from: right}
-closures:
-  - [left, [0.9, 0.1]]
-  - {point: {link: slide, at: [0.8, 0.05]}, on: {through: [0, 0.02], along: [3, 4]}}
-actuated: [right, plate]
-assembly: [crossed, open]
-start: {plate: 30deg, right: -pi/4, slide: 0.5}
-"""
 
 
 def faults_of(text: str) -> list[tuple[str, object, str, int | None]]:
@@ -388,141 +355,139 @@ def test_keys_that_are_no_names(key: str) -> None:
 # Faults: place, value, what is allowed, line
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place", "value", "limit", "line"),
-    [
-        # keys
-        ("gravity", "gravty", "gravty", None, "unknown key; did you mean gravity?", 2),
-        ("name: arm", "xyz: red", "xyz", None, "is an unknown key; known: links, name, gr", 1),
-        ("r: 0.36", "R: 0.36, r: 0.36", "links[0] (upper).R", None, "is an unknown key", 4),
-        ("I: 0.031", "I: 0.031, dampng: 1", "links[1] (lower).dampng", None, "mean damping?", 5),
-        ("l: 0.6, ", "", "links[1] (lower).l", None, "is missing", 5),
-        ("name: lower, ", "", "links[1].name", None, "is missing", 5),
-        ("I: 0.031", "I: 0.031, m: 2", "links[1] (lower).m", None, "is given twice", 5),
-        ("gravity: 9.81", "gravity: 9.81\ngravity: 9.81", "gravity", None, "is given twice", 3),
-        # numbers
-        ("m: 1.5", "m: heavy", "links[0] (upper).m", "heavy", "must be a number", 4),
-        ("m: 1.5", "m: '1.5'", "links[0] (upper).m", "'1.5'", "quoted text, not a number", 4),
-        ("m: 1.5", "m: ", "links[0] (upper).m", "nothing", "must be a number", 4),
-        ("m: 1.5", "m: null", "links[0] (upper).m", "null", "must be a number", 4),
-        ("m: 1.5", "m: ~", "links[0] (upper).m", "~", "must be a number", 4),
-        ("m: 1.5", "m: 1.5kgs", "links[0] (upper).m", "1.5kgs", "must be a number", 4),
-        ("m: 1.5", "m: 1_5", "links[0] (upper).m", "1_5", "must be a number", 4),
-        ("m: 1.5", "m: 0x15", "links[0] (upper).m", "0x15", "must be a number", 4),
-        ("m: 1.5", "m: 1:30", "links[0] (upper).m", "1:30", "must be a number", 4),
-        ("m: 1.5", "m: 2026-01-01", "links[0] (upper).m", "2026-01-01", "must be a number", 4),
-        ("m: 1.5", "m: [1.5]", "links[0] (upper).m", "a list", "must be a number", 4),
-        ("m: 1.5", "m: {kg: 1.5}", "links[0] (upper).m", "a mapping", "must be a number", 4),
-        ("m: 1.5", "m: nan", "links[0] (upper).m", "nan", "must be a finite number", 4),
-        ("m: 1.5", "m: .NaN", "links[0] (upper).m", ".NaN", "must be a finite number", 4),
-        ("m: 1.5", "m: .inf", "links[0] (upper).m", ".inf", "must be a finite number", 4),
-        ("m: 1.5", "m: -.inf", "links[0] (upper).m", "-.inf", "must be a finite number", 4),
-        ("m: 1.5", "m: 1e999", "links[0] (upper).m", "1e999", "too large", 4),
-        ("m: 1.5", "m: yes", "links[0] (upper).m", "yes", "is a truth value, not a number", 4),
-        ("m: 1.5", "m: No", "links[0] (upper).m", "No", "is a truth value, not a number", 4),
-        ("m: 1.5", "m: true", "links[0] (upper).m", "true", "is a truth value, not a number", 4),
-        ("m: 1.5", "m: off", "links[0] (upper).m", "off", "is a truth value, not a number", 4),
-        # amounts
-        ("m: 1.5", "m: -1.5", "links[0] (upper).m", "-1.5", "must be >= 0", 4),
-        ("l: 0.8", "l: -0.8", "links[0] (upper).l", "-0.8", "must be >= 0", 4),
-        ("I: 0.082", "I: -1e-9", "links[0] (upper).I", "-1e-9", "must be >= 0", 4),
-        ("r: 0.36", "r: -0.36", "links[0] (upper).r", "-0.36", "must be >= 0; write [x, y]", 4),
-        ("I: 0.082", "I: 1, payload: -2", "links[0] (upper).payload", "-2", "must be >= 0", 4),
-        ("I: 0.082", "I: 1, damping: -2", "links[0] (upper).damping", "-2", "must be >= 0", 4),
-        # vectors
-        ("r: 0.36", "r: [1]", "links[0] (upper).r", "1 values", "two numbers, [x, y]", 4),
-        ("r: 0.36", "r: [1, 2, 3]", "links[0] (upper).r", "3 values", "two numbers, [x, y]", 4),
-        ("r: 0.36", "r: []", "links[0] (upper).r", "0 values", "two numbers, [x, y]", 4),
-        ("r: 0.36", "r: [1, no]", "links[0] (upper).r[1]", "no", "is a truth value", 4),
-        ("r: 0.36", "r: [nan, 1]", "links[0] (upper).r[0]", "nan", "finite number", 4),
-        ("9.81", "[0, -9.81, 0]", "gravity", "3 values", "two numbers, [x, y]", 2),
-        ("9.81", "earth", "gravity", "earth", "must be a number", 2),
-        ("9.81", "{y: 9.81}", "gravity", "a mapping", "must be a number", 2),
-        # names
-        ("name: lower", "name: upper", "links[1].name", "upper", "links[0] too", 5),
-        ("name: lower", "name: ''", "links[1] ().name", "''", "must be a name", 5),
-        ("name: lower", "name: [a]", "links[1].name", "a list", "must be a name", 5),
-        ("name: arm", "name: {a: b}", "name", "a mapping", "must be a name", 1),
-        # from
-        ("I: 0.031", "I: 1, from: uper", "links[1] (lower).from", "uper", "mean upper?", 5),
-        ("I: 0.031", "I: 1, from: [1]", "links[1] (lower).from", "1 values", "[x, y]", 5),
-        ("I: 0.031", "I: 1, from: ", "links[1] (lower).from", "nothing", "must be a name", 5),
-        ("I: 0.031", "I: 1, from: lower", "links[1] (lower).from", None, "lower -> lower", 5),
-        (
-            *("I: 0.031", "I: 1, from: {link: xyz, at: [1, 2]}"),
-            *("links[1] (lower).from.link", "xyz", "names no link; known: upper, lower", 5),
-        ),
-        (
-            *("I: 0.031", "I: 1, from: {link: upper, at: [1, x]}"),
-            *("links[1] (lower).from.at[1]", "x", "must be a number", 5),
-        ),
-        (
-            *("I: 0.031", "I: 1, from: {link: upper}"),
-            *("links[1] (lower).from.at", None, "is missing", 5),
-        ),
-    ],
-)
-def test_a_fault_of_a_chain(
-    old: str, new: str, place: str, value: object, limit: str, line: int
-) -> None:
-    found = only_fault_of(edited(ARM, old, new))
-    assert (found[0], found[1], found[3]) == (place, value, line)
-    assert limit in found[2]
+A_FAULT_OF_A_CHAIN = [
+    # keys
+    ("gravity", "gravty", "gravty", None, "unknown key; did you mean gravity?", 2),
+    ("name: arm", "xyz: red", "xyz", None, "is an unknown key; known: links, name, gr", 1),
+    ("r: 0.36", "R: 0.36, r: 0.36", "links[0] (upper).R", None, "is an unknown key", 4),
+    ("I: 0.031", "I: 0.031, dampng: 1", "links[1] (lower).dampng", None, "mean damping?", 5),
+    ("l: 0.6, ", "", "links[1] (lower).l", None, "is missing", 5),
+    ("name: lower, ", "", "links[1].name", None, "is missing", 5),
+    ("I: 0.031", "I: 0.031, m: 2", "links[1] (lower).m", None, "is given twice", 5),
+    ("gravity: 9.81", "gravity: 9.81\ngravity: 9.81", "gravity", None, "is given twice", 3),
+    # numbers
+    ("m: 1.5", "m: heavy", "links[0] (upper).m", "heavy", "must be a number", 4),
+    ("m: 1.5", "m: '1.5'", "links[0] (upper).m", "'1.5'", "quoted text, not a number", 4),
+    ("m: 1.5", "m: ", "links[0] (upper).m", "nothing", "must be a number", 4),
+    ("m: 1.5", "m: null", "links[0] (upper).m", "null", "must be a number", 4),
+    ("m: 1.5", "m: ~", "links[0] (upper).m", "~", "must be a number", 4),
+    ("m: 1.5", "m: 1.5kgs", "links[0] (upper).m", "1.5kgs", "must be a number", 4),
+    ("m: 1.5", "m: 1_5", "links[0] (upper).m", "1_5", "must be a number", 4),
+    ("m: 1.5", "m: 0x15", "links[0] (upper).m", "0x15", "must be a number", 4),
+    ("m: 1.5", "m: 1:30", "links[0] (upper).m", "1:30", "must be a number", 4),
+    ("m: 1.5", "m: 2026-01-01", "links[0] (upper).m", "2026-01-01", "must be a number", 4),
+    ("m: 1.5", "m: [1.5]", "links[0] (upper).m", "a list", "must be a number", 4),
+    ("m: 1.5", "m: {kg: 1.5}", "links[0] (upper).m", "a mapping", "must be a number", 4),
+    ("m: 1.5", "m: nan", "links[0] (upper).m", "nan", "must be a finite number", 4),
+    ("m: 1.5", "m: .NaN", "links[0] (upper).m", ".NaN", "must be a finite number", 4),
+    ("m: 1.5", "m: .inf", "links[0] (upper).m", ".inf", "must be a finite number", 4),
+    ("m: 1.5", "m: -.inf", "links[0] (upper).m", "-.inf", "must be a finite number", 4),
+    ("m: 1.5", "m: 1e999", "links[0] (upper).m", "1e999", "too large", 4),
+    ("m: 1.5", "m: yes", "links[0] (upper).m", "yes", "is a truth value, not a number", 4),
+    ("m: 1.5", "m: No", "links[0] (upper).m", "No", "is a truth value, not a number", 4),
+    ("m: 1.5", "m: true", "links[0] (upper).m", "true", "is a truth value, not a number", 4),
+    ("m: 1.5", "m: off", "links[0] (upper).m", "off", "is a truth value, not a number", 4),
+    # amounts
+    ("m: 1.5", "m: -1.5", "links[0] (upper).m", "-1.5", "must be >= 0", 4),
+    ("l: 0.8", "l: -0.8", "links[0] (upper).l", "-0.8", "must be >= 0", 4),
+    ("I: 0.082", "I: -1e-9", "links[0] (upper).I", "-1e-9", "must be >= 0", 4),
+    ("r: 0.36", "r: -0.36", "links[0] (upper).r", "-0.36", "must be >= 0; write [x, y]", 4),
+    ("I: 0.082", "I: 1, payload: -2", "links[0] (upper).payload", "-2", "must be >= 0", 4),
+    ("I: 0.082", "I: 1, damping: -2", "links[0] (upper).damping", "-2", "must be >= 0", 4),
+    # vectors
+    ("r: 0.36", "r: [1]", "links[0] (upper).r", "1 values", "two numbers, [x, y]", 4),
+    ("r: 0.36", "r: [1, 2, 3]", "links[0] (upper).r", "3 values", "two numbers, [x, y]", 4),
+    ("r: 0.36", "r: []", "links[0] (upper).r", "0 values", "two numbers, [x, y]", 4),
+    ("r: 0.36", "r: [1, no]", "links[0] (upper).r[1]", "no", "is a truth value", 4),
+    ("r: 0.36", "r: [nan, 1]", "links[0] (upper).r[0]", "nan", "finite number", 4),
+    ("9.81", "[0, -9.81, 0]", "gravity", "3 values", "two numbers, [x, y]", 2),
+    ("9.81", "earth", "gravity", "earth", "must be a number", 2),
+    ("9.81", "{y: 9.81}", "gravity", "a mapping", "must be a number", 2),
+    # names
+    ("name: lower", "name: upper", "links[1].name", "upper", "links[0] too", 5),
+    ("name: lower", "name: ''", "links[1] ().name", "''", "must be a name", 5),
+    ("name: lower", "name: [a]", "links[1].name", "a list", "must be a name", 5),
+    ("name: arm", "name: {a: b}", "name", "a mapping", "must be a name", 1),
+    # from
+    ("I: 0.031", "I: 1, from: uper", "links[1] (lower).from", "uper", "mean upper?", 5),
+    ("I: 0.031", "I: 1, from: [1]", "links[1] (lower).from", "1 values", "[x, y]", 5),
+    ("I: 0.031", "I: 1, from: ", "links[1] (lower).from", "nothing", "must be a name", 5),
+    ("I: 0.031", "I: 1, from: lower", "links[1] (lower).from", None, "lower -> lower", 5),
+    (
+        *("I: 0.031", "I: 1, from: {link: xyz, at: [1, 2]}"),
+        *("links[1] (lower).from.link", "xyz", "names no link; known: upper, lower", 5),
+    ),
+    (
+        *("I: 0.031", "I: 1, from: {link: upper, at: [1, x]}"),
+        *("links[1] (lower).from.at[1]", "x", "must be a number", 5),
+    ),
+    (
+        *("I: 0.031", "I: 1, from: {link: upper}"),
+        *("links[1] (lower).from.at", None, "is missing", 5),
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place", "value", "limit", "line"),
-    [
-        # closures
-        ("[coupler, rocker]", "[couple, rocker]", "closures[0][0]", "couple", "mean coupler?", 8),
-        ("[coupler, rocker]", "[coupler, tail]", "closures[0][1]", "tail", "known: crank, co", 8),
-        ("[coupler, rocker]", "[coupler]", "closures[0]", "1 sides", "must name two sides", 8),
-        ("[coupler, rocker]", "coupler", "closures[0]", "coupler", "must be a list", 8),
-        ("[coupler, rocker]", "[rocker, rocker]", "closures[0]", None, "two points of one link", 8),
-        ("[coupler, rocker]", "[[0, 0], [1, 1]]", "closures[0]", None, "points of the ground", 8),
-        ("[coupler, rocker]", "[coupler, [1]]", "closures[0][1]", "1 values", "[x, y]", 8),
-        (
-            *("[coupler, rocker]", "[{link: coupler, at: [1, yes]}, rocker]"),
-            *("closures[0][0].at[1]", "yes", "is a truth value, not a number", 8),
-        ),
-        (
-            *("[coupler, rocker]", "{point: couple, on: {through: [0, 0], along: [1, 0]}}"),
-            *("closures[0].point", "couple", "did you mean coupler?", 8),
-        ),
-        (
-            *("[coupler, rocker]", "{point: rocker, on: {through: [0, 0], along: [0, 0]}}"),
-            *("closures[0].on.along", "[0, 0]", "must point somewhere", 8),
-        ),
-        (
-            *("[coupler, rocker]", "{point: rocker, on: {along: [1, 0]}}"),
-            *("closures[0].on.through", None, "is missing", 8),
-        ),
-        (
-            *("[coupler, rocker]", "{point: [1, 0], on: {through: [0, 0], along: [1, 0]}}"),
-            *("closures[0].point", None, "must be a point of a link", 8),
-        ),
-        ("\n  - [coupler, rocker]", " 3", "closures", "3", "must be a list", 7),
-        # actuated, assembly, start
-        ("[crank]", "[cranck]", "actuated[0]", "cranck", "names no link; did you mean crank?", 9),
-        ("[crank]", "[crank, crank]", "actuated[1]", "crank", "is named twice", 9),
-        ("[crank]", "crank", "actuated", "crank", "must be a list", 9),
-        ("open", "opne", "assembly", "opne", "must be open or crossed", 10),
-        ("open", "yes", "assembly", "yes", "must be open or crossed", 10),
-        ("open", "[open, crossed]", "assembly", "2 words", "one for each of the 1 closures", 10),
-        ("open", "[shut]", "assembly[0]", "shut", "must be open or crossed", 10),
-        ("open", "open\nstart: {arm: 1}", "start.arm", None, "is an unknown link", 11),
-        ("open", "open\nstart: {crank: up}", "start.crank", "up", "must be a number", 11),
-        ("open", "open\nstart: {crank: 1, crank: 2}", "start.crank", None, "is given twice", 11),
-        ("open", "open\nstart: {crank: 1/0}", "start.crank", "1/0", "divides by zero", 11),
-        ("open", "open\nstart: [1, 2, 3]", "start", "a list", "must map link names to angles", 11),
-    ],
-)
-def test_a_fault_of_a_loop(
-    old: str, new: str, place: str, value: object, limit: str, line: int
-) -> None:
-    found = only_fault_of(edited(LOOP, old, new))
-    assert (found[0], found[1], found[3]) == (place, value, line)
-    assert limit in found[2]
+def test_a_fault_of_a_chain() -> None:
+    for old, new, place, value, limit, line in A_FAULT_OF_A_CHAIN:
+        with case(old, new, place, value, limit, line):
+            found = only_fault_of(edited(ARM, old, new))
+            assert (found[0], found[1], found[3]) == (place, value, line)
+            assert limit in found[2]
+
+
+A_FAULT_OF_A_LOOP = [
+    # closures
+    ("[coupler, rocker]", "[couple, rocker]", "closures[0][0]", "couple", "mean coupler?", 8),
+    ("[coupler, rocker]", "[coupler, tail]", "closures[0][1]", "tail", "known: crank, co", 8),
+    ("[coupler, rocker]", "[coupler]", "closures[0]", "1 sides", "must name two sides", 8),
+    ("[coupler, rocker]", "coupler", "closures[0]", "coupler", "must be a list", 8),
+    ("[coupler, rocker]", "[rocker, rocker]", "closures[0]", None, "two points of one link", 8),
+    ("[coupler, rocker]", "[[0, 0], [1, 1]]", "closures[0]", None, "points of the ground", 8),
+    ("[coupler, rocker]", "[coupler, [1]]", "closures[0][1]", "1 values", "[x, y]", 8),
+    (
+        *("[coupler, rocker]", "[{link: coupler, at: [1, yes]}, rocker]"),
+        *("closures[0][0].at[1]", "yes", "is a truth value, not a number", 8),
+    ),
+    (
+        *("[coupler, rocker]", "{point: couple, on: {through: [0, 0], along: [1, 0]}}"),
+        *("closures[0].point", "couple", "did you mean coupler?", 8),
+    ),
+    (
+        *("[coupler, rocker]", "{point: rocker, on: {through: [0, 0], along: [0, 0]}}"),
+        *("closures[0].on.along", "[0, 0]", "must point somewhere", 8),
+    ),
+    (
+        *("[coupler, rocker]", "{point: rocker, on: {along: [1, 0]}}"),
+        *("closures[0].on.through", None, "is missing", 8),
+    ),
+    (
+        *("[coupler, rocker]", "{point: [1, 0], on: {through: [0, 0], along: [1, 0]}}"),
+        *("closures[0].point", None, "must be a point of a link", 8),
+    ),
+    ("\n  - [coupler, rocker]", " 3", "closures", "3", "must be a list", 7),
+    # actuated, assembly, start
+    ("[crank]", "[cranck]", "actuated[0]", "cranck", "names no link; did you mean crank?", 9),
+    ("[crank]", "[crank, crank]", "actuated[1]", "crank", "is named twice", 9),
+    ("[crank]", "crank", "actuated", "crank", "must be a list", 9),
+    ("open", "opne", "assembly", "opne", "must be open or crossed", 10),
+    ("open", "yes", "assembly", "yes", "must be open or crossed", 10),
+    ("open", "[open, crossed]", "assembly", "2 words", "one for each of the 1 closures", 10),
+    ("open", "[shut]", "assembly[0]", "shut", "must be open or crossed", 10),
+    ("open", "open\nstart: {arm: 1}", "start.arm", None, "is an unknown link", 11),
+    ("open", "open\nstart: {crank: up}", "start.crank", "up", "must be a number", 11),
+    ("open", "open\nstart: {crank: 1, crank: 2}", "start.crank", None, "is given twice", 11),
+    ("open", "open\nstart: {crank: 1/0}", "start.crank", "1/0", "divides by zero", 11),
+    ("open", "open\nstart: [1, 2, 3]", "start", "a list", "must map link names to angles", 11),
+]
+
+
+def test_a_fault_of_a_loop() -> None:
+    for old, new, place, value, limit, line in A_FAULT_OF_A_LOOP:
+        with case(old, new, place, value, limit, line):
+            found = only_fault_of(edited(LOOP, old, new))
+            assert (found[0], found[1], found[3]) == (place, value, line)
+            assert limit in found[2]
 
 
 @pytest.mark.parametrize(
@@ -708,19 +673,19 @@ def value_mutations(draw: st.DrawFn) -> str:
     return "".join(parts)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300 if FRESH else 120, deadline=None)
 @given(mutations())
 def test_a_damaged_scene_loads_or_is_refused(text: str) -> None:
     loads_or_is_refused(text)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300 if FRESH else 120, deadline=None)
 @given(value_mutations())
 def test_a_scene_with_wrong_words_loads_or_is_refused(text: str) -> None:
     loads_or_is_refused(text)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200 if FRESH else 100, deadline=None)
 @given(st.one_of(st.text(), st.text(alphabet="ab:-,[]{}&*!?#'\"\n |>%@`\t0")))
 def test_any_text_is_refused_or_loads(text: str) -> None:
     loads_or_is_refused(text)
@@ -740,7 +705,7 @@ class TestManyFaults:
     """What is refused takes time by its length, and says no more than anyone reads."""
 
     LINKS = "links:\n" + "".join(
-        f"  - {{name: link{k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [0, 0]}}\n" for k in range(5000)
+        f"  - {{name: link{k}, m: 1, l: 1, r: 0.5, I: 0.1, from: [0, 0]}}\n" for k in range(2000)
     )
 
     @pytest.mark.parametrize(
@@ -749,15 +714,15 @@ class TestManyFaults:
             LINKS.replace("from: [0, 0]", "from: a link that is not there"),
             LINKS.replace("from: [0, 0]", "frm: 1"),
             LINKS.replace("name: link", "name: same # "),
-            LINKS + "actuated: [" + ", ".join(f"linx{k}" for k in range(5000)) + "]\n",
-            LINKS + "start: {" + ", ".join(f"linx{k}: 1" for k in range(5000)) + "}\n",
-            LINKS + "closures:\n" + "  - [linx, [0, 1]]\n" * 5000,
-            LINKS + "couplings: [" + ", ".join(["q2 = q1"] * 20_000) + "]\n",
+            LINKS + "actuated: [" + ", ".join(f"linx{k}" for k in range(2000)) + "]\n",
+            LINKS + "start: {" + ", ".join(f"linx{k}: 1" for k in range(2000)) + "}\n",
+            LINKS + "closures:\n" + "  - [linx, [0, 1]]\n" * 2000,
+            LINKS + "couplings: [" + ", ".join(["q2 = q1"] * 8000) + "]\n",
         ],
         ids=["from", "key", "lines", "actuated", "start", "closures", "couplings"],
     )
     def test_of_many_names(self, text: str) -> None:
-        with within(10.0), pytest.raises(DescriptionError) as caught:
+        with within(4.0), pytest.raises(DescriptionError) as caught:
             from_text(text, "many.yaml")
         told = str(caught.value).splitlines()
         assert len(told) <= MOST_FAULTS + 1
@@ -769,9 +734,9 @@ class TestManyFaults:
         (place, value, limit, line) = faults_of(text)[0]
         assert (place, value, line) == ("links[0] (link0).from", "nowhere", 2)
         assert limit.startswith("names no link; known: link0, link1, link2, ")
-        named = ", ".join(f"link{k}" for k in range(5000))
+        named = ", ".join(f"link{k}" for k in range(2000))
         found = faults_of(f"{self.LINKS}actuated: [{named}, link1]\n")
-        assert [fault[:3] for fault in found] == [("actuated[5000]", "link1", "is named twice")]
+        assert [fault[:3] for fault in found] == [("actuated[2000]", "link1", "is named twice")]
 
     def test_a_long_name_is_not_told_in_full(self) -> None:
         text = ARM.replace("upper", "u" * 100_000).replace("m: 1.5", "m: x")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from named_case import case
 
 import random_mechanisms
 from robodyn import (
@@ -36,20 +37,19 @@ def scenes() -> list[random_mechanisms.Scene]:
     return trees + loops + forced
 
 
-@pytest.mark.parametrize("scene", scenes(), ids=range(len(scenes())))
-def test_the_inverse_dynamics_of_what_the_actuated_joints_do(
-    scene: random_mechanisms.Scene,
-) -> None:
-    mech = scene.mechanism
-    driven = list(mech.actuated)
-    v = scene.qdd[driven]
-    qdd = loop_accelerations(mech, scene.q, scene.qd, v)
-    known = inverse_dynamics(mech, scene.q, scene.qd, qdd)[driven]
-    found = driving_torques(mech)(*scene.q, *scene.qd, *v)
-    assert found == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known).max()))
-    still = inverse_dynamics(mech, scene.q, 0 * scene.q, 0 * scene.q)[driven]
-    found = rest_torques(mech)(*scene.q)
-    assert found == pytest.approx(still, abs=1e-9 * max(1.0, np.abs(still).max()))
+def test_the_inverse_dynamics_of_what_the_actuated_joints_do() -> None:
+    for scene in scenes():
+        with case(scene):
+            mech = scene.mechanism
+            driven = list(mech.actuated)
+            v = scene.qdd[driven]
+            qdd = loop_accelerations(mech, scene.q, scene.qd, v)
+            known = inverse_dynamics(mech, scene.q, scene.qd, qdd)[driven]
+            found = driving_torques(mech)(*scene.q, *scene.qd, *v)
+            assert found == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known).max()))
+            still = inverse_dynamics(mech, scene.q, 0 * scene.q, 0 * scene.q)[driven]
+            found = rest_torques(mech)(*scene.q)
+            assert found == pytest.approx(still, abs=1e-9 * max(1.0, np.abs(still).max()))
 
 
 def test_at_rest_an_open_chain_needs_its_gravity_vector() -> None:

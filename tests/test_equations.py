@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
-from test_prismatic import BLOCK, COUPLED, SLIDING
+from sliding_scenes import BLOCK, COUPLED, SLIDING
 
 import oracles
 from random_mechanisms import (

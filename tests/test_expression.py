@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import FRESH
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +13,7 @@ from robodyn.engines.expression import Expression, Graph, cost
 from robodyn.engines.source_text import array_source, float_source
 
 NAMES = ("x", "y", "z")
-examples = settings(deadline=None, max_examples=150)
+examples = settings(deadline=None, max_examples=150 if FRESH else 60)
 
 
 # -- random programs -----------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, Outcome
+from conftest import FRESH, ROOT, Outcome
 from engine_cases import ROBOTS
 
 import robodyn as rd
@@ -112,7 +112,7 @@ def test_standard_errors_cover_the_truth_as_often_as_they_say() -> None:
     half_torques = torques(build(half), states)
     inside: list[bool] = []
     named: list[bool] = []
-    for seed in range(200):
+    for seed in range(200 if FRESH else 100):
         noise = np.random.default_rng(seed).normal(size=plain.shape) * [0.5, 0.05]
         found = rd.identify(mech, *states, plain + noise)
         inside += [abs(x.value - expected[x.name]) < 1.96 * x.error for x in found.estimates]

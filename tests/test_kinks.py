@@ -4,29 +4,30 @@ from __future__ import annotations
 
 import math
 
-import pytest
+from named_case import case
 
 from robodyn.mechanics.kinks import NEAR, kink_at, next_kink
 
 KINKS = (-1.0, 0.0, 0.5, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("t", "end", "expected"),
-    [
-        (0.0, 3.0, 0.5),
-        (0.1, 3.0, 0.5),
-        (0.1, 0.4, 0.4),
-        (2.0, 3.0, 3.0),
-        (0.0, -3.0, -1.0),
-        (0.6, -3.0, 0.5),
-        (-1.0, -3.0, -3.0),
-        (0.5, 0.5, 0.5),
-    ],
-)
-def test_next(t: float, end: float, expected: float) -> None:
-    assert next_kink(KINKS, t, end) == expected
-    assert next_kink((), t, end) == end
+NEXT = [
+    (0.0, 3.0, 0.5),
+    (0.1, 3.0, 0.5),
+    (0.1, 0.4, 0.4),
+    (2.0, 3.0, 3.0),
+    (0.0, -3.0, -1.0),
+    (0.6, -3.0, 0.5),
+    (-1.0, -3.0, -3.0),
+    (0.5, 0.5, 0.5),
+]
+
+
+def test_next() -> None:
+    for t, end, expected in NEXT:
+        with case(t, end, expected):
+            assert next_kink(KINKS, t, end) == expected
+            assert next_kink((), t, end) == end
 
 
 def test_one_that_is_missed_by_rounding() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from named_case import case
 
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.loops import assembly
@@ -39,6 +40,18 @@ def turns_fully(a, b, others):
     return abs(a - b) >= abs(c - d) and a + b <= c + d
 
 
+ANY_SIZE_AND_DIRECTION = [
+    (CRANK_ROCKER, "crank-rocker (Grashof)"),
+    ((0.8, 0.95, 0.35, 1.1), "crank-rocker (Grashof)"),  # the rocker is the crank
+    ((0.8, 0.95, 1.1, 0.35), "double-crank (Grashof)"),
+    ((0.8, 0.35, 0.95, 1.1), "double-rocker (Grashof)"),
+    ((0.9, 0.5, 0.6, 1.2), "triple-rocker (not Grashof)"),
+    ((0.3, 0.7, 0.3, 0.7), "change point"),  # parallelogram
+    ((0.3, 0.7, 0.7, 0.3), "change point"),  # kite
+    ((0.1, 0.4, 0.2, 0.3), "change point"),  # 0.1 + 0.4 = 0.2 + 0.3 but for rounding
+]
+
+
 class TestFourBar:
     @settings(deadline=None, max_examples=200)
     @given(*[st.integers(1, 40)] * 4)
@@ -61,23 +74,15 @@ class TestFourBar:
             expected = "double-rocker (Grashof)"
         assert found == expected
 
-    @pytest.mark.parametrize(
-        ("lengths", "expected"),
-        [
-            (CRANK_ROCKER, "crank-rocker (Grashof)"),
-            ((0.8, 0.95, 0.35, 1.1), "crank-rocker (Grashof)"),  # the rocker is the crank
-            ((0.8, 0.95, 1.1, 0.35), "double-crank (Grashof)"),
-            ((0.8, 0.35, 0.95, 1.1), "double-rocker (Grashof)"),
-            ((0.9, 0.5, 0.6, 1.2), "triple-rocker (not Grashof)"),
-            ((0.3, 0.7, 0.3, 0.7), "change point"),  # parallelogram
-            ((0.3, 0.7, 0.7, 0.3), "change point"),  # kite
-            ((0.1, 0.4, 0.2, 0.3), "change point"),  # 0.1 + 0.4 = 0.2 + 0.3 but for rounding
-        ],
-    )
-    @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-    @pytest.mark.parametrize("turned", [0.0, 2.0])
-    def test_any_size_and_direction(self, lengths, expected, scale, turned):
-        assert loop_class(four_bar(*lengths, scale=scale, turned=turned), 0) == expected
+    def test_any_size_and_direction(self):
+        for lengths, expected in ANY_SIZE_AND_DIRECTION:
+            for scale in [1e-6, 1.0, 1e6]:
+                for turned in [0.0, 2.0]:
+                    with case(lengths, expected, scale, turned):
+                        assert (
+                            loop_class(four_bar(*lengths, scale=scale, turned=turned), 0)
+                            == expected
+                        )
 
     @pytest.mark.parametrize(
         "lengths", [CRANK_ROCKER, (0.8, 0.95, 1.1, 0.35), (0.9, 0.5, 0.6, 1.2)]

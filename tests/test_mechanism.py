@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import within
+from conftest import FRESH, within
 from hypothesis import given, settings
 
 from random_mechanisms import (
@@ -31,7 +31,7 @@ from robodyn.scene.description import from_text
 from robodyn.scene.scene import Closure, Coupling, Description, Link, Point
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
-examples = settings(deadline=None, max_examples=40)
+examples = settings(deadline=None, max_examples=40 if FRESH else 20)
 
 
 def chain(n, extra=""):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from hypothesis import given, settings
-from test_prismatic import BLOCK, COUPLED, MIXED, SLIDING
+from sliding_scenes import BLOCK, COUPLED, MIXED, SLIDING
 
 import robodyn
 from model_readers import read_mjcf

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import RP_ARM, Outcome
 from documents import GUIDE, PAGES, ROOT
+from named_case import case
 
 import robodyn as package
 from robodyn.notebook import inline
@@ -115,11 +116,12 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("scene", "told"), REFUSED, ids=[str(k) for k in range(len(REFUSED))])
-def test_what_is_no_scene(scene: object, told: list[str]) -> None:
-    with pytest.raises(package.InputError) as caught:
-        package.load(scene)
-    assert all(x in str(caught.value) for x in told), str(caught.value)
+def test_what_is_no_scene() -> None:
+    for scene, told in REFUSED:
+        with case(scene, told):
+            with pytest.raises(package.InputError) as caught:
+                package.load(scene)
+            assert all(x in str(caught.value) for x in told), str(caught.value)
 
 
 # What is no mechanism, what is no torque
@@ -511,12 +513,13 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("call", "told"), WRONG, ids=[told for _, told in WRONG])
-def test_wrong_arguments(call: Callable[[], object], told: str, figures: None) -> None:
-    with pytest.raises(package.InputError) as caught:
-        call()
-    assert told in str(caught.value)
-    assert ": --" not in f": {caught.value}"
+def test_wrong_arguments(figures: None) -> None:
+    for call, told in WRONG:
+        with case(call, told):
+            with pytest.raises(package.InputError) as caught:
+                call()
+            assert told in str(caught.value)
+            assert ": --" not in f": {caught.value}"
 
 
 # The notebook of the guide, and docstrings

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import FRESH, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -193,17 +193,17 @@ def assert_balanced(instant: Instant, shake: np.ndarray, rtol: float = RTOL) -> 
 
 
 class TestFreeBodies:
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60 if FRESH else 25, deadline=None)
     @given(trees())
     def test_trees(self, scene: Scene) -> None:
         assert_balanced(*solved(scene.mechanism, *scene.states))
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60 if FRESH else 25, deadline=None)
     @given(loops())
     def test_loops(self, scene: Scene) -> None:
         assert_balanced(*solved(scene.mechanism, *scene.states), rtol=1e-9)
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30 if FRESH else 15, deadline=None)
     @given(loops(), st.integers(0, 1000))
     def test_loops_under_torques(self, scene: Scene, seed: int) -> None:
         tau = np.random.default_rng(seed).uniform(-20, 20, scene.n)
@@ -294,7 +294,7 @@ class TestKnownForces:
         shake = shaking_force(mech, [q], [w], [wd])
         assert_close(shake, [-expected.real, -expected.imag, -torque], 10.0)
 
-    @settings(max_examples=30, deadline=None)
+    @settings(max_examples=30 if FRESH else 15, deadline=None)
     @given(loops() | trees())
     def test_at_rest_the_ground_carries_the_weight(self, scene: Scene) -> None:
         mech, still = scene.mechanism, np.zeros(scene.n)

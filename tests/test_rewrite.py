@@ -6,6 +6,7 @@ from difflib import ndiff
 from pathlib import Path
 
 import pytest
+from conftest import FRESH
 
 from robodyn.errors import DescriptionError, InputError
 from robodyn.scene.rewrite import rewritten, write_scene
@@ -106,7 +107,7 @@ def test_every_number_of_every_scene(path: Path) -> None:
     text = path.read_text()
     values = SceneValues(text, str(path))
     assert rewritten(text, str(path), {}) == text
-    for name in values.names:
+    for name in values.names if FRESH else [*values.names][::3]:
         place = values.place(name)[1]
         if place is None or hasattr(place, "text"):
             new = values.number(name) * 1.0009765625 or 0.125

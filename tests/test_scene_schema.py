@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 import yaml
 from documents import PAGES, ROOT
+from good_scenes import ARM, EVERYTHING, LOOP
 from jsonschema import Draft202012Validator
-from test_description import ARM, EVERYTHING, LOOP
+from named_case import case
 
 from random_mechanisms import LOOPS, forced, seeded_scene, seeded_tree
 from robodyn.errors import DescriptionError
@@ -72,9 +73,10 @@ DRIVEN = ARM.replace("I: 0.082", f"I: 0.082, motor: {MOTOR}")
 SHIPPED = [*ROOT.glob("robots/*.yaml"), *ROOT.glob("tests/hard_cases/*.yaml")]
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_shipped_scenes_obey(path: Any) -> None:
-    assert obeys(path.read_text())
+def test_shipped_scenes_obey() -> None:
+    for path in SHIPPED:
+        with case(path):
+            assert obeys(path.read_text())
 
 
 @pytest.mark.parametrize(
@@ -85,12 +87,13 @@ def test_good_scenes_obey(text: str) -> None:
     assert obeys(text)
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_random_scenes_obey(seed: int) -> None:
-    assert obeys(seeded_tree(seed, 4).text)
-    loop = seeded_scene(seed, list(LOOPS.values())[seed % len(LOOPS)])
-    assert obeys(loop.text)
-    assert obeys(forced(seed, loop).text)
+def test_random_scenes_obey() -> None:
+    for seed in range(12):
+        with case(seed):
+            assert obeys(seeded_tree(seed, 4).text)
+            loop = seeded_scene(seed, list(LOOPS.values())[seed % len(LOOPS)])
+            assert obeys(loop.text)
+            assert obeys(forced(seed, loop).text)
 
 
 ODD = [
@@ -109,11 +112,12 @@ ODD = [
 ]
 
 
-@pytest.mark.parametrize(("text", "old", "new"), ODD)
-def test_odd_but_good_scenes_obey(text: str, old: str, new: str) -> None:
-    assert text.count(old) == 1
-    from_text(text.replace(old, new), "my.yaml")
-    assert obeys(text.replace(old, new))
+def test_odd_but_good_scenes_obey() -> None:
+    for text, old, new in ODD:
+        with case(text, old, new):
+            assert text.count(old) == 1
+            from_text(text.replace(old, new), "my.yaml")
+            assert obeys(text.replace(old, new))
 
 
 FAULTS = [
@@ -183,12 +187,13 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("text", "old", "new"), FAULTS)
-def test_faulty_scenes_do_not(text: str, old: str, new: str) -> None:
-    assert text.count(old) == 1
-    with pytest.raises(DescriptionError):
-        from_text(text.replace(old, new), "my.yaml")
-    assert not obeys(text.replace(old, new))
+def test_faulty_scenes_do_not() -> None:
+    for text, old, new in FAULTS:
+        with case(text, old, new):
+            assert text.count(old) == 1
+            with pytest.raises(DescriptionError):
+                from_text(text.replace(old, new), "my.yaml")
+            assert not obeys(text.replace(old, new))
 
 
 @pytest.mark.parametrize("text", ["links: []", "[1, 2]", "hello"])

@@ -14,6 +14,7 @@ import yaml
 from conftest import Outcome
 from jsonschema import Draft202012Validator
 from mpmath import mp, mpf
+from named_case import case
 
 from random_mechanisms import mechanism
 from robodyn import (
@@ -405,12 +406,13 @@ def tables(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("text", "place", "limit"), FAULTS)
-def test_faults_are_told(tables, text, place, limit):
-    with pytest.raises(DescriptionError) as error:
-        from_text(ARM + text, str(tables / "scene.yaml"))
-    assert place in str(error.value)
-    assert limit in str(error.value)
+def test_faults_are_told(tables):
+    for text, place, limit in FAULTS:
+        with case(text, place, limit):
+            with pytest.raises(DescriptionError) as error:
+                from_text(ARM + text, str(tables / "scene.yaml"))
+            assert place in str(error.value)
+            assert limit in str(error.value)
 
 
 GOOD = """links:

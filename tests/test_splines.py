@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from named_case import case
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from robodyn.trajectories import splines
@@ -26,15 +27,16 @@ def close(found: np.ndarray, known: np.ndarray, rtol: float) -> bool:
     return bool(np.abs(found - known).max() <= rtol * max(1.0, np.abs(known).max()))
 
 
-@pytest.mark.parametrize("count", [2, 3, 4, 12, 40])
-@pytest.mark.parametrize("natural", [False, True])
-def test_cubic_splines_are_those_of_scipy(count: int, natural: bool) -> None:
-    knots, points = draw(count, count)
-    found = splines.spline(knots, points, 3, natural)
-    known = CubicSpline(knots, points, bc_type="natural" if natural else "clamped")
-    t = np.linspace(knots[0], knots[-1], 997)
-    for order in range(3):
-        assert close(at(found, knots, t, order), known(t, order), 1e-11)
+def test_cubic_splines_are_those_of_scipy() -> None:
+    for count in [2, 3, 4, 12, 40]:
+        for natural in [False, True]:
+            with case(count, natural):
+                knots, points = draw(count, count)
+                found = splines.spline(knots, points, 3, natural)
+                known = CubicSpline(knots, points, bc_type="natural" if natural else "clamped")
+                t = np.linspace(knots[0], knots[-1], 997)
+                for order in range(3):
+                    assert close(at(found, knots, t, order), known(t, order), 1e-11)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 12, 40])
@@ -48,25 +50,26 @@ def test_quintic_splines_are_those_of_scipy(count: int) -> None:
         assert close(at(found, knots, t, order), known(t, order), 1e-9)
 
 
-@pytest.mark.parametrize("kind", ["cubic", "quintic"])
-@pytest.mark.parametrize("seed", range(4))
-def test_smoothness_and_ends(kind: str, seed: int) -> None:
+def test_smoothness_and_ends() -> None:
     """It goes through the points, is C2 or C4 at the inner ones, and rests at its ends."""
-    knots, points = draw(seed, 9)
-    degree, highest = (3, 2) if kind == "cubic" else (5, 4)
-    found = splines.spline(knots, points, degree)
-    lengths, index = np.diff(knots), np.arange(8)
-    for order in range(highest + 1):
-        begins = splines.evaluate(found, index, np.zeros(8), order)
-        ends = splines.evaluate(found, index, lengths, order)
-        assert close(begins[1:], ends[:-1], 1e-10)
-        if order == 0:
-            assert np.array_equal(begins, points[:-1])
-            assert close(ends, points[1:], 1e-11)
-        elif order <= highest // 2:
-            size = np.abs(begins).max()
-            assert np.abs(begins[0]).max() <= 1e-13 * size
-            assert np.abs(ends[-1]).max() <= 1e-10 * size
+    for kind in ["cubic", "quintic"]:
+        for seed in range(4):
+            with case(kind, seed):
+                knots, points = draw(seed, 9)
+                degree, highest = (3, 2) if kind == "cubic" else (5, 4)
+                found = splines.spline(knots, points, degree)
+                lengths, index = np.diff(knots), np.arange(8)
+                for order in range(highest + 1):
+                    begins = splines.evaluate(found, index, np.zeros(8), order)
+                    ends = splines.evaluate(found, index, lengths, order)
+                    assert close(begins[1:], ends[:-1], 1e-10)
+                    if order == 0:
+                        assert np.array_equal(begins, points[:-1])
+                        assert close(ends, points[1:], 1e-11)
+                    elif order <= highest // 2:
+                        size = np.abs(begins).max()
+                        assert np.abs(begins[0]).max() <= 1e-13 * size
+                        assert np.abs(ends[-1]).max() <= 1e-10 * size
 
 
 def test_between_two_points_they_are_the_profiles_of_rest_to_rest() -> None:

@@ -26,6 +26,7 @@ import pytest
 from conftest import within
 from hypothesis import given
 from hypothesis import strategies as st
+from named_case import case
 
 from robodyn.errors import InputError
 from robodyn.tables.decimals import decimals
@@ -339,18 +340,19 @@ BAD_FIELDS = ["nan", "-NaN", "inf", "-Infinity", "1e400", "1_0", "abc", "0x10", 
 BAD_FIELDS += ["\u0661\u0662", "\uff11", "-\u0967.5", "\u00b2"]  # digits of other scripts
 
 
-@pytest.mark.parametrize("text", BAD_FIELDS)
-@pytest.mark.parametrize("note", ["text", '"a\nb"'])
-def test_a_field_that_is_not_a_finite_number(text: str, note: str) -> None:
-    rows = [f"1,{note},2", f"3,{note},4", f"5,{note},{text}", f"7,{note},8"]
-    chunks, error = fault("\n".join(["t,note,q", *rows]).encode(), ["q", "t"])
-    (chunk,) = chunks  # the good rows of the chunk come first
-    assert chunk.lines == rows[:2]
-    assert chunk.values.tolist() == [[2, 1], [4, 3]]
-    assert error.where == f"states.csv: line {4 if note == 'text' else 6}"
-    assert (error.what, error.value) == ("q", text)
-    assert "finite number" in error.limit
-    assert error.exit_code == 2
+def test_a_field_that_is_not_a_finite_number() -> None:
+    for text in BAD_FIELDS:
+        for note in ["text", '"a\nb"']:
+            with case(text, note):
+                rows = [f"1,{note},2", f"3,{note},4", f"5,{note},{text}", f"7,{note},8"]
+                chunks, error = fault("\n".join(["t,note,q", *rows]).encode(), ["q", "t"])
+                (chunk,) = chunks  # the good rows of the chunk come first
+                assert chunk.lines == rows[:2]
+                assert chunk.values.tolist() == [[2, 1], [4, 3]]
+                assert error.where == f"states.csv: line {4 if note == 'text' else 6}"
+                assert (error.what, error.value) == ("q", text)
+                assert "finite number" in error.limit
+                assert error.exit_code == 2
 
 
 def test_a_field_that_nobody_needs_may_be_anything() -> None:
@@ -397,17 +399,18 @@ def test_after_a_fault_there_is_nothing() -> None:
     assert next(chunks, None) is None
 
 
-@pytest.mark.parametrize("bad", [b"\xff", b"\xc3", b"\xed\xa0\x80", b"caf\xe9"])
-@pytest.mark.parametrize("note", [b"x", b'"x"', "é".encode()])
-def test_text_that_is_not_utf8(bad: bytes, note: bytes) -> None:
-    data = b"\xef\xbb\xbfnote,q\n\n" + note + b",1\n" + bad + b",2\n" + note + b",3\n"
-    for pieces in ([data], [data[i : i + 1] for i in range(len(data))]):
-        chunks, error = fault(pieces, ["q"])
-        assert [value for chunk in chunks for value in chunk.values.tolist()] == [[1.0]]
-        assert error.where == "states.csv: line 4"
-        assert "UTF-8" in error.limit
-    with pytest.raises(InputError, match=r"states.csv: line 1: byte = 0xff: .*UTF-8"):
-        reader(b"\xfft\n1\n")
+def test_text_that_is_not_utf8() -> None:
+    for bad in [b"\xff", b"\xc3", b"\xed\xa0\x80", b"caf\xe9"]:
+        for note in [b"x", b'"x"', "é".encode()]:
+            with case(bad, note):
+                data = b"\xef\xbb\xbfnote,q\n\n" + note + b",1\n" + bad + b",2\n" + note + b",3\n"
+                for pieces in ([data], [data[i : i + 1] for i in range(len(data))]):
+                    chunks, error = fault(pieces, ["q"])
+                    assert [value for chunk in chunks for value in chunk.values.tolist()] == [[1.0]]
+                    assert error.where == "states.csv: line 4"
+                    assert "UTF-8" in error.limit
+                with pytest.raises(InputError, match=r"states.csv: line 1: byte = 0xff: .*UTF-8"):
+                    reader(b"\xfft\n1\n")
 
 
 @pytest.mark.parametrize("row", [b'"a"b,2', b'"a" ,2', b'1,"2"3', b'"a""b"c,2'])
@@ -529,20 +532,21 @@ def test_json_objects() -> None:
     assert len(json.loads(text)) == 3
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("+1", 1.0),
-        (".5", 0.5),
-        ("5.", 5.0),
-        (" 1", 1.0),
-        ("12345678901234567890", 12345678901234567890),
-    ]
-    + [(text, text) for text in ("1_0", "nan", "inf", "true", "1e999")],
-)
-def test_json_values_of_the_input(text: str, value: object) -> None:
-    (item,) = json.loads(written("json", ["tau"], ["x"], [text]))
-    assert item["x"] == value
+JSON_VALUES_OF_THE_INPUT = [
+    ("+1", 1.0),
+    (".5", 0.5),
+    ("5.", 5.0),
+    (" 1", 1.0),
+    ("12345678901234567890", 12345678901234567890),
+    *((text, text) for text in ("1_0", "nan", "inf", "true", "1e999")),
+]
+
+
+def test_json_values_of_the_input() -> None:
+    for text, value in JSON_VALUES_OF_THE_INPUT:
+        with case(text, value):
+            (item,) = json.loads(written("json", ["tau"], ["x"], [text]))
+            assert item["x"] == value
 
 
 def test_json_columns_alone() -> None:
@@ -717,6 +721,12 @@ def halfway(x: float) -> str:
     return format((Decimal(x) + Decimal(math.nextafter(x, math.inf))) / 2, "f")
 
 
+OTHER_LINES_ARE_NOT_FOR_IT = [
+    *("1", "1.0.0,2", "1.0,.", "1.0,-.", "1.-0,2.0", "1.0, 2.0", "+1.0,2.0", "--1.0,2.0"),
+    *("12345678901234567890.5,1.0", "-12345678901234567890.5,1.0", f"0.{23 * '0'}1,1.0"),
+]
+
+
 class TestDecimals:
     DIGITS = st.from_regex(r"-?[0-9]{0,12}\.[0-9]{1,9}|-?[0-9]{1,3}\.[0-9]{0,20}", fullmatch=True)
     NEAR = st.floats(1e-3, 1e6).map(halfway)
@@ -738,17 +748,12 @@ class TestDecimals:
         lines = f"{text}\n" * FEW
         assert table(f"x\n{lines}".encode(), ["x"])[1].tolist() == [[float(text)]] * FEW
 
-    @pytest.mark.parametrize(
-        "line",
-        [
-            *("1", "1.0.0,2", "1.0,.", "1.0,-.", "1.-0,2.0", "1.0, 2.0", "+1.0,2.0", "--1.0,2.0"),
-            *("12345678901234567890.5,1.0", "-12345678901234567890.5,1.0", f"0.{23 * '0'}1,1.0"),
-        ],
-    )
-    @pytest.mark.parametrize("sound", [0, 1])
-    def test_other_lines_are_not_for_it(self, line: str, sound: int) -> None:
-        assert decimals(["1.0,-2.0"] * sound + [line], 2, [0, 1]) is None
-        assert decimals([line] + ["1.0,-2.0"] * sound, 2, [0, 1]) is None
+    def test_other_lines_are_not_for_it(self) -> None:
+        for line in OTHER_LINES_ARE_NOT_FOR_IT:
+            for sound in [0, 1]:
+                with case(line, sound):
+                    assert decimals(["1.0,-2.0"] * sound + [line], 2, [0, 1]) is None
+                    assert decimals([line] + ["1.0,-2.0"] * sound, 2, [0, 1]) is None
 
     def test_a_point_too_many_in_one_field_does_not_make_up_for_another(self) -> None:
         assert decimals(["1.0.0,2", "1,2.0.0"], 2, [0, 1]) is None

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import FRESH, ROOT
 from test_simulation import DAMPED, START, reference, scene
 
 import oracles
@@ -98,10 +98,10 @@ class TestChangePoints:
         """The hard cases have tolerances between."""
         q = np.concatenate([np.full(n + 1, np.pi / 2), np.full(n, -np.pi / 2)])
         qd = np.concatenate([np.full(n + 1, -1.0), np.full(n, 1.0)])
-        motion = taylor(n_four_bar(n), q, qd, 10.0, tolerance=tolerance)
+        motion = taylor(n_four_bar(n), q, qd, 4.0, tolerance=tolerance)
         assert motion.outcome is Outcome.FINISHED
         verticals = motion.q[-1, : n + 1]
-        exact = float(oracles.n_four_bar_exact(n, 10.0)[0])
+        exact = float(oracles.n_four_bar_exact(n, 4.0)[0])
         assert np.abs(verticals - exact).max() < max(4000 * tolerance, 2e-8)
         assert np.ptp(verticals) < 1e-12
         assert motion.report.largest_gap < 1e-14
@@ -110,7 +110,7 @@ class TestChangePoints:
     @pytest.mark.parametrize("n", [1, 2, 5])
     @pytest.mark.thinned
     def test_a_start_at_a_change_point(self, n):
-        for tolerance in (1e-6, 1e-12):
+        for tolerance in (1e-6, 1e-12) if n < 5 else (1e-6,):
             lying = np.zeros(2 * n + 1)
             falling = np.concatenate([np.full(n + 1, -0.01), np.full(n, 0.01)])
             motion = taylor(n_four_bar(n), lying, falling, 1.0, tolerance=tolerance)
@@ -127,7 +127,7 @@ class TestChangePoints:
     def test_the_parallelogram(self):
         mech = scene("parallelogram")
         q = assemble(mech, [1.0])
-        motion = taylor(mech, q, loop_velocities(mech, q, [6.0]), 10.0, tolerance=1e-10)
+        motion = taylor(mech, q, loop_velocities(mech, q, [6.0]), 4.0, tolerance=1e-10)
         assert motion.outcome is Outcome.FINISHED
         turns = np.abs(np.diff(motion.q[:, 0])).sum() / np.pi
         assert turns > 2  # it passes change points
@@ -148,9 +148,9 @@ class TestEngines:
     def test_a_massless_coupler_goes_row_by_row(self):
         mech = hard_case("massless-coupler")
         q = assemble(mech, [1.0])
-        motion = taylor(mech, q, np.zeros(3), 2.0, tolerance=1e-12, t_eval=[1.0, 2.0])
+        motion = taylor(mech, q, np.zeros(3), 0.6, tolerance=1e-12, t_eval=[0.3, 0.6])
         assert motion.report.evaluator == "interpreted"
-        known = simulate(mech, q, np.zeros(3), 2.0, rtol=1e-12, atol=1e-12, t_eval=[1.0, 2.0])
+        known = simulate(mech, q, np.zeros(3), 0.6, rtol=1e-12, atol=1e-12, t_eval=[0.3, 0.6])
         assert apart(motion, known) < 1e-8
 
     def test_a_massless_tip_is_explained(self):
@@ -355,7 +355,7 @@ def test_a_run_stops_at_its_limit_of_evaluations(engine):
 class TestFriction:
     """Far above its speed friction is flat, and its series does not see that it turns over."""
 
-    @pytest.mark.parametrize("speed", [1e-3, 1e-2, 0.1, 1.0])
+    @pytest.mark.parametrize("speed", [1e-3, 1e-2, 0.1, 1.0] if FRESH else [1e-3, 0.1])
     def test_a_pendulum_comes_to_rest(self, speed):
         text = (
             "gravity: 9.81\nlinks: [{name: a, m: 0.4, l: 0.5, r: 0.26, I: 0.0088, "

@@ -68,8 +68,11 @@ class TestReferences:
         for rtol in (1e-5, 1e-8) if loose else (1e-8,):
             chunks = {}
             for kind in KINDS if rtol == 1e-8 else (k for k in KINDS if k is not InterpretedEngine):
-                chunk = chunks[kind] = run(kind, name, times, rtol=rtol)
-                error = np.abs(chunk.row_y[at] - known.states[1:]).max()
+                soon = kind is InterpretedEngine and not FRESH
+                end = min(SOON, float(known.t[-1])) if soon else float(known.t[-1])
+                chunk = chunks[kind] = run(kind, name, times[times <= end], end, rtol=rtol)
+                found = chunk.row_y[at[: len(chunk.row_t)]]
+                error = np.abs(found - known.states[1 : 1 + len(found)]).max(initial=0.0)
                 assert error < SENSITIVITY[name] * rtol, (kind, rtol)
                 for rows in (chunk.y, chunk.row_y) if mech.rows else ():
                     q, qd = rows[:, :n], rows[:, n:]
@@ -79,9 +82,11 @@ class TestReferences:
                     assert np.abs(rates).max() < 1e-14 * max(1.0, np.abs(qd).max())
             if rtol == 1e-8:
                 first, second = (chunks[kind] for kind in PYTHON)
-                assert len(first.t) == len(second.t)
-                assert first.t == pytest.approx(second.t, rel=1e-5)
-                assert np.abs(first.y[-1] - second.y[-1]).max() < 1e-9 * SENSITIVITY[name] * 10
+                same = len(second.t) - (len(first.t) > len(second.t))  # the last one is cut off
+                assert same > 1
+                assert first.t[:same] == pytest.approx(second.t[:same], rel=1e-5)
+                apart = np.abs(first.y[same - 1] - second.y[same - 1]).max()
+                assert apart < 1e-9 * SENSITIVITY[name] * 10
 
 
 @ENGINES

@@ -1,0 +1,50 @@
+"""Scenes with prismatic joints, slots on moving links, and blocks that keep their angle."""
+
+from __future__ import annotations
+
+MIXED = """
+gravity: [1.0, -9.81]
+links:
+  - {name: a, joint: prismatic, axis: [1, 0.5], m: 0.8, l: 0.1, r: [0.03, 0.1], I: 0.002,
+     from: [0, 0.1], friction: {force: 0.4, speed: 0.2}}
+  - {name: b, m: 0.3, l: 0.4, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+  - {name: c, joint: prismatic, axis: [0, -1], m: 1.5, l: 0.5, r: 0.25, I: 0.03,
+     from: {link: b, at: [0.1, 0.2]}, payload: 0.3}
+  - {name: d, joint: prismatic, axis: [1, 1], m: 0.7, l: 0.2, r: 0.25, I: 0.02, damping: 0.4}
+  - {name: e, m: 0.3, l: 0.2, r: [0.1, 0.02], I: 0.0005, damping: 0.01}
+springs:
+  - {joint: c, stiffness: 30, length: 0.1, damping: 0.3}
+  - {between: [{link: e, at: [0.1, 0.1]}, [0.3, 2]], stiffness: 40, length: 0.4, damping: 1}
+  - {between: [{link: d, at: [0.1, 0.1]}, {link: a, at: [0, 0]}], stiffness: 40, length: 0}
+loads:
+  - {link: d, at: [0.1, 0], force: [3, 1], frame: link}
+  - {link: c, torque: 0.4}
+  - {link: a, at: [0.1, 0], force: [3, 1], frame: link}
+  - {link: e, at: [0.1, 0], force: [3, -1]}
+"""
+
+COUPLED = MIXED + 'couplings: ["q3 = 0.2 q2 + 0.1"]\n'
+
+BLOCK = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: block, m: 0.3, l: 0, r: 0.01, I: 0.0005}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+closures:
+  - {point: {link: block, at: [0, 0]}, on: {link: lever, through: [0, 0.01], along: [1, 0]},
+     aligned: 20deg}
+actuated: [crank]
+"""
+
+SLIDING = """
+gravity: 9.81
+links:
+  - {name: crank, m: 0.8, l: 0.1, r: 0.03, I: 0.002}
+  - {name: lever, m: 1.5, l: 0.5, r: 0.25, I: 0.03, from: [0, -0.25]}
+  - {name: block, joint: prismatic, axis: [1, 0], m: 0.3, l: 0,
+     r: [0.009396926207859084, 0.003420201433256687], I: 0.0005, from: {link: lever, at: [0, 0.01]}}
+closures:
+  - [crank, {link: block, at: [0, 0]}]
+actuated: [crank]
+"""
