@@ -65,9 +65,10 @@ class Sensitivities:
         s = y[:, first : first + wide * count].reshape(-1, count, wide)
         return np.swapaxes(s / self.sizes[:, None], 1, 2)
 
-    def flat(self, y: Array) -> Array:
-        """The values of its columns (T, 2n k)."""
-        return np.swapaxes(self.of(y), 1, 2).reshape(len(y), -1)
+    @staticmethod
+    def flat(found: Array) -> Array:
+        """The values of its columns (T, 2n k), of what `of` gives."""
+        return found.swapaxes(1, 2).reshape(len(found), -1)
 
 
 def with_sensitivities(
