@@ -151,7 +151,8 @@ def _open(mechanism: Mechanism, gap: Array, what: str, unit: str) -> InputError:
     apart = np.abs(gap[pins]).max(initial=0.0)
     if apart > GAP_ALLOWED * loop_size(mechanism) or not mechanism.description.couplings:
         value = f"{np.linalg.norm(gap[pins]):.6g} {unit}"
-        return InputError(f"the loops are open: gap in {what}", value=value, limit=limit)
+        told = f"the loops are open: gap in {what}"
+        return InputError(told, where=mechanism.source, value=value, limit=limit)
     arms = np.array([row.arm if row.closure is None else np.inf for row in mechanism.rows])
     turns = np.abs(gap / arms)
     worst = int(np.argmax(turns)) - len(pins)
