@@ -24,7 +24,7 @@ from timeit import timeit
 from typing import Any
 
 import numpy as np
-from bench_derivatives import derivatives
+from bench_derivatives import derivatives, sensitivities
 from bench_frontier import frontier, taylor_process
 from bench_identify import identification
 from bench_motions import many_loops, motions, series_engines, sliding_joints, watched_runs
@@ -341,6 +341,7 @@ MEASURES = [
     series_engines,
     sliding_joints,
     derivatives,
+    sensitivities,
     identification,
     many_loops,
     motions,

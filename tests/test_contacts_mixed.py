@@ -356,3 +356,23 @@ def test_what_rounding_hides_for_long_is_told_once(
     assert boxes < 40 * (motion.report.steps + 5)  # 20,000 a step, if it were looked for
     told = [text for text in motion.report.remarks if "is zero to rounding" in text]
     assert len(told) == (method == "taylor") or method == "DOP853"
+
+
+def test_samples_where_joints_stop_or_are_thrown_back() -> None:
+    """A step of scipy's that overruns an event must not leave the sample that it took behind it."""
+    reference = robodyn.ReferenceTable.set_point([1.2, 0.6], 2.0)
+    gains = {"kp": [40, 20], "kd": [3, 1], "ki": [6, 3], "control_rate": 100}
+    for end in ("friction: {torque: 4.5, static: 4.8}", "limits: {max: 1.2, restitution: 0.4}"):
+        mechanism = scene(
+            "gravity: 9.81\nlinks:\n"
+            f"  - {{name: arm, m: 1.5, l: 0.3, r: 0.2, I: 0.05, {end}}}\n"
+            "  - {name: rod, m: 0.9, l: 0.5, r: [0.2, 0.1], I: 0.03}\n"
+        )
+        tau = robodyn.controller(mechanism, reference, "pid", **gains)
+        given = {"t_eval": [0.2, 0.4], "rtol": 1e-11, "atol": 1e-11}
+        one, other = (
+            simulate(mechanism, [0.6, 0.1], [3.0, 0.2], 0.4, tau, method=method, **given)
+            for method in ("DOP853", "taylor")
+        )
+        assert one.events
+        assert np.abs(one.q - other.q).max() < 1e-9

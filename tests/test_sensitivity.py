@@ -236,10 +236,57 @@ def test_hard_stops(scene: Scene) -> None:
         check(scene(given), [*names, *rest], [0.6, 0.1], [-1.0, 0.2], ways=WAYS if e else THREE)
 
 
-def test_what_jumps_as_it_starts_is_named(scene: Scene) -> None:
+def test_friction_that_falls_as_a_joint_starts(scene: Scene) -> None:
+    """By the numbers of dry friction themselves: a release whose time depends on them."""
+    names = ["q1", "links.arm.friction.torque", "links.arm.friction.static"]
+    falls = STICKS.replace("static: 4.5", "static: 4.8")
+    check(scene(falls), names, [0.6, 0.1], [3.0, 0.2], "2*sin(9*t) + 0.1*q2, 0", WAYS[:3])
+    bell = falls.replace("4.8}", "4.8, stribeck: 0.3}")
+    given = scene(bell), [*names[1:], "links.arm.friction.stribeck"], [0.6, 0.1], [3.0, 0.2]
+    check(*given, None, WAYS[:1])
+
+
+def test_controllers_that_meet_ends_and_friction(scene: Scene) -> None:
+    """2R, at rigid and compliant ends and with friction, by laws that go on or are sampled."""
+    names = ["q1", "links.arm.limits.min"]
+    gains = {"kp": [40, 20], "kd": [3, 1]}
+    law = {"ki": [60, 30], "control_rate": 100}
+    for end, control, given, pose in (
+        ("restitution: 0", "pd", {}, -0.6),
+        ("restitution: 0", "pid", law, -0.4),
+        ("stiffness: 300, damping: 2", "pd+g", {}, -0.4),
+    ):
+        path = scene(ENDS.replace("stiffness: 300, damping: 2", end))
+        tau = Law(path, [pose, 0.6], control, **gains, **given)
+        check(path, names, [0.6, 0.1], [-1.0, 0.2], tau, WAYS[:3] if given else WAYS[:1])
     path = scene(STICKS.replace("static: 4.5", "static: 4.8"))
-    with pytest.raises(RobodynError, match="static friction above that of slipping"):
-        rd.simulate(rd.load(path), [0.6, 0.1], [3.0, 0.2], 1.0, sensitivity=["q1"])
+    tau = Law(path, [1.2, 0.6], "pid", ki=[60, 30], **gains)
+    check(path, ["qd2", "links.arm.friction.static"], [0.6, 0.1], [3.0, 0.2], tau, WAYS[:1])
+
+
+BLOCKS = """
+gravity: 0
+links:
+  - {name: a, joint: prismatic, axis: [1, 0], m: 1, l: 0, r: 0, I: 0, END}
+  - {name: b, joint: prismatic, axis: [0, 1], m: 2, l: 0, r: 0, I: 0, END}
+"""
+COUPLED = """
+gravity: 0
+links:
+  - {name: a, m: 1, l: 0.4, r: 0.2, I: 0.05, limits: {max: 0.3, restitution: 0}}
+  - {name: b, m: 1, l: 0.4, r: 0.2, I: 0.05, limits: {max: 0.3, restitution: 0.5}}
+"""
+
+
+def test_several_joints_stop_at_once(scene: Scene) -> None:
+    path = scene(BLOCKS.replace("END", "limits: {max: 0.3, restitution: 0.6}"))
+    names = ["q1", "q2", "links.b.m", "links.a.limits.max"]
+    check(path, names, [0.0, 0.0], [1.0, 1.0], "-0.2, -0.4*cos(t)", WAYS[:3])
+    path = scene(BLOCKS.replace("END", "friction: {force: 1, static: 1.5}").replace("m: 2", "m: 1"))
+    names = ["q1", "qd2", "links.b.m", "links.a.friction.force"]
+    check(path, names, [0.0, 0.0], [0.4, 0.4], None, WAYS[:2])
+    given = ["q2", "links.b.m"], [0.0, -0.2], [2.0, 1.0], "3, 1", WAYS[:3]
+    check(scene(COUPLED), *given)  # the second hits as the first rests on its end
 
 
 def test_backwards_events_and_rows_in_steps() -> None:
@@ -332,7 +379,7 @@ def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene
         ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
         ((*arm, "links.forearm.m", *force), "--force"),
         ((*bar, "q2"), "q2: joint coupler follows"),
-        (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.torque"), "dry friction"),
+        (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.kind"), "is no number"),
     ):
         given = robodyn(*line)
         assert given.code == 2

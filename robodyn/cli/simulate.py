@@ -232,7 +232,7 @@ class _Rows:
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
         rows = _rows(self.mechanism, moving, self.torques, t, y)
         if self.carried:
-            rows = np.concatenate([rows, self.carried.flat(y)], axis=-1)
+            rows = np.concatenate([rows, self.carried.flat(self.carried.of(y))], axis=-1)
         self.writer.write_columns(rows)
 
 

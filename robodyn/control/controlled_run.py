@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]
 
-# d(what a law gives)/d(what it asks but t) (joints + states, 2n + states), of t and that
+# d(what a law gives)/d(what it asks, t last) (joints + states, 2n + states + 1), of t and that
 Slopes = Callable[[float, Sequence[float]], Array]
 
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
@@ -199,16 +199,23 @@ class Sampled(Tracked):
             raise InputError("control_rate", value=f"{self.rate:g}", limit=limit)
         self._forget()
         self.times, self.values = array("d"), array("d")
-        self.z = [0.0] * self.states
+        self.z = self.before = [0.0] * self.states
         self.reach(0.0, y)
 
     def reach(self, t: float, y: Sequence[float]) -> None:
-        if not self.times or t > self.times[-1]:
-            found = self.law(t, *y[: 2 * self.mechanism.n], *self.z)
-            joints = self.reference.joints
-            self.values.extend(found[:joints])
-            self.z = [z + zd / self.rate for z, zd in zip(self.z, found[joints:], strict=True)]
-            self.times.append(t)
+        joints = self.reference.joints
+        if self.times and t <= self.times[-1]:
+            if t < self.times[-1]:
+                return
+            # the run went back to an event before this sample, or sees the same again
+            self.times.pop()
+            del self.values[-joints:]
+            self.z = self.before
+        self.before = self.z  # the integrals that the last sample took
+        found = self.law(t, *y[: 2 * self.mechanism.n], *self.z)
+        self.values.extend(found[:joints])
+        self.z = [z + zd / self.rate for z, zd in zip(self.z, found[joints:], strict=True)]
+        self.times.append(t)
 
     def sample(self, t: float) -> int:
         """The last sample at t."""

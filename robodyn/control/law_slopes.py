@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from robodyn.control.controlled_run import Law, Slopes
 from robodyn.control.state_feedback import StateFeedback
+from robodyn.control.tracking import ReferenceTable
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.parts import untimed
 
 Array = NDArray[np.float64]
@@ -23,8 +25,9 @@ def law_slopes(
     limits: Sequence[float],
     gain: StateFeedback | None,
     law: Law,
+    reference: ReferenceTable,
 ) -> Slopes | None:
-    """The slopes of a law of `laws.py`; None where they are not known.
+    """The slopes of a law of `laws.py`, last by time; None where they are not known.
 
     That is computed torque, and the torques at rest of an open chain with passive joints.
     """
@@ -34,8 +37,8 @@ def law_slopes(
     if control == "computed-torque" or (balanced and mechanism.passive and not mechanism.rows):
         return None
     if balanced:
-        model = untimed(model)
-    own = np.zeros((joints, 2 * n + states))
+        model = in_mode(untimed(model), Mode())  # no controller balances what a stop pushes
+    own = np.zeros((joints, 2 * n + states + 1))
     rows = np.arange(joints)
     if gain is not None:
         wide, K = len(gain.coordinates), np.array(gain.gain).reshape(joints, -1)
@@ -47,11 +50,15 @@ def law_slopes(
         )
     if states:
         own[rows, 2 * n + rows] = gains["ki"]
+    ahead = own[:, :n][:, driven], own[:, n : 2 * n][:, driven]
 
     def slopes(t: float, y: Sequence[float]) -> Array:
         from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
 
         found = own.copy()
+        rising = reference.at(t)[1]
+        if gain is None:
+            found[:, -1] = -(ahead[0] @ rising + ahead[1] @ reference.accelerations(t))
         if balanced:
             still = np.zeros(n)
             found[:, :n] += inverse_dynamics_derivatives(model, y[:n], still, still).by_q[driven]
@@ -60,7 +67,7 @@ def law_slopes(
         rates = np.zeros((states, found.shape[1]))
         for j in range(states):
             if gains["ki"][j]:
-                rates[j, driven[j]] = -1.0
+                rates[j, driven[j]], rates[j, -1] = -1.0, rising[j]
                 if cut[j]:
                     rates[j] -= found[j] / gains["kp"][j]
         return np.concatenate([given, rates])

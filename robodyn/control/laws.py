@@ -111,7 +111,7 @@ def controller(
         lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
     torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
-    slopes = law_slopes(mechanism, model, control, gains, limits, gain, torques)
+    slopes = law_slopes(mechanism, model, control, gains, limits, gain, torques, reference)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]

@@ -34,8 +34,7 @@ SAME = 1e-9  # relative, by which what is no multiple of a change is told
 def number_formula(mechanism: Mechanism, name: str, mode: Mode | None = None) -> Formula:
     """dR (N) by the number called `name`, at q, qd, tau and unknowns u (N); see `residuals`.
 
-    In a mode, where one is given.  Raises InputError for a name that is none, and for a number that
-    no derivative is known by: of dry friction.
+    In a mode, where one is given.  Raises InputError for a name that is none.
     """
     graph = Graph()
     x = graph.variable(name)
@@ -84,9 +83,6 @@ def with_variables(
     rows = (*made.rows, *couplings)
     if mode is None:
         return replace(made, rows=rows, dry=(), limits=())
-    if made.dry != mechanism.dry:
-        limit = "no derivative is known by it: it changes dry friction"
-        raise InputError(name, where=mechanism.source, limit=limit)
     return in_mode(replace(made, rows=rows), mode)
 
 

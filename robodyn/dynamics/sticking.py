@@ -321,8 +321,11 @@ def starting_at(
     forces: Array,
     limits: Mapping[int, Bounds],
     place: int,
-) -> dict[int, int]:
-    """The joints that are held no longer where a margin passes zero, and which way they start."""
+) -> dict[int, float]:
+    """The joints that are held no longer where a margin passes zero, and how fast they start.
+
+    But for a common factor.
+    """
     mode, still = standing
     helpers = [joint for joint in still if joint not in mode.held]
     count = len(mode.held)
@@ -334,4 +337,4 @@ def starting_at(
         _, rates = _shared(forces, low, high, shares, [limits[joint] for joint in helpers])
     each = dict(zip([*mode.held, *helpers], [*rates, *(shares @ rates)], strict=True))
     least = STARTED * max(map(abs, each.values()))
-    return {joint: 1 if rate > 0.0 else -1 for joint, rate in each.items() if abs(rate) > least}
+    return {joint: rate for joint, rate in each.items() if abs(rate) > least}

@@ -154,8 +154,9 @@ def _open(mechanism: Mechanism, gap: Array, what: str, unit: str, most: float) -
     apart = np.abs(gap[pins]).max(initial=0.0)
     if apart > GAP_ALLOWED * loop_size(mechanism) or not mechanism.description.couplings:
         value = f"{np.linalg.norm(gap[pins]):.6g} {unit}"
+        told = f"the loops are open: gap in {what}"
         most_told = f"{most:.3g} {unit} at most: {limit}"
-        return InputError(f"the loops are open: gap in {what}", value=value, limit=most_told)
+        return InputError(told, where=mechanism.source, value=value, limit=most_told)
     arms = np.array([row.arm if row.closure is None else np.inf for row in mechanism.rows])
     turns = np.abs(gap / arms)
     worst = int(np.argmax(turns)) - len(pins)

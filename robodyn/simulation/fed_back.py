@@ -57,7 +57,7 @@ class Fed:
 
 def _fed(control: Any, t: float, state: Sequence[float], s: Any, count: int, m: int) -> Any:
     """d(u, zd) (k, joints + m) at (q, qd, z); s has d(q, qd) of each name, then dz of each."""
-    slopes = control.slopes(t, state)
+    slopes = control.slopes(t, state)[:, :-1]
     wide = slopes.shape[1] - m
     first = s[: wide * count].reshape(count, wide)
     rest = s[wide * count : (wide + m) * count].reshape(count, m)
@@ -77,20 +77,24 @@ class SampledSlopes:
         """See `run_control.Steps`."""
         self.control.begin(y, t_end)
         self.values: list[list[float]] = []
-        self.z = np.zeros((self.count, self.control.states))
-        self._sample(0.0, y, [0.0] * self.control.states)
+        self.z = self.before = np.zeros((self.count, self.control.states))
+        self._sample(0.0, y)
 
     def reach(self, t: float, y: Sequence[float]) -> None:
         """See `run_control.Steps`."""
-        before, z = len(self.control.times), list(self.control.z)
         self.control.reach(t, y)
-        if len(self.control.times) > before:
-            self._sample(t, y, z)
+        if t < self.control.times[-1]:
+            return
+        if len(self.values) == len(self.control.times):  # that sample was taken again
+            self.values.pop()
+            self.z = self.before
+        self._sample(t, y)
 
-    def _sample(self, t: float, y: Sequence[float], z: list[float]) -> None:
+    def _sample(self, t: float, y: Sequence[float]) -> None:
         wide, m = 2 * self.n, self.control.states
+        self.before = self.z
         s = np.concatenate([y[wide : wide * (1 + self.count)], self.z.ravel()])
-        found = _fed(self.control, t, [*y[:wide], *z], s, self.count, m)
+        found = _fed(self.control, t, [*y[:wide], *self.control.before], s, self.count, m)
         joints = found.shape[1] - m
         self.values.append(found[:, :joints].ravel().tolist())
         self.z = self.z + found[:, joints:] / self.control.rate

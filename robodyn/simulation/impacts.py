@@ -37,6 +37,18 @@ def rates_after(
 
     Raises SingularError where no impulses throw all of them back.
     """
+    p, jumps = impulses(mechanism, q, qd, touches, restitutions)
+    return np.asarray(qd + jumps @ p)
+
+
+def impulses(
+    mechanism: Mechanism,
+    q: Array,
+    qd: Array,
+    touches: Sequence[tuple[int, int]],
+    restitutions: Sequence[float],
+) -> tuple[Array, Array]:
+    """Those of `rates_after`, p (k), and how each makes qd jump, (n, k)."""
     count, joints = len(touches), [joint for joint, _ in touches]
     ways = -np.array([side for _, side in touches], float)  # in which stops are left
     jumps = (ways[:, None] * responses(mechanism, q, joints)).T  # of qd (n, k) by each impulse
@@ -49,7 +61,7 @@ def rates_after(
             own = list(chosen)
             p[own] = np.linalg.lstsq(W[np.ix_(own, own)], -bounced[own], rcond=SINGULAR)[0]
             if (p >= 0.0).all() and (W @ p + bounced >= least).all():
-                return np.asarray(qd + jumps @ p)
+                return p, jumps
     names = ", ".join(mechanism.link_names[joint] for joint in joints)
     limit = "no impulses throw all of them back"
     raise SingularError(f"impact of {names}", where=mechanism.source, limit=limit)

@@ -83,6 +83,7 @@ class Phases:
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
         self.thrown: dict[int, float] = {}  # how fast a joint left its end last
+        self.hits: list[End] = []  # the ends met as the phase began
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
         for joint, side, end in beyond(mechanism, q.tolist()):
@@ -157,7 +158,7 @@ class Phases:
                 compliant = "presses" if (joint, side) in self.mode.pressed else "apart"
                 kind = "inside" if stop.stiffness is None else compliant
                 self.guards.append(Guard(kind, joint, side))
-        left = self._margins(np.array([t]), self.y[None])[0].tolist() if self.still else []
+        left = self._margins(np.array([t]), self.y[None])[0] if self.still else []
         self.guards += [Guard("holds", k, 0) for k, x in enumerate(left) if math.isfinite(x)]
         self.functions = [self._function(guard, t) for guard in self.guards]
 
@@ -173,12 +174,10 @@ class Phases:
             if self.idle or self.doubts:  # what is below the tolerance ended a phase at once
                 fastest = float(np.abs(self._split(self.y)[1]).max(initial=0.0))
                 offset -= max(self.small, INSTANT * math.ulp(t) * fastest)
-        name = f"{guard.kind} {guard.joint} {guard.side}"
-        sizes = partial(self._size, guard)
         return EventFunction(
             lambda t, y: values(t, y) - offset,
-            lambda t, y: ROUNDING * sizes(t, y),
-            name,
+            lambda t, y: ROUNDING * self._size(guard, t, y),
+            f"{guard.kind} {guard.joint} {guard.side}",
             way=-1,
             strict=True,
             switches=(),
@@ -269,15 +268,14 @@ class Phases:
         if standing := sorted(rests | {joint for joint, _ in touches}):
             qd[:], also = stopped(self.mechanism, q, qd, standing)
             rests |= set(also)
-        self.y = y
+        self.y, self.hits = y, hits
         if hits:
             self.y = self._impact(t, y, hits, touches)
             _, qd = self._split(self.y)
             still = AT_REST * float(np.abs(qd).max(initial=0.0))
             rests = {joint for joint in rests if abs(qd[joint]) <= still}
             touches = {end for end in touches | set(hits) if abs(qd[end[0]]) <= still}
-        was, stood = self.mode, set(self.still)
-        starting = self._starting(guard, t, y)
+        was, stood, starting = self.mode, set(self.still), self._starting(guard, t, y)
         if begins and self.doubts < DOUBTS:
             starting = {guard.joint: guard.side}
         self._enter(t, rests, touches, pushing, starting)
@@ -288,11 +286,13 @@ class Phases:
 
     def _starting(self, guard: Guard, t: float, y: Array) -> dict[int, int]:
         """The joints that what holds them holds no longer, and which way they start."""
-        if guard.kind != "holds":
-            return {}
-        q, _ = self._split(y)
-        forces = self._forces(np.array([t]), y[None])[0]
-        standing = Standing(self.mode, self.still)
+        rates = self.letting_go(guard, t, y) if guard.kind == "holds" else {}
+        return {joint: 1 if rate > 0.0 else -1 for joint, rate in rates.items()}
+
+    def letting_go(self, guard: Guard, t: float, y: Array) -> dict[int, float]:
+        """The joints that a guard of what holds lets start, and with which rates."""
+        forces, standing = self._forces(np.array([t]), y[None])[0], Standing(self.mode, self.still)
+        q = self._split(y)[0]
         return starting_at(self.mechanism, standing, q, forces, self.bounds, guard.joint)
 
     def _impact(self, t: float, y: Array, hits: Sequence[End], touches: set[End]) -> Array:
@@ -317,6 +317,7 @@ class Phases:
             self.thrown[joint] = leaving[k]
         if over:
             after = rates_after(self.mechanism, q, qd, ends, e)
+        self.struck = list(zip(ends, e, strict=True))  # all touched, and restitutions
         y = y.copy()
         y[self.mechanism.n : 2 * self.mechanism.n] = after
         for joint, side in hits:

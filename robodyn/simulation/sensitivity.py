@@ -10,11 +10,9 @@ a tolerance is the same angle for them.
 
 from __future__ import annotations
 
-import ast
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,12 +20,9 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.named_numbers import size_of, with_variable
-from robodyn.engines.derivative_formulas import KINDS, residuals
 from robodyn.engines.expression import Graph, Value
-from robodyn.engines.factors import Factors
-from robodyn.engines.formulas import Formula, Recorded, cheapest
+from robodyn.engines.formulas import Formula, cheapest
 from robodyn.engines.frames import relative
-from robodyn.engines.recorded_numbers import evaluated
 from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
 from robodyn.errors import InputError
@@ -38,6 +33,7 @@ from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
 from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
+from robodyn.simulation.varied_motion import Varied, torque_nodes
 from robodyn.taylor.variations import Number
 
 Array = NDArray[np.float64]
@@ -65,9 +61,10 @@ class Sensitivities:
         s = y[:, first : first + wide * count].reshape(-1, count, wide)
         return np.swapaxes(s / self.sizes[:, None], 1, 2)
 
-    def flat(self, y: Array) -> Array:
-        """The values of its columns (T, 2n k)."""
-        return np.swapaxes(self.of(y), 1, 2).reshape(len(y), -1)
+    @staticmethod
+    def flat(found: Array) -> Array:
+        """The values of its columns (T, 2n k), of what `of` gives."""
+        return found.swapaxes(1, 2).reshape(len(found), -1)
 
 
 def with_sensitivities(
@@ -80,9 +77,7 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if mechanism.switches and actuation.control is not None:
-        limit = "of dry friction and stops is without a controller"
-    elif actuation.control is not None and actuation.control.slopes is None:
+    if actuation.control is not None and actuation.control.slopes is None:
         limit = "is not known for this law: computed torque asks for accelerations"
     elif not elimination_is_safe(mechanism) or (
         mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
@@ -97,21 +92,21 @@ def with_sensitivities(
         starts.append(sizes[-1] * start_slopes(mechanism, name, q, qd))
     first, count = actuation.states, len(names)
 
+    fed = Fed(actuation, n, count)
+
     def modes(of: Callable[[Mode], Callable[..., Any]]) -> Any:
         if not mechanism.switches:
             return None
         from robodyn.simulation.sensitivity_jumps import Modes
 
-        ends = partial(_end_slopes, mechanism, names, sizes)
-        thrown = partial(_thrown_back, mechanism, tuple(names), tuple(sizes))
-        return Modes(mechanism, of, ends, thrown, count, 2 * n + first)
+        return Modes(mechanism, of, tuple(names), tuple(sizes), fed.control, first)
 
     if method == "taylor":
         flat = tuple((np.concatenate(starts) / np.repeat(sizes, 2 * n)).tolist())
         sizes = [1.0] * count
         carried = replace(
             actuation,
-            control=Fed(actuation, n, count).control,
+            control=fed.control,
             modes=modes(lambda mode: tuple),
             states=len(flat),
             start=flat,
@@ -131,7 +126,7 @@ def with_sensitivities(
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
-    lines, fed = [*actuation.lines], Fed(actuation, n, count)
+    lines = [*actuation.lines]
     if actuation.constants is not None:
         lines = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
     lines += [*fed.lines(mechanism), *moved]
@@ -176,14 +171,9 @@ def _formula(
     mode: Mode | None,
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
-    graph, n = Graph(), mechanism.n
-    moving = mechanism if mode is None else in_mode(mechanism, mode)
-    state = Recorded(moving, KINDS[1:], way, graph=graph)
-    series, r, _, R = residuals(state)
-    factors = series.factorise()
-    assert isinstance(factors, Factors)
-    u = {f"u{i}": x for i, x in enumerate(factors.solve([-x for x in r]))}
-    torques = _torques(mechanism, actuation, graph)
+    n, varied = mechanism.n, Varied(mechanism, mode, way, Graph())
+    graph, state = varied.graph, varied.state
+    torques = torque_nodes(mechanism, actuation, graph)
     z = [f"z{actuation.states + i}" for i in range(2 * n * len(names))]
     fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
@@ -192,97 +182,14 @@ def _formula(
         by: dict[str, Tangents] = {
             x: {CHANGE: graph.variable(s)} for x, s in zip(state.inputs[: 2 * n], own, strict=True)
         }
-        residual = R
-        if not is_start(mechanism, name):
-            if ".motor." in name and any(tangents(torques, list(by))):
-                limit = "no derivative is known by it where torques depend on q or qd"
-                raise InputError(name, where=mechanism.source, limit=limit)
-            named = with_variable(mechanism, name, graph.variable(CHANGE), mode)
-            residual = residuals(Recorded(named, KINDS[1:], way, graph=graph))[3]
-            by[CHANGE] = {CHANGE: size}
+        if ".motor." in name and any(tangents(torques, list(by))):
+            limit = "no derivative is known by it where torques depend on q or qd"
+            raise InputError(name, where=mechanism.source, limit=limit)
         if actuation.control is None:
             by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
         else:
             by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
             fed += [f"f{k}_{j}" for j in mechanism.actuated]
-        slopes = substituted(slopes_by(residual, by, [CHANGE]), {CHANGE: 0.0, **u})
-        right = [-x for x in slopes]
-        outputs += relative(mechanism, factors.solve(right)[:n])
+        outputs += relative(mechanism, varied.along(name, size, by)[:n])
     constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
     return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, constants)), ())
-
-
-def _torques(mechanism: Mechanism, actuation: Actuation, graph: Graph) -> list[Value]:
-    """Those of the torques (n) that depend on the state, as nodes; 0 for the others."""
-    found: list[Value] = [0.0] * mechanism.n
-    if actuation.constants is not None or actuation.linear or actuation.control is not None:
-        return found
-    for line in (actuation.given or actuation).lines:
-        names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
-        state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
-        if not state:
-            continue
-        target, _, code = line.partition(" = ")
-        variables = {x: graph.variable(x) for x in (*state, "t")}
-        try:
-            found[int(target.removeprefix("tau"))] = evaluated(code, variables)
-        except (TypeError, NameError, ValueError, AttributeError):
-            joint = target.removeprefix("tau")
-            what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
-            limit = "has no derivative: of q and qd take arithmetic and smooth functions"
-            raise InputError(what, where=mechanism.source, limit=limit) from None
-    return found
-
-
-@lru_cache(maxsize=64)
-def _thrown_back(
-    mechanism: Mechanism, names: tuple[str, ...], sizes: tuple[float, ...], joint: int, e: float
-) -> FloatFunction:
-    """(q, qd) after an impact, and what becomes of all s, from both; see `sensitivity_jumps`."""
-    graph, n = Graph(), mechanism.n
-    given = dict(mechanism.limits)[joint].restitution or 0.0
-    keeps = abs(given - e) < 1e-9 and given > 0.0  # else it comes to rest at once
-
-    def after(moving: Mechanism) -> list[Value]:
-        state = Recorded(moving, KINDS[1:], True, graph=graph)
-        series, _, _, R = residuals(state)
-        factors = series.factorise()
-        assert isinstance(factors, Factors)
-        column = [-slope for slope in slopes_by(R, [f"tau{joint}"])]
-        back = relative(moving, factors.solve(column)[:n])
-        q, qd = state.relative["q"], state.relative["qd"]
-        stop: Any = moving.description.links[joint].limits
-        part = (1.0 + (stop.restitution if keeps else e)) * qd[joint] / back[joint]
-        return [*q, *(v - part * r for v, r in zip(qd, back, strict=True))]
-
-    state = [f"{name}{i}" for name in ("q", "qd") for i in range(n)]
-    outputs, inputs = after(in_mode(mechanism, Mode())), list(state)
-    for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
-        own = [f"s{k}_{i}" for i in range(2 * n)]
-        inputs += own
-        by: dict[str, Tangents] = {
-            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
-        }
-        named = in_mode(mechanism, Mode())
-        if not is_start(mechanism, name):
-            named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
-            by[CHANGE] = {CHANGE: size}
-        outputs += substituted(slopes_by(after(named), by, [CHANGE]), {CHANGE: 0.0})
-    return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
-
-
-def _end_slopes(
-    mechanism: Mechanism, names: Sequence[str], sizes: Sequence[float], joint: int, side: int
-) -> Array:
-    """How far an end of a joint moves with each of the names, times its size."""
-    slopes: list[Value] = []
-    for name in names:
-        if is_start(mechanism, name):
-            slopes.append(0.0)
-        else:
-            named = with_variable(mechanism, name, Graph().variable(CHANGE), Mode())
-            stops: Any = named.description.links[joint].limits
-            known = slopes_by([dict(stops.ends)[side]], [CHANGE])
-            slopes += substituted(known, {CHANGE: 0.0})
-    found: Array = np.array(slopes, float) * sizes
-    return found

@@ -185,11 +185,11 @@ def simulate(
     q, qd = y[:, :n], y[:, n : 2 * n]
     found += recorder.contacts
     found.sort(key=lambda event: abs(event.t))
-    by = carried.of(y) if carried else None
+    by, further = None, Columns()
+    if carried is not None:
+        by = carried.of(y)
+        further = Columns(zip(carried.columns, carried.flat(by).T, strict=True))
     errors = None if actuation.control is None else actuation.control.errors(t, y)
-    further = (
-        Columns(zip(carried.columns, carried.flat(y).T, strict=True)) if carried else Columns()
-    )
     facts = outcome, mechanism, found, phases, recorder.settle, by, errors, further
     return Motion(t, q, qd, torques, *facts)
 

@@ -51,25 +51,20 @@ def start_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
             return np.concatenate([moved, unit])
         moved = unit
     elif mechanism.rows:
-        gap, rate = _gap_slopes(mechanism, name, q, qd)
-        none = np.zeros(len(driven))
-        moved = closing_rates(mechanism, q, none, gap)
-        turned = closing_rates(mechanism, q, none, rate)
+        none = np.zeros((2, len(driven)))
+        moved, turned = closing_rates(mechanism, q, none, _gap_slopes(mechanism, name, q, qd))
     if mechanism.rows and np.any(moved) and np.any(qd):
         # the bias is a quadratic form in the rates: this is its part between qd and the change
-        still = np.zeros(len(driven))
-        ahead, behind = (
-            loop_accelerations(mechanism, q, x, still) for x in (qd + moved, qd - moved)
-        )
+        both = np.stack([qd + moved, qd - moved])
+        ahead, behind = loop_accelerations(mechanism, q, both, np.zeros((2, len(driven))))
         turned = turned + 0.25 * (ahead - behind)
     return np.concatenate([moved, turned])
 
 
-def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> tuple[Array, Array]:
-    """The derivatives of the gap (r) and of its rate (r) by a number, with q and qd held."""
+def _gap_slopes(mechanism: Mechanism, name: str, q: Array, qd: Array) -> Array:
+    """The derivatives of the gap and of its rate (2, r) by a number, with q and qd held."""
     found = np.array(_gap_function(mechanism, name)(*q.tolist(), *qd.tolist(), 0.0))
-    gap, rate = np.split(found, 2)
-    return gap, rate
+    return found.reshape(2, -1)
 
 
 @lru_cache(maxsize=256)

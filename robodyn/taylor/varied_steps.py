@@ -1,7 +1,9 @@
 """The tangents of steps of the Taylor series in Python, by numbers x + dx i.
 
 With dx so small that its products vanish they go through a step as x does, and dx comes out as its
-tangent: as straight-line text, or, where text would be long, by the rows of the program.
+tangent: as straight-line text, or, where text would be long, by the rows of the program.  A call
+of numpy costs what some tens of such numbers do, and has those of many steps, by all directions in
+the state: where steps are many, the text has all of them at once, and what it finds is chained.
 """
 
 from __future__ import annotations
@@ -28,6 +30,9 @@ Array = NDArray[np.float64]
 
 SMALL = 1e-100  # of what stands before i
 KEPT = 64  # texts
+# numbers that pass through numpy while one goes through Python; and that a call there costs besides
+PER_NUMBER, CALL = 15, 300
+BLOCK = 4096  # numbers, or rows, at once
 
 
 class Group(NamedTuple):
@@ -53,7 +58,7 @@ Along = Callable[[Steps, Any, Array], tuple[Array, Array]]
 
 # of a step from t over x, at y (2n) and numbers with what goes beside them: the end (2n), or None
 # where the series tells it, and rho and theta (2n, orders)
-Expand = Callable[[float, list[complex], list[complex], Any, float], tuple[Any, Any]]
+Expand = Callable[[Any, list[Any], list[Any], Any, Any], tuple[Any, Any]]
 
 
 def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
@@ -67,7 +72,7 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
         begins, ends, states, times = steps
         direction = 1.0 if ends[-1] > begins[0] else -1.0
         at_ends: list[list[float]] = []
-        at_rows = [np.zeros((0, 2 * n))]
+        at_rows: list[Array] = []
         row, first, last = 0, float(begins[0]), times.tolist()
         beside = (SMALL * s).tolist()
         values, slopes, fed = torques
@@ -90,7 +95,8 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
                 row = due
             beside = found[-1].tolist() if there is None else [x.imag for x in there]
             at_ends.append(beside)
-        return np.array(at_ends) / SMALL, np.concatenate(at_rows) / SMALL
+        rows = np.concatenate(at_rows) if at_rows else np.empty((0, 2 * n))
+        return np.array(at_ends) / SMALL, rows / SMALL
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
         values, slopes, fed = torques
@@ -103,22 +109,86 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
 
 
 def _moved(mechanism: Mechanism, series: NDArray[Any], s: Array, x: Array) -> Array:
-    """What goes beside q and qd (r, 2n) at x (r,) after the start, s (2n), by the series."""
+    """What goes beside q and qd (r, 2n) at x (r,) after the start, s (2n), by the series.
+
+    One for all, (2n, orders), or one each, (r, 2n, orders) with s (r, 2n).
+    """
     n = mechanism.n
-    rho, theta = series.reshape(2, n, -1).swapaxes(-1, -2)
-    orders = np.arange(len(rho))
+    orders = np.arange(series.shape[-1])
     powers = x[:, None] ** orders
-    slopes = powers[:, :-1] * orders[1:]
+    slopes = (powers[:, :-1] * orders[1:])[:, None]
+    powers = powers[:, None]
+    rho, theta = np.split(series.reshape(-1, *series.shape[-2:]).swapaxes(-1, -2), 2, axis=-1)
     z, dz = rho.real + 1j * theta.real, rho.imag + 1j * theta.imag
-    (a, b), (da, db) = ((powers @ each, slopes @ each[1:]) for each in (z, dz))
+    a, da = ((powers @ each)[:, 0] for each in (z, dz))
+    b, db = ((slopes @ each[:, 1:])[:, 0] for each in (z, dz))
     square = np.abs(a) ** 2
     w = (a.conj() * b).imag / square
     way = (a.conj() * da).imag / square
     rate = ((da.conj() * b + a.conj() * db).imag - 2.0 * w * (a.conj() * da).real) / square
     for k in mechanism.slides:
-        way[:, k], rate[:, k] = da[:, k].imag - s[k], db[:, k].imag
+        way[:, k], rate[:, k] = da[:, k].imag - s[..., k], db[:, k].imag
     turned = relative_matrix(mechanism).T
-    return np.concatenate([s[:n] + way @ turned, rate @ turned], axis=-1)
+    return np.concatenate([s[..., :n] + way @ turned, rate @ turned], axis=-1)
+
+
+def _side_by_side(group: Group, varied: Sequence[int], expand: Expand) -> Along:
+    """All steps at once: their tangents by each of q and qd, and by what each name changes."""
+    mechanism, wide, count = group.motion.mechanism, 2 * group.motion.mechanism.n, len(group.slopes)
+    every = wide + count
+    unit = SMALL * 1j * np.eye(every)[:, None]  # each (1, directions)
+    numbers = [
+        group.numbers[i] + sum(x[i] * unit[wide + k] for k, x in enumerate(group.slopes))
+        for i in varied
+    ]
+
+    def tangents(values: Sequence[Any], steps: int) -> NDArray[Any]:
+        return np.stack([np.broadcast_to(x, (steps, every)) for x in values], axis=1)
+
+    def some(steps: Steps, torques: Any, s: Array, first: float) -> tuple[Array, Array]:
+        begins, ends, states, times = steps
+        t, x = begins[:, None], (ends - begins)[:, None]
+        y = [states[:, i, None] + unit[i] for i in range(wide)]
+        values, slopes, fed = torques
+        acting = [v + (t - first) * d for v, d in zip(values, slopes, strict=True)]
+        acting = [v + fed[:, j] @ unit[wide:, 0] for j, v in enumerate(acting)]
+        found, series = expand(t, y, numbers, (acting, slopes), x)
+        J = tangents(found, len(t)).imag.swapaxes(1, 2) / SMALL  # (m, directions, 2n)
+        A, P = J[:, :wide], J[:, wide:]
+        before = np.empty((len(t) + 1, *s.shape))
+        before[0] = s
+        for j in range(len(t)):
+            before[j + 1] = before[j] @ A[j] + P[j]
+        at_rows = np.empty((len(times), *s.shape))
+        if len(times):
+            way = 1.0 if ends[-1] > begins[0] else -1.0
+            terms = np.stack([tangents(each, len(t)) for each in series], axis=1)
+            ways = np.zeros((len(t), every, count))  # each name's in the directions
+            ways[:, :wide], ways[:, wide:] = before[:-1].swapaxes(1, 2), np.eye(count)
+            moved = terms[..., :1].real + 1j * (terms.imag @ ways[:, None])
+        for i in range(0, len(times), BLOCK):
+            due = times[i : i + BLOCK]
+            place = np.searchsorted(way * ends, way * due)
+            for k in range(count):
+                beside, past = SMALL * before[place, k], due - begins[place]
+                at_rows[i : i + BLOCK, k] = _moved(mechanism, moved[place, ..., k], beside, past)
+        return before[1:], at_rows / SMALL
+
+    def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
+        begins, ends, states, times = steps
+        way, most = 1.0 if ends[-1] > begins[0] else -1.0, max(1, BLOCK // every)
+        at_ends, at_rows, row = [], [], 0
+        for i in range(0, len(ends), most):
+            part = slice(i, i + most)
+            due = row + int(np.searchsorted(way * times[row:], way * ends[part][-1], "right"))
+            only = begins[part], ends[part], states[part], times[row:due]
+            found = some(only, torques, s, float(begins[0]))
+            s, row = found[0][-1], due
+            at_ends.append(found[0])
+            at_rows.append(found[1])
+        return np.concatenate(at_ends), np.concatenate(at_rows)
+
+    return go
 
 
 def straight_steps(order: int, group: Group) -> Along:
@@ -132,13 +202,25 @@ def straight_steps(order: int, group: Group) -> Along:
         while len(_texts) >= KEPT:
             _texts.pop(next(iter(_texts)))
         _texts[key] = _text(order, group)
-    return _one_by_one(group, varied, _texts[key])
+    one, every = _texts[key]
+    singly = _one_by_one(group, varied, one)
+    if every is None:
+        return singly
+    at_once = _side_by_side(group, varied, every)
+    names = len(group.slopes)
+    saved = (PER_NUMBER - 1) * names - 2 * group.motion.mechanism.n  # by each step
+
+    def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
+        return (at_once if saved * len(steps[0]) > CALL else singly)(steps, torques, s)
+
+    return go
 
 
-_texts: dict[object, Expand] = {}
+_texts: dict[object, tuple[Expand, Expand | None]] = {}
 
 
-def _text(order: int, group: Group) -> Expand:
+def _text(order: int, group: Group) -> tuple[Expand, Expand | None]:
+    """Of one number each, and of arrays, where numpy has all functions in it."""
     motion, start = group.motion, group.motion.start()
     mechanism, actuation, n = motion.mechanism, motion.actuation, motion.mechanism.n
     variable, numbers = start.graph.variable, list(start.numbers)
@@ -160,8 +242,10 @@ def _text(order: int, group: Group) -> Expand:
     text = "\n    ".join([*body, *lines, result])
     scope = {**BESIDE.functions, "pow": _power, "atan2": _arctangent}
     code = f"def vary(t, y, c, torques, x):\n    {text}\n"
-    function: Expand = straightline.define(code, "vary", scope=scope)
-    return function
+    function = straightline.define(code, "vary", scope=scope)
+    if scope.keys() & set(function.__code__.co_names) - ARRAYS.keys():
+        return function, None
+    return function, straightline.define(code, "vary", scope=ARRAYS)
 
 
 def row_steps(order: int, group: Group) -> Along:
@@ -199,8 +283,20 @@ def _power(x: Any, exponent: float) -> Any:
 
 
 def _arctangent(y: Any, x: Any) -> complex:
-    beside = (y.imag * x.real - y.real * x.imag) / (x.real**2 + y.real**2)
-    return complex(math.atan2(y.real, x.real), beside)
+    return complex(math.atan2(y.real, x.real), _turn(y, x))
+
+
+def _turn(y: Any, x: Any) -> Any:
+    return (y.imag * x.real - y.real * x.imag) / (x.real**2 + y.real**2)
+
+
+# of arrays of such numbers
+ARRAYS: dict[str, Any] = {
+    name: getattr(np, name) for name in ("cos", "sin", "exp", "tanh", "sinh", "cosh", "sqrt")
+} | {
+    "atan2": lambda y, x: np.arctan2(y.real, x.real) + 1j * _turn(y, x),
+    "pow": lambda x, e: x.real**e + 1j * (e * x.real ** (e - 1.0) * x.imag),
+}
 
 
 _FUNCTIONS = FLOATS.functions | {"tan": math.tan, "sqrt": math.sqrt, "abs": abs}

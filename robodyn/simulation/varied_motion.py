@@ -1,0 +1,181 @@
+"""How a state's accelerations, what holds its joints, and impacts change with what varies.
+
+That is numbers of the scene, called by name and times their sizes, and the state itself.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.dynamics.named_numbers import with_variable
+from robodyn.engines.derivative_formulas import KINDS, residuals
+from robodyn.engines.expression import Graph, Value
+from robodyn.engines.factors import Factors
+from robodyn.engines.formulas import Formula, Recorded
+from robodyn.engines.frames import relative
+from robodyn.engines.recorded_numbers import evaluated
+from robodyn.engines.straightline import FloatFunction, compile_floats
+from robodyn.engines.tangents import Tangents, slopes_by, substituted
+from robodyn.errors import InputError
+from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.simulation.start_slopes import CHANGE, is_start
+
+Array = NDArray[np.float64]
+
+
+class Varied:
+    """The unknowns u of a state in a mode, as nodes, and how they change: du = -K^-1 dR."""
+
+    def __init__(self, mechanism: Mechanism, mode: Mode | None, way: bool, graph: Graph) -> None:
+        self.mechanism, self.mode, self.way, self.graph = mechanism, mode, way, graph
+        moving = mechanism if mode is None else in_mode(mechanism, mode)
+        self.state = Recorded(moving, KINDS[1:], way, graph=graph)
+        series, r, _, self.R = residuals(self.state)
+        factors = series.factorise()
+        assert isinstance(factors, Factors)
+        self.factors, self.u = factors, factors.solve([-x for x in r])
+
+    def along(self, name: str | None, size: float, by: dict[str, Tangents]) -> list[Value]:
+        """du where the inputs change as `by` says, and the number of that name by its size."""
+        residual = self.R
+        if name is not None and not is_start(self.mechanism, name):
+            named = with_variable(self.mechanism, name, self.graph.variable(CHANGE), self.mode)
+            residual = residuals(Recorded(named, KINDS[1:], self.way, graph=self.graph))[3]
+            by = {**by, CHANGE: {CHANGE: size}}
+        known = {CHANGE: 0.0, **{f"u{i}": x for i, x in enumerate(self.u)}}
+        slopes = substituted(slopes_by(residual, by, [CHANGE]), known)
+        return self.factors.solve([-x for x in slopes])
+
+
+def by_numbers(
+    mechanism: Mechanism,
+    names: Sequence[str],
+    sizes: Sequence[float],
+    of: Callable[[Any], Value],
+) -> Array:
+    """How something `of` the mechanism's description changes with each number (k,)."""
+    slopes: list[Value] = []
+    for name in names:
+        if is_start(mechanism, name):
+            slopes.append(0.0)
+        else:
+            named = with_variable(mechanism, name, Graph().variable(CHANGE))
+            slopes += substituted(slopes_by([of(named.description)], [CHANGE]), {CHANGE: 0.0})
+    return np.asarray(np.array(slopes, float) * sizes)
+
+
+@lru_cache(maxsize=64)
+def holding(
+    mechanism: Mechanism, names: tuple[str, ...], sizes: tuple[float, ...], mode: Mode
+) -> FloatFunction:
+    """How what holds each held joint changes, for each name and then along the motion itself.
+
+    Of q, qd, tau, t, and for each of these d(q, qd) (2n) and d tau (n).
+    """
+    varied = Varied(mechanism, mode, True, Graph())
+    state, n, moving = varied.state, mechanism.n, varied.state.mechanism
+    inputs, outputs = [*state.inputs, "t"], []
+    for k, (name, size) in enumerate(zip((*names, None), (*sizes, 0.0), strict=True)):
+        own = [f"s{k}_{i}" for i in range(3 * n)]
+        inputs += own
+        by: dict[str, Tangents] = {
+            x: {CHANGE: varied.graph.variable(s)} for x, s in zip(state.inputs, own, strict=True)
+        }
+        if name is None:
+            by["t"] = {CHANGE: 1.0}
+        du = varied.along(name, size, by)
+        outputs += [moving.rows[r].arm * du[n + r] for r in moving.held]
+    return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "holding")
+
+
+@lru_cache(maxsize=64)
+def thrown_back(
+    mechanism: Mechanism,
+    names: tuple[str, ...],
+    sizes: tuple[float, ...],
+    impulses: tuple[tuple[int, float], ...],
+) -> FloatFunction:
+    """(q, qd) after an impact, and what becomes of all s, from both; see `sensitivity_jumps`.
+
+    `impulses` are the joints that are pushed, and how much of its rate each keeps.
+    """
+    graph, n = Graph(), mechanism.n
+    joints = [joint for joint, _ in impulses]
+    limits = dict(mechanism.limits)
+
+    def after(moving: Mechanism) -> list[Value]:
+        state = Recorded(moving, KINDS[1:], True, graph=graph)
+        series, _, _, R = residuals(state)
+        factors = series.factorise()
+        assert isinstance(factors, Factors)
+        columns = []
+        for joint in joints:
+            right = [-slope for slope in slopes_by(R, [f"tau{joint}"])]
+            columns.append(relative(moving, factors.solve(right)[:n]))
+        q, qd = state.relative["q"], state.relative["qd"]
+        v = []
+        for joint, e in impulses:
+            stop: Any = moving.description.links[joint].limits
+            given = limits[joint].restitution or 0.0
+            keeps = abs(given - e) < 1e-9 and given > 0.0  # else it comes to rest at once
+            v.append((1.0 + (stop.restitution if keeps else e)) * qd[joint])
+        W = [{i: column[joint] for i, joint in enumerate(joints)} for column in columns]
+        p = Factors(W, len(W)).solve(v)
+        for impulse, column in zip(p, columns, strict=True):
+            qd = [x - impulse * r for x, r in zip(qd, column, strict=True)]
+        return [*q, *qd]
+
+    state = [f"{name}{i}" for name in ("q", "qd") for i in range(n)]
+    outputs, inputs = after(in_mode(mechanism, Mode())), list(state)
+    for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
+        own = [f"s{k}_{i}" for i in range(2 * n)]
+        inputs += own
+        by: dict[str, Tangents] = {
+            x: {CHANGE: graph.variable(s)} for x, s in zip(state, own, strict=True)
+        }
+        named = in_mode(mechanism, Mode())
+        if not is_start(mechanism, name):
+            named = with_variable(mechanism, name, graph.variable(CHANGE), Mode())
+            by[CHANGE] = {CHANGE: size}
+        outputs += substituted(slopes_by(after(named), by, [CHANGE]), {CHANGE: 0.0})
+    return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
+
+
+def torque_nodes(
+    mechanism: Mechanism, actuation: Actuation, graph: Graph, timed: bool = False
+) -> list[Value]:
+    """Those of the torques (n) that depend on the state, or on time too, as nodes; 0 for others."""
+    found: list[Value] = [0.0] * mechanism.n
+    if actuation.constants is not None or actuation.linear or actuation.control is not None:
+        return found
+    for line in (actuation.given or actuation).lines:
+        names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
+        state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
+        if not state and not (timed and "t" in names):
+            continue
+        target, _, code = line.partition(" = ")
+        variables = {x: graph.variable(x) for x in (*state, "t")}
+        try:
+            found[int(target.removeprefix("tau"))] = evaluated(code, variables)
+        except (TypeError, NameError, ValueError, AttributeError):
+            joint = target.removeprefix("tau")
+            what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
+            limit = "has no derivative: of q and qd take arithmetic and smooth functions"
+            raise InputError(what, where=mechanism.source, limit=limit) from None
+    return found
+
+
+def torque_slopes(mechanism: Mechanism, actuation: Actuation) -> FloatFunction:
+    """The torques' derivatives by q, qd and t (n (2n + 1)), of q, qd and t."""
+    names = [f"{x}{i}" for x in ("q", "qd") for i in range(mechanism.n)] + ["t"]
+    nodes = torque_nodes(mechanism, actuation, Graph(), timed=True)
+    return compile_floats(Formula(tuple(names), tuple(slopes_by(nodes, names)), ()), "slopes")
