@@ -348,7 +348,6 @@ ATTACKS = [
     "t >> 2",
     "t | 1",
     "t & 1",
-    "t ^ 1",
     "await t",
     "yield t",
     "(yield)",
