@@ -160,7 +160,7 @@ class Reader:
             for line, number in zip(rows.lines, rows.numbers, strict=True):
                 fields = self._split(line, number)
                 if len(fields) != len(self.header):
-                    limit = f"the header has {len(self.header)}"
+                    limit = f"the header has {len(self.header)}{delimiter_hint(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
                 found = list(map(finite, texts))
