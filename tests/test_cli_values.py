@@ -64,7 +64,7 @@ PAIRS = (
     ),
     (
         "sweep 2r.yaml --vary q1=0,0.5 --vary links.forearm.m=1:2:3 --q 0,0 --time 0.5",
-        "sweep 2r.yaml --vary q1=0,1/2 --vary links.forearm.m=1kg:2000g:3 --q 0,0 --time 500ms",
+        "sweep 2r.yaml --vary q1=0,1/2 --vary links.forearm.m=1kg:2000g:1+2 --q 0,0 --time 500ms",
     ),
     (
         "torque four-bar.yaml --q 1 --force coupler@0.5,0.2=10,-5",
