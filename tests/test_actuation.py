@@ -369,7 +369,6 @@ ATTACKS = [
     "t >> 2",
     "t | 1",
     "t & 1",
-    "t ^ 1",
     "await t",
     "yield t",
     "(yield)",

@@ -104,6 +104,8 @@ def test_plot(robodyn, tmp_path, monkeypatch):
         assert given.out.startswith("method,")
         assert path.read_bytes().startswith(FIRST[suffix.lower()])
         assert [each.name for each in tmp_path.iterdir()] == [path.name]
+        if suffix == ".png":  # twice as sharp as charts are
+            assert int.from_bytes(path.read_bytes()[16:20], "big") == 2 * 8 * chart_figure.DOTS
         if suffix == ".svg":
             assert "<svg" in path.read_text()
         path.unlink()

@@ -66,6 +66,7 @@ def test_a_new_page_needs_no_entry_anywhere(
 def test_what_is_no_page(robodyn: Run) -> None:
     robodyn("guide", "Grashof").fails(2, "PAGE = Grashof", "stands in", "first-hour")
     robodyn("guide", "xyzzy").fails(2, "PAGE = xyzzy", "must be one of", "scene")
+    robodyn("guide", "scen").fails(2, "PAGE = scen: is no page; did you mean scene?")
     robodyn("guide", "../README").fails(2, "PAGE = ../README")
     robodyn("guide", "scene", "--format", "csv").fails(2, "--format", "is for the list")
 

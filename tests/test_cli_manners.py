@@ -249,6 +249,9 @@ def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_p
         "  - {name: b, m: 1, l: 1, r: 0.5, I: 0.1, type: prismatic, parent: a, origin: [0, 0]}\n"
         "  - {name: c, m: 1, l: 1, r: 0.5, I: 0.1, a: 1, alpha: 0, d: 0, theta: 1, lenght: 2}\n"
         "  - {name: d, m: 1, l: 1, r: 0.5, I: 0.1, limits: {lower: 0, upper: 1}}\n"
+        "  - {name: e, Mass: 1, L: 1, R: 0.5, i: 0.1, Type: prismatic, length_m: 3,\n"
+        "     centre-of-mass: 1}\n"
+        "  - [0, 0, 1, 0]\n"
     )
     told = robodyn("check", scene)
     for key, way in {
@@ -265,12 +268,19 @@ def test_a_key_of_another_convention_gets_the_way_it_is_here(robodyn: Run, tmp_p
         "lenght": "known: ",
         "lower": "the lower end is min",
         "upper": "the upper end is max",
+        "Mass": "the mass is m",
+        "L": "the length is l",
+        "R": "did you mean r?",
+        "i": "did you mean I?",
+        "Type": "joint: prismatic",
+        "length_m": "the length is l",
+        "centre-of-mass": "the centre of gravity is r",
     }.items():
         line = next(
             x for x in told.err.splitlines() if re.search(rf"[ .]{key}: is an unknown key", x)
         )
         assert way in line
-    told.fails(2, "[lower, upper] is {min: lower, max: upper}")
+    told.fails(2, "[lower, upper] is {min: lower, max: upper}", "; Denavit-Hartenberg rows are not")
 
 
 @pytest.mark.parametrize("kind", other_conventions.KEYS)

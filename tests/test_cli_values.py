@@ -64,11 +64,21 @@ PAIRS = (
     ),
     (
         "sweep 2r.yaml --vary q1=0,0.5 --vary links.forearm.m=1:2:3 --q 0,0 --time 0.5",
-        "sweep 2r.yaml --vary q1=0,1/2 --vary links.forearm.m=1kg:2000g:3 --q 0,0 --time 500ms",
+        "sweep 2r.yaml --vary q1=0,1/2 --vary links.forearm.m=1kg:2000g:1+2 --q 0,0 --time 500ms",
     ),
     (
         "torque four-bar.yaml --q 1 --force coupler@0.5,0.2=10,-5",
         "torque four-bar.yaml --q 1 --force coupler@50cm,20cm=10N,-5N",
+    ),
+    (
+        "simulate 2r.yaml --q 0,0 --time 0.1 --points 20 --quiet --tau 2*sin(3*t),-0.35*q1",
+        "simulate 2r.yaml --q 0,0 --time 0.1 --points 2*1e1 --quiet "
+        "--tau 2Nm*sin(3rad/s*t),-350mN*m*q1",
+    ),
+    (
+        "simulate 2r.yaml --q 0,0 --hold 1,1 --control pd --kp 100,20 --kd 9 --time 0.1 --quiet",
+        "simulate 2r.yaml --q 0,0 --hold 1,1 --control pd --kp 100N*m/rad,20 --kd 9N*m*s "
+        "--time 0.1 --quiet",
     ),
     (
         "energy 2r.yaml --q 0,0 --set links.forearm.m=1.1",
@@ -106,7 +116,20 @@ A_WRONG_UNIT_IS_REFUSED_BY_NAME = [
     ("simulate 2r.yaml --q 0,0 --time 3m", ["--time", "3m", "must be in s, not in m"]),
     ("simulate 2r.yaml --q 0,0 --rtol 1kg", ["--rtol", "must be a plain number, not in kg"]),
     ("simulate 2r.yaml --q 0,0 --tau 1,2kg", ["--tau: entry 2 = 2kg", "must be in N m"]),
-    ("simulate 2r.yaml --q 0,0 --points 1.5", ["--points", "not a valid int"]),
+    (
+        "simulate 2r.yaml --q 0,0 --tau 2,3N*sin(t)",
+        ["--tau: entry 2 = 3N*sin(t): must be in N m, not in N"],
+    ),
+    (
+        "simulate 2r.yaml --q 0,0 --tau 2,3*foo",
+        ["--tau", "name foo; known: t, q1..q2", "at character 5"],
+    ),
+    (
+        "simulate 2r.yaml --q 0,0 --hold 1 --control pd --kp 3N/m --kd 1",
+        ["--kp: entry 1 = 3N/m: must be in N m/rad"],
+    ),
+    ("simulate 2r.yaml --q 0,0 --points 9m", ["--points", "must be a plain number, not in m"]),
+    ("simulate 2r.yaml --q 0,0 --points 1.5", ["--points", "is 1.5, no whole number"]),
     ("sweep 2r.yaml --q 0,0 --vary links.forearm.m=1,2m", ["--vary links.forearm.m", "in kg"]),
     ("energy 2r.yaml --q 0,0 --set links.forearm.m=2s", ["must be in kg, not in s"]),
 ]

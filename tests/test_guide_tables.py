@@ -15,8 +15,8 @@ from documents import DOCUMENTS, PAGES, README, rows_below
 
 import robodyn
 from robodyn import cli
+from robodyn.dynamics import closed_form, dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.functions import UNITS
 from robodyn.scene import expressions, units
 from robodyn.scene.quantities import parse_quantity
 from robodyn.scene.unit_arithmetic import CONSTANTS, FUNCTIONS
@@ -31,8 +31,18 @@ def usage(name: str) -> str:
 
 
 def test_the_commands_are_those_of_the_readme() -> None:
-    told = [row[0].strip("`") for row in rows_below(README, "| command | computes | writes |")]
-    assert sorted(told) == sorted(map(usage, COMMANDS))
+    """It computes what its help begins with, and writes what its --format is about."""
+    rows = rows_below(README, "| command | computes | writes |")
+    assert sorted(row[0].strip("`") for row in rows) == sorted(map(usage, COMMANDS))
+    for command, computes, writes in rows:
+        name = command.split()[1].strip("`")
+        assert re.match(rf"{re.escape(computes)}(?!\w)", cli.SUMMARIES[name]), name
+        formats = next((x.type for x in COMMANDS[name].params if "--format" in x.opts), None)
+        choices = set(getattr(formats, "choices", []))
+        assert (choices == {"table", "json"}) == (writes == "parts"), name
+        assert ("png" in choices) == (writes in ("a picture", "a chart or a map")), name
+        if "csv" in choices and name not in ("init", "guide"):  # whose lists are rows
+            assert writes == "rows", name
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
@@ -41,6 +51,16 @@ def test_options_of_the_guide_exist(name: str) -> None:
     options |= {"--debug", "--help", "--version", "--install-completion", "--show-completion"}
     text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)
     assert set(re.findall(r"(?<![\w-])--[a-z][\w-]*", text)) <= options
+
+
+def test_the_equations_of_the_lecture_are_computed_where_the_guide_says() -> None:
+    rows = rows_below(PAGES["lecture"], "| equation | says | computed by | shown by |")
+    for _, _, function, command in rows:
+        name = function.strip("`")
+        assert callable(getattr(closed_form, name, None) or getattr(dynamics, name)), name
+        assert command.strip("`") in COMMANDS
+    told = {int(x) for row in rows for x in re.findall(r"\d+", row[0])}
+    assert told == {24, 25, 26, 27, 28, 32, 33}  # the ends of ranges
 
 
 def test_values_are_read_as_the_guide_says() -> None:
@@ -61,7 +81,7 @@ def test_expressions_and_their_units_are_listed() -> None:
     written = PAGES["values"].split("## Expressions")[1]
     listed = next(x for x in re.findall(r"`([^`]+)`", written) if "atan2" in x)
     assert sorted(listed.split()) == sorted(expressions.FUNCTIONS)
-    assert all(f"`{name}`" in written for name in [*expressions.CONSTANTS, *UNITS])
+    assert all(f"`{name}`" in written for name in expressions.CONSTANTS)
     smooth = PAGES["scene"].split("## Expressions and tables")[1].split("What bends")[0]
     words = set(re.findall(r"[a-z]+[0-9]*", smooth))
     assert set(expressions.SMOOTH) | set(expressions.CONSTANTS) <= words

@@ -360,6 +360,10 @@ FAULTS = [
     (SPRING.format('law: "x**99"'), "springs[0].law", "an exponent above 64"),
     (SPRING.format('law: "open(x)"'), "springs[0].law", "function open"),
     (SPRING.format('law: "x.real"'), "springs[0].law", "has `x.real`"),
+    (SPRING.format('law: "3 N*x"'), "springs[0].law", "must be in N m, not in N"),
+    (SPRING.format('law: "3 N m*x + 2 N"'), "springs[0].law", "a sum of N m and N"),
+    (TORQUE.format('"3 N m*sin(2 s*t)"'), "loads[0].torque", "sin of s^2, at character 7"),
+    (TORQUE.format('"3 N*q1"'), "loads[0].torque", "must be in N m, not in N"),
     (SPRING.format("table: none.csv"), "springs[0].table", "cannot be read"),
     (SPRING.format("table: [1]"), "springs[0].table", "must be a name"),
     (POINTS.format("table: one.csv"), "springs[0].table", "has 1 rows"),
@@ -453,9 +457,21 @@ def test_a_hundred_slips_are_refused(tmp_path):
     assert refused >= 100
 
 
+def test_expressions_with_units(tmp_path):
+    table(tmp_path, "rope.csv", "x,F", [(-9.0, -1.0), (9.0, 1.0)])
+    table(tmp_path, "gas.csv", "q2,F", [(-9.0, -1.0), (9.0, 1.0)])
+    other = GOOD.replace("3*x + 2*x**3 + 0.5*v", "3 N m/rad*x + 2 N m*x^3 + 500 mN*m*s/rad*v")
+    other = other.replace("4*sin(2*t)", "0.004 kN*sin(2 rad/s · t)")
+    one, two = (from_text(text, str(tmp_path / "a.yaml")) for text in (GOOD, other))
+    assert other.count("N") == GOOD.count("N") + 4
+    assert one.springs[0].law.code == two.springs[0].law.code
+    assert one.loads[0].varying[1].code == two.loads[0].varying[1].code
+
+
 def test_the_schema_takes_such_scenes_and_no_others(tables):
     obeys = Draft202012Validator(scene_schema()).is_valid
     assert obeys(yaml.safe_load(GOOD))
+    assert obeys(yaml.safe_load(GOOD.replace("4*sin(2*t)", "4 N*sin(90°/s*t) + 3 mN")))
     told_by_it = [text for text, *_ in FAULTS if not obeys(yaml.safe_load(ARM + text))]
     assert len(told_by_it) >= 20  # files, names and signs are told by robodyn alone
 

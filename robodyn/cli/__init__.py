@@ -23,7 +23,14 @@ import typer
 
 from robodyn import __version__
 from robodyn.cli import signals
-from robodyn.cli.command_groups import HEADINGS, SUMMARIES, Command, Commands, group_options
+from robodyn.cli.command_groups import (
+    HEADINGS,
+    SUMMARIES,
+    TELL_ANGLES,
+    Command,
+    Commands,
+    group_options,
+)
 from robodyn.errors import RobodynError, printable_lines
 from robodyn.tables.csv_fields import plain_digits
 
@@ -163,14 +170,17 @@ def _number(convert: Callable[..., Any], kind: str, unit: str, value: Any, *plac
     if plain_digits(value):
         with suppress(USAGE_ERROR):
             return convert(value, *place)
-    if kind == "float":
-        from robodyn.scene.quantities import parse_quantity
+    from robodyn.scene.quantities import parse_quantity
 
-        try:
-            return parse_quantity(value.strip(), unit)
-        except ValueError as error:
-            raise typer.BadParameter(f"{value!r} {error}.") from None
-    raise typer.BadParameter(f"{value!r} is not a valid {kind}.")
+    try:
+        number = parse_quantity(value.strip(), unit)
+    except ValueError as error:
+        raise typer.BadParameter(f"{value!r} {error}.") from None
+    if kind == "float":
+        return number
+    if not (number.is_integer() and abs(number) < 2.0**53):
+        raise typer.BadParameter(f"{value!r} is {number:.6g}, no whole number.")
+    return convert(str(int(number)), *place)
 
 
 def _guarded(function: Callable[..., None]) -> Callable[..., None]:
@@ -179,6 +189,7 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     A parameter that is a dataclass stands for its fields, one option each.
     """
     from robodyn.cli import files
+    from robodyn.cli.options import Degrees
 
     groups: dict[str, Any] = {}
     options: list[inspect.Parameter] = []
@@ -189,16 +200,24 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
             options += inspect.signature(kind, eval_str=True).parameters.values()
         else:
             options.append(parameter)
+    tells_angles = function.__name__ in TELL_ANGLES
+
+    def add(name: str, default: object, annotation: object) -> None:
+        where = {"default": default, "annotation": annotation}
+        options.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, **where))
+
     if any(files.reads_rows(option.annotation) for option in options):
-        where = {"default": None, "annotation": files.Delimiter}
-        options.append(inspect.Parameter("delimiter", inspect.Parameter.KEYWORD_ONLY, **where))
+        add("delimiter", None, files.Delimiter)
+    if tells_angles:
+        add("degrees", False, Degrees)
 
     @functools.wraps(function)
     def guarded(**given: Any) -> None:
-        from robodyn.cli.output import numbers_overflow_in_silence
+        from robodyn.cli.output import degrees, numbers_overflow_in_silence
 
         numbers_overflow_in_silence()
         files.delimiter.set(given.pop("delimiter", ","))
+        degrees.set(tells_angles and given.pop("degrees"))
         for name, group in groups.items():
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         try:

@@ -19,6 +19,7 @@ from robodyn.dynamics.placed import placed
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
+from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import drawing
 from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.outlines import at
@@ -105,13 +106,13 @@ def _of_mode(
 
 def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames:
     with open_input(states) as (stream, name):
-        reader = Reader(stream, name)
+        reader = Reader(stream, name, scene_units(mechanism))
         if "t" not in reader.header:
             limit = "an animation needs the time of each row; there are "
             limit += columns_told(reader.header, "t")
             raise InputError("column t is missing", where=name, limit=limit)
         quantities = [Quantity("q", None, True), Quantity("qd", None)]
-        sources = [table_source(mechanism, x, reader.header, name) for x in quantities]
+        sources = [table_source(mechanism, x, reader.names, name) for x in quantities]
         sources = [source for source in sources if source.columns]
         columns = [column for source in sources for column in source.columns]
         blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]

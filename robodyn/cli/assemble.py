@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Annotated, Any
@@ -10,13 +11,22 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.options import Model, Q, Qd, Qdd
-from robodyn.cli.output import Grid, RowOptions, default_format, note, write_structure
+from robodyn.cli.output import (
+    Grid,
+    RowOptions,
+    default_format,
+    degrees,
+    in_told_units,
+    note,
+    write_structure,
+)
 from robodyn.cli.states import Quantity, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import beyond, end_word
+from robodyn.pictures.column_units import in_degrees, scene_units, with_unit
 from robodyn.scene.point_names import PARTS
 from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
@@ -79,17 +89,17 @@ def assemble(
         reached = [branch for branch in found if branch[0] not in barred]
         _write_ranges(mechanism, reached, dict(ways), rows)
         return
-    branches = [_content(mechanism, *item) for item in found]
+    branches, units = [_content(mechanism, *item) for item in found], scene_units(mechanism)
     chosen = default_format(rows.format, rows.out)
     if chosen == "csv" or rows.extremes:
         flat = [_row(branch) for branch in branches]
-        with rows.writer(list(flat[0])) as writer:
+        with rows.writer(list(flat[0]), units=units) as writer:
             for row in flat:
                 writer.write_row(list(row.values()))
     else:
-        content = {"branches": branches}
+        content = in_told_units({"branches": branches}, units)
         slides = mechanism.slides
-        tables = [table for branch in branches for table in _tables(branch, slides)]
+        tables = [table for branch in content["branches"] for table in _tables(branch, slides)]
         write_structure(chosen, rows.out, content, lambda: tables)
 
 
@@ -104,9 +114,12 @@ def _write_ranges(
     with rows.writer(columns) as writer:
         for name, (q, *_) in found:
             for joint, low, high, low_end, high_end in joint_ranges(mechanism, q, ways[name]):
-                ends: list[float | str] = [name, f"q{joint + 1}"]
+                told, factor = f"q{joint + 1}", 1.0
+                if degrees.get():
+                    told, factor = in_degrees(told, scene_units(mechanism))
+                ends: list[float | str] = [name, told]
                 for last, end in ((low, low_end), (high, high_end)):
-                    ends += ["" if end == "nothing" else last, end]
+                    ends += ["" if end == "nothing" else factor * last, end]
                 writer.write_row(ends)
 
 
@@ -158,16 +171,20 @@ def _row(branch: dict[str, Any]) -> dict[str, Any]:
 
 def _tables(branch: dict[str, Any], slides: Sequence[int]) -> list[Grid]:
     links = branch["links"]
+    keys = [key for key in branch if key not in ("branch", "links")]  # q or q_deg, ...
     joints = [
-        [f"{k + 1} {link['name']}", q, np.degrees(q), branch["qd"][k], branch["qdd"][k]]
-        for k, (link, q) in enumerate(zip(links, branch["q"], strict=True))
+        [f"{k + 1} {link['name']}", *(branch[key][k] for key in keys)]
+        for k, link in enumerate(links)
     ]
     places = [[link["name"], part, *link[part].values()] for link in links for part in PARTS]
-    angles = ["joint", "q [rad]", "q [deg]", "qd [rad/s]", "qdd [rad/s²]"]
+    angles = ["joint", *map(with_unit, keys)]
     ways = ["joint", "q [m]", "qd [m/s]", "qdd [m/s²]"]
     where = ["link", "point", "x [m]", "y [m]", "vx [m/s]", "vy [m/s]"]
     turning = [row for k, row in enumerate(joints) if k not in slides]
-    sliding = [[name, q, qd, qdd] for name, q, _, qd, qdd in (joints[k] for k in slides)]
+    sliding = [joints[k] for k in slides]
+    if "q" in keys:
+        angles.insert(2, "q [deg]")
+        turning = [[name, q, math.degrees(q), *rates] for name, q, *rates in turning]
     tables = [Grid(angles, turning)] if turning else []
     tables += [Grid(ways, sliding)] if sliding else []
     return [tables[0]._replace(title=branch["branch"]), *tables[1:], Grid(where, places)]

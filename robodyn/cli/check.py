@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import typer
 
 from robodyn.cli.options import Model, Out, OutputStructured
-from robodyn.cli.output import Grid, note, write_structure
+from robodyn.cli.output import Grid, degrees, in_told_units, note, write_structure
 from robodyn.cli.states import overflow, remarks
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
@@ -17,6 +18,14 @@ from robodyn.loops import assembly
 from robodyn.mechanics.loop_class import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.pictures.column_units import (
+    DEGREES,
+    IN_DEGREES,
+    TURNING,
+    in_degrees,
+    scene_units,
+)
+from robodyn.scene.forms import Key
 from robodyn.scene.grammar import FORMS
 from robodyn.scene.scene import (
     FRAMES,
@@ -40,6 +49,7 @@ PHRASES = {  # what a spring or a load is in words, by the first of its keys; of
     "link": ("{acting} N m on {link}", ""),
     "at": ("({acting}) N at {at}", ""),
 }
+OF_JOINTS = {"min": "rad", "max": "rad", "speed": "rad/s", "stribeck": "rad/s"}  # which turn
 ENTRIES = 1_000_000  # of M over all sampled states: memory and time stay small in long chains
 
 
@@ -118,8 +128,10 @@ def _link(mechanism: Mechanism, k: int) -> dict[str, Any]:
         "from": _place(mechanism, link.hangs_from),
         "payload": link.payload,
         "damping": link.damping,
-        "friction": _friction(link),
-        "limits": _limits(link),
+        **in_told_units(
+            {"friction": _friction(link), "limits": _limits(link)},
+            TURNING if link.slides else OF_JOINTS,
+        ),
         **({} if link.motor is None else {"motor": _motor(link.motor)}),
     }
 
@@ -142,7 +154,8 @@ def _limits(link: Link) -> dict[str, float] | None:
 
 def _motor(motor: Motor) -> dict[str, float]:
     """What its scene says of it."""
-    return {name: value for name, value in motor._asdict().items() if value is not None}
+    given = {name: value for name, value in motor._asdict().items() if value is not None}
+    return dict(in_told_units(given, OF_JOINTS))
 
 
 def _shown(number: float, signal: Signal | None) -> Any:
@@ -178,8 +191,8 @@ def _forces(mechanism: Mechanism) -> dict[str, list[Any]]:
             place, force = _place(mechanism, item.point), [_shown(*part) for part in parts]
             frame = FRAMES[1] if item.turns else FRAMES[0]
             lists["loads"].append({"at": place, "force": force, "frame": frame})
-    lists["couplings"] = [_equation(coupling) for coupling in found.couplings]
-    return {key: entries for key, entries in lists.items() if entries}
+    lists["couplings"] = [_equation(mechanism, coupling) for coupling in found.couplings]
+    return dict(in_told_units({key: entries for key, entries in lists.items() if entries}))
 
 
 def _place(mechanism: Mechanism, point: Point) -> str:
@@ -187,13 +200,16 @@ def _place(mechanism: Mechanism, point: Point) -> str:
     return f"ground {at}" if point.link is None else f"{mechanism.link_names[point.link]} {at}"
 
 
-def _equation(coupling: Coupling, digits: int = 17) -> str:
+def _equation(mechanism: Mechanism, coupling: Coupling, digits: int = 17) -> str:
     """q3 = -2 q1 + 0.1"""
+    joint, angle = f"q{coupling.joint + 1}", f"{coupling.angle:+.{digits}g}"
+    if degrees.get() and (factor := in_degrees(joint, scene_units(mechanism))[1]) != 1.0:
+        angle = f"{factor * coupling.angle:+.{digits}g} deg"
     parts = [f"{ratio:+.{digits}g} q{k + 1}" for k, ratio in coupling.terms]
     if coupling.angle or not parts:
-        parts.append(f"{coupling.angle:+.{digits}g}")
+        parts.append(angle)
     later = "".join(f" {part[0]} {part[1:]}" for part in parts[1:])
-    return f"q{coupling.joint + 1} = {parts[0].removeprefix('+')}{later}"
+    return f"{joint} = {parts[0].removeprefix('+')}{later}"
 
 
 def _conditioning(mechanism: Mechanism, sample: Sample) -> dict[str, object]:
@@ -226,6 +242,8 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
         for k, entry in enumerate(content.get(f"{kind}s", []), start=1):
             first = next(iter(entry))
             phrase, unit = PHRASES["slide" if first == "joint" and "length" in entry else first]
+            if "angle_deg" in entry:
+                phrase = phrase.replace("{angle:g} rad", "{angle_deg:g}°")
             text = phrase.format(**entry, **_amounts(entry, unit))
             per, of = unit.split("/") if unit else ("", "")
             text += f", damping {entry['damping']:g} {per} s/{of}" if entry.get("damping") else ""
@@ -234,10 +252,10 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
     for k, link in enumerate(content["links"], start=1):
         if motor := link.get("motor"):
             keys = FORMS["slide_motor" if "axis" in link else "motor"].keys
-            each = (f"{name} {x:g} {keys[name].unit}".rstrip() for name, x in motor.items() if x)
-            facts.append([f"motor {k}", ", ".join(each).replace("_", " ")])
+            each = [_amount(name, x, keys) for name, x in motor.items() if x]
+            facts.append([f"motor {k}", ", ".join(each)])
     for k, coupling in enumerate(mechanism.description.couplings, start=1):
-        facts.append([f"coupling {k}", _equation(coupling, 6)])
+        facts.append([f"coupling {k}", _equation(mechanism, coupling, 6)])
     facts += [[f"loop {c}", kind] for c, kind in enumerate(content["loops"], start=1)]
     for key, label in (("cond_M", "condition of M"), ("cond_Psi", "condition of Psi")):
         if content[key]:
@@ -257,6 +275,13 @@ def _tables(mechanism: Mechanism, content: dict[str, Any], results: list[Identit
         Grid(["", ""], facts),
         Grid(["identity", "residual", ""], proof, title),
     ]
+
+
+def _amount(name: str, value: float, keys: Mapping[str, Key]) -> str:
+    """A number of a motor in words."""
+    key = name.removesuffix(IN_DEGREES)
+    unit = DEGREES[keys[key].unit] if key != name else keys[key].unit
+    return f"{key.replace('_', ' ')} {value:g} {unit}".rstrip()
 
 
 def _told_friction(
@@ -298,10 +323,11 @@ def _link_table(mechanism: Mechanism, links: list[dict[str, Any]]) -> Grid:
     rows = []
     for k, link in enumerate(links):
         axis = link.get("axis")
-        load, rate = ("N m", "rad/s") if axis is None else ("N", "m/s")
+        turning = "°/s" if degrees.get() else "rad/s"
+        load, rate = ("N m", turning) if axis is None else ("N", "m/s")
         told = {key: link[key] for key in extras}
         if mixed and "damping" in told:
-            unit = f"{load} s/{rate.removesuffix('/s')}"
+            unit = f"{load} s/{'rad' if axis is None else 'm'}"
             told["damping"] = f"{link['damping']:g} {unit}" if link["damping"] else ""
         if "friction" in told:
             told["friction"] = _told_friction(link["friction"], load, rate, mixed)

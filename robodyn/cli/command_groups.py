@@ -55,6 +55,10 @@ GROUPS = {
     },
 }
 SUMMARIES = {name: text for group in GROUPS.values() for name, text in group.items()}
+# which print angles, and take --degrees
+_TELLING = "torque accel reactions points assemble terms energy simulate trajectory sweep "
+_TELLING += "equilibrium linearize regressor identify fit check"
+TELL_ANGLES = frozenset(_TELLING.split())
 HEADINGS = {name: heading for heading, group in GROUPS.items() for name in group}
 
 _OUTPUT = (
@@ -79,7 +83,7 @@ _OPTIONS = {
         "Integration": "--time --rtol --atol --max-steps --engine",
         "Results": "--result --of --points --event --flip --correlations --extremes",
         "Work": "--workers --scheduler --patience",
-        "Output": "--quiet --out",
+        "Output": "--degrees --quiet --out",
     },
     "trajectory": {
         "Joints": "--from --to --via --ends --speed --turns",

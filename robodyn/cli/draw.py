@@ -35,6 +35,7 @@ from robodyn.cli.states import (
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.chart_figure import DOTS, save
+from robodyn.pictures.column_units import scene_units
 from robodyn.pictures.drawing import (
     Drawing,
     Trace,
@@ -180,7 +181,7 @@ def _rows(
         return sources[0].columns
 
     sources: list[Source] = []
-    values, _, name = read_columns(states, columns)
+    values, _, name = read_columns(states, columns, scene_units(mechanism))
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no state")
     wanted = even_rows(len(values), poses)

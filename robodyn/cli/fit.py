@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +14,7 @@ from typer import Option
 from robodyn.cli.files import output_file, rows_argument, rows_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
 from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, vector
-from robodyn.cli.output import Grid, note, row_writer, write_structure
+from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
 from robodyn.cli.states import remarks
@@ -165,10 +165,12 @@ def fit(
         from robodyn.scene.rewrite import write_scene
 
         write_scene(model.model, _scene_numbers(model, values, found), out)
+    units = {**scene_units(mechanism), **{x: values.unit(x) for x in bounds if x in values}}
     if residuals:
-        _write_rows(rows, found)
+        _write_rows(rows, found, units)
     elif out != "-":
-        write_structure(format, None, _content(found), lambda: _tables(found, bounds))
+        content = in_told_units(_content(found), units)
+        write_structure(format, None, content, lambda: _tables(found, bounds, content, units))
 
 
 @contextmanager
@@ -247,12 +249,20 @@ def _content(found: Fit) -> dict[str, object]:
     }
 
 
-def _tables(found: Fit, bounds: Bounds) -> list[Grid]:
+def _tables(
+    found: Fit, bounds: Bounds, told: Mapping[str, Any], units: Mapping[str, str]
+) -> list[Grid]:
+    ends = [{name: bounds[name][k] for name in found.numbers} for k in range(2)]
+    parts = [told["before"], told["numbers"], *(in_told_units(end, units) for end in ends)]
     numbers = [
-        (name, found.before[name], value, *bounds[name], found.bounds.get(name, ""))
-        for name, value in found.numbers.items()
+        (name, *(part[name] for part in parts), found.bounds.get(own, ""))
+        for own, name in zip(found.numbers, told["numbers"], strict=True)
     ]
-    columns = list(zip(found.columns, found.rms_before.tolist(), found.rms.tolist(), strict=True))
+    nothing = math.nan  # as null is shown
+    columns = [
+        (name, *(nothing if x is None else x for x in (told["rms_before"][name], rms)))
+        for name, rms in told["rms"].items()
+    ]
     grids = [
         Grid(["number", "before", "found", "low", "high", "at bound"], numbers),
         Grid(["column", "rms before", "rms"], columns),
@@ -263,9 +273,9 @@ def _tables(found: Fit, bounds: Bounds) -> list[Grid]:
     return [grids[0]._replace(title=reached), *grids[1:]]
 
 
-def _write_rows(rows: FitRows, found: Fit) -> None:
+def _write_rows(rows: FitRows, found: Fit, units: Mapping[str, str]) -> None:
     names = [x for name in found.columns for x in (name, f"{name}_residual")]
     both = np.stack([found.residuals + rows.target, found.residuals], axis=-1)
-    with row_writer(None, None, [*rows.names, *names]) as writer:
+    with row_writer(None, None, [*rows.names, *names], units=units) as writer:
         for known, values in zip(rows.known.tolist(), both.tolist(), strict=True):
             writer.write_row([*known, *(x for pair in values for x in pair)])

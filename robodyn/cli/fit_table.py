@@ -13,6 +13,7 @@ from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.column_units import scene_units
 from robodyn.tables.delimited import columns_told
 
 Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def rows_given(
         used += ["t"] if "t" in header else []
         return list(dict.fromkeys([*used, *(columns if match else [])]))
 
-    values, names, name = read_columns(table, choose)
+    values, names, name = read_columns(table, choose, scene_units(mechanism))
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no row")
     place = {x: k for k, x in enumerate(names)}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.output import StateOptions
+from robodyn.cli.output import StateOptions, degrees
 from robodyn.cli.states import Quantity, evaluate
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.dynamics.flywheel import Flywheel, flywheel
@@ -29,7 +29,7 @@ def tell_flywheel(
     """Write the flywheel for a turn, the rows of `states`; InputError naming what is none."""
     if rows.extremes:
         raise InputError("--extremes and --fluctuation", limit="exclude each other")
-    if rows.degrees:
+    if degrees.get():
         raise InputError("--degrees and --fluctuation", limit="exclude each other")
     if states is None:
         raise InputError(FLAG, limit="needs STATES: rows over a turn")

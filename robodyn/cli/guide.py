@@ -18,6 +18,7 @@ from typer import Argument
 from robodyn.cli.options import OutputFormat, Text
 from robodyn.cli.output import row_writer
 from robodyn.errors import InputError
+from robodyn.scene.yaml_values import nearest
 from robodyn.tables.output_file import on_terminal
 
 FOLDER = Path(__file__).resolve().parent.parent / "guide"
@@ -109,7 +110,9 @@ def _near(word: str, told: list[Page]) -> str:
     hold = [page.name for page in told if whole.search(page.text)]
     if hold:
         return f"is no page, but stands in {', '.join(hold)}"
-    return f"must be one of {', '.join(page.name for page in told)}"
+    names = [page.name for page in told]
+    close = nearest(word, names).partition("; known")[0]
+    return f"is no page{close}" if close else f"must be one of {', '.join(names)}"
 
 
 def _show(text: str) -> None:

@@ -20,6 +20,7 @@ from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
 from robodyn.parameters.regression_matrix import balanced_joints
 from robodyn.parameters.scene_numbers import changes, places
+from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
@@ -156,7 +157,7 @@ def _write_residuals(
     joints = balanced_joints(mechanism)
     left = motion.tau - told[:, [joints.index(k) for k in mechanism.actuated]]
     columns = [f"residual{k + 1}" for k in mechanism.actuated]
-    with row_writer("csv", file, columns, motion.header) as writer:
+    with row_writer("csv", file, columns, motion.header, scene_units(mechanism)) as writer:
         writer.write_rows(motion.lines, left)
 
 

@@ -22,10 +22,11 @@ from robodyn.cli.options import (
     named_options,
     vector,
 )
-from robodyn.cli.output import Grid, note, write_structure
+from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import Quantity, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.pictures.column_units import scene_units
 from robodyn.rest.linear_model import LinearModel
 from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.scene.quantities import parse_vector
@@ -96,7 +97,8 @@ def linearize(
         kept = {key: content[key] for key in GAIN_KEYS}
         with open_output(gain_out) as file:
             file.write((json.dumps(kept) + "\n").encode())
-    write_structure(format, out, content, lambda: list(_tables(mechanism, found, content)))
+    told = in_told_units(content, scene_units(mechanism))
+    write_structure(format, out, told, lambda: list(_tables(mechanism, found, content)))
 
 
 def _content(mechanism: Mechanism, found: LinearModel) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from robodyn.cli.states import Quantity, Source, complete, table_source
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.regression_matrix import balanced_mechanism
+from robodyn.pictures.column_units import scene_units
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
@@ -46,10 +47,10 @@ def read_motion(
     wanted = [Quantity("q", None, True), Quantity("qd", None), Quantity("qdd", None)]
     wanted += [Quantity("tau", None, True)] if torques else []
     with open_input(file) as (stream, name):
-        reader = Reader(stream, name)
-        _check_joints(mechanism, reader.header, name)
-        sources = [table_source(moving, x, reader.header, name) for x in wanted[:3]]
-        sources += [table_source(mechanism, x, reader.header, name) for x in wanted[3:]]
+        reader = Reader(stream, name, scene_units(mechanism))
+        _check_joints(mechanism, reader.names, name)
+        sources = [table_source(moving, x, reader.names, name) for x in wanted[:3]]
+        sources += [table_source(mechanism, x, reader.names, name) for x in wanted[3:]]
         absent = [x for x in sources if not x.given]
         timed = "t" in reader.header
         if cutoff is not None and not absent:

@@ -8,11 +8,11 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from robodyn.cli.options import (
-    Degrees,
     Differentiate,
     Extremes,
     Format,
@@ -21,7 +21,7 @@ from robodyn.cli.options import (
     StructuredFormat,
 )
 from robodyn.errors import printable, printable_lines
-from robodyn.pictures.column_units import TURNING, with_unit
+from robodyn.pictures.column_units import TURNING, in_degrees, structure_in_degrees, with_unit
 from robodyn.tables.csv_fields import finite, unquoted
 from robodyn.tables.output_file import on_terminal, open_output
 from robodyn.tables.table_writer import WRITERS, Writer
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MakeWriter = Callable[..., Writer]
 Summary = Callable[[MakeWriter, Sequence[str], Sequence[str]], Writer]
+degrees: ContextVar[bool] = ContextVar("degrees", default=False)  # whether angles are told so
 PAGE = 200  # rows of one table on the terminal; a longer result goes on in another
 
 
@@ -42,18 +43,15 @@ def row_writer(
     header: Sequence[str] = (),
     units: Mapping[str, str] = TURNING,
     summary: Summary | None = None,
-    degrees: bool = False,
 ) -> Iterator[Writer]:
     """A writer of rows: computed `columns` after (or in) the columns of the input's `header`.
 
     A table for people tells `units` of the scene (`column_units.scene_units`).  A `summary` takes
     the place of the rows.
     """
-    summary = degrees_writer(units, summary) if degrees else summary
     format = default_format(format, out)
     with open_output(out, styled=format == "table") as stream:
-        make = maker(stream, format, out, units)
-        writer = make(columns, header) if summary is None else summary(make, columns, header)
+        writer = told(maker(stream, format, out, units), columns, header, units, summary)
         try:
             yield writer
         except Exception:
@@ -81,7 +79,6 @@ class RowOptions:
     """How rows are written."""
 
     extremes: Extremes = False
-    degrees: Degrees = False
     format: OutputFormat = None
     out: Out = None
 
@@ -94,7 +91,7 @@ class RowOptions:
     ) -> AbstractContextManager[Writer]:
         """A writer of rows, or of what is asked for in their place: see `row_writer`."""
         summary = extremes_writer if self.extremes else summary
-        return row_writer(self.format, self.out, columns, header, units, summary, self.degrees)
+        return row_writer(self.format, self.out, columns, header, units, summary)
 
 
 @dataclass(frozen=True)
@@ -111,16 +108,20 @@ def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[s
     return Extremes(make, columns, header)
 
 
-def degrees_writer(units: Mapping[str, str], summary: Summary | None = None) -> Summary:
-    """Makes a writer with the columns of angles in degrees, by the units of the scene."""
-    from robodyn.pictures.column_units import in_degrees
+def told(
+    make: MakeWriter,
+    columns: Sequence[str],
+    header: Sequence[str] = (),
+    units: Mapping[str, str] = TURNING,
+    summary: Summary | None = None,
+) -> Writer:
+    """A writer, or of a `summary`; with --degrees of angles in degrees, by the scene's units."""
+    make = make if summary is None else functools.partial(summary, make)
+    if not degrees.get():
+        return make(columns, header)
     from robodyn.tables.scaled import ScaledWriter
 
-    def write(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:
-        inner = make if summary is None else functools.partial(summary, make)
-        return ScaledWriter(inner, lambda name: in_degrees(name, units), columns, header)
-
-    return write
+    return ScaledWriter(make, lambda name: in_degrees(name, units), columns, header)
 
 
 def default_format(format: Format | None, out: str | None) -> Format:
@@ -195,6 +196,13 @@ def write_structure(
             lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
             text = "{\n" + ",\n".join(lines) + "\n}\n"
         stream.write(text.encode())
+
+
+def in_told_units(
+    content: Mapping[str, Any], units: Mapping[str, str] = TURNING
+) -> Mapping[str, Any]:
+    """A result with parts, with --degrees its angles in degrees, under keys such as `q_deg`."""
+    return structure_in_degrees(content, units) if degrees.get() else content
 
 
 def render(tables: Sequence[Grid], terminal: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, BinaryIO, cast
 
@@ -17,16 +17,21 @@ if TYPE_CHECKING:
 
 
 def read_columns(
-    file: str, choose: Callable[[Sequence[str], str], Sequence[str]]
+    file: str,
+    choose: Callable[[Sequence[str], str], Sequence[str]],
+    lengths: Container[str] = (),
 ) -> tuple[Array, Sequence[str], str]:
-    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its."""
+    """Columns (rows, columns) of a CSV file, chosen by its header and name; their names; its.
+
+    `lengths` are columns that are no angles in degrees.
+    """
     import numpy as np
 
     from robodyn.tables.table import Reader
 
     with open_input(file) as (stream, name):
-        reader = Reader(stream, name)
-        names = choose(reader.header, name)
+        reader = Reader(stream, name, lengths)
+        names = choose(reader.names, name)
         blocks = [chunk.values for chunk in reader.chunks(names)]
     return np.concatenate([np.zeros((0, len(names))), *blocks]), names, name
 

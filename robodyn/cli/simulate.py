@@ -16,8 +16,8 @@ from typer import Option
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Degrees, Extremes, Format, Model, Number, Q, Qd, Quiet, Text
-from robodyn.cli.output import default_format, degrees_writer, extremes_writer, maker, note
+from robodyn.cli.options import Extremes, Format, Model, Number, Q, Qd, Quiet, Text
+from robodyn.cli.output import default_format, extremes_writer, maker, note, told
 from robodyn.cli.run_summary import tell_run
 from robodyn.cli.signals import watching
 from robodyn.cli.simulate_options import (
@@ -69,7 +69,6 @@ class ResultOptions:
     quiet: Quiet = False
     report: Annotated[Text, output_file("--report", help="Write the summary as JSON.")] = None
     extremes: Extremes = False
-    degrees: Degrees = False
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None
 
     @property
@@ -224,10 +223,7 @@ class _Rows:
         make = maker(self.stream, results.format, results.out, units)
         names = motion_columns(self.mechanism, self.torques.control is not None)
         names += self.carried.columns if self.carried else []
-        if results.degrees:
-            summary = extremes_writer if results.extremes else None
-            return degrees_writer(units, summary)(make, names, ())
-        return extremes_writer(make, names) if results.extremes else make(names)
+        return told(make, names, units=units, summary=extremes_writer if results.extremes else None)
 
     def write(self, t: np.ndarray, y: np.ndarray, moving: Mechanism) -> None:
         rows = _rows(self.mechanism, moving, self.torques, t, y)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
@@ -20,7 +21,6 @@ from robodyn.cli.states import (
     complete,
     joint_values,
     option_source,
-    without_units,
 )
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError, RobodynError
@@ -28,6 +28,7 @@ from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.mechanics.voltages import voltages
+from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
 
@@ -172,7 +173,7 @@ def torque_source(
     check_no_control(control)
     end = DEFAULT_DURATION if duration is None else duration
     if options.tau is not None:
-        return actuation.expressions(mechanism, without_units(mechanism, options.tau), "--tau"), end
+        return actuation.expressions(mechanism, options.tau, "--tau"), end
     if options.volt is not None:
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
@@ -208,7 +209,7 @@ def controlled(
         name: (
             joint_values(mechanism, text, "tau", "--tau-max")
             if name == "tau_max"
-            else parse_vector(text, where=f"--{name}")
+            else parse_vector(text, where=f"--{name}", unit=partial(_units, mechanism, law, name))
         )
         for name in ("kp", "kd", "ki", "tau_max")
         if (text := getattr(options, name)) is not None
@@ -230,6 +231,20 @@ def controlled(
         reference = ReferenceTable.set_point(point, end)
     how = {"control_rate": rate, "control_model": believed}
     return {"reference": reference, "control": law, **how, **gains}, end
+
+
+def _units(mechanism: Mechanism, law: str, name: str, count: int) -> list[str]:
+    """The units of so many gains: of each actuated joint, or of the first."""
+    accelerates = {"kp": "1/s^2", "kd": "1/s", "ki": "1/s^3"}
+    turns = {"kp": "N m/rad", "kd": "N m s/rad", "ki": "N m/(rad s)"}
+    slides = {"kp": "N/m", "kd": "N s/m", "ki": "N/(m s)"}
+    units = [
+        (accelerates if law == "computed-torque" else slides if k in mechanism.slides else turns)[
+            name
+        ]
+        for k in mechanism.actuated
+    ]
+    return [*units, *[""] * count][:count]
 
 
 def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
@@ -267,7 +282,7 @@ def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:
                 raise InputError(f"column {wanted[0]} is missing", where=where, limit=limit)
         return found
 
-    values, names, name = read_columns(file, columns)
+    values, names, name = read_columns(file, columns, scene_units(mechanism))
     parts = [values[:, k : k + joints] for k in range(1, len(names), joints)]
     given = dict(zip(("q", "qd", "qdd"), parts, strict=False))  # the last may not be there
     return ReferenceTable(values[:, 0], **given, where=name)

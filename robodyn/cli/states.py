@@ -18,8 +18,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.loop_columns import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
-from robodyn.scene.quantities import EXAMPLES, parse_quantity, parse_vector
-from robodyn.scene.unit_arithmetic import read_value
+from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.delimited import columns_told
 
@@ -92,26 +91,6 @@ def joint_values(mechanism: Mechanism, text: str, kind: str, flag: str) -> list[
             sliding = ", ".join(f"q{k + 1} ({mechanism.link_names[k]})" for k in mechanism.slides)
             error.limit = f"{error.limit}; {sliding} slides"
         raise
-
-
-def without_units(mechanism: Mechanism, torques: str) -> str:
-    """Torques as expressions have them: entries with units, `350 mN`, in SI units without."""
-    entries, known = torques.split(","), scene_units(mechanism)
-    for k, entry in enumerate(entries):
-        try:
-            if not read_value(entry).of:
-                continue
-        except ValueError:  # an expression, or a part of one
-            continue
-        joint = mechanism.actuated[min(k, len(mechanism.actuated) - 1)] if mechanism.actuated else 0
-        try:
-            entries[k] = repr(parse_quantity(entry, unit_of(f"tau{joint + 1}", known)))
-        except ValueError as error:
-            limit = f"{error}; write {EXAMPLES['']}"
-            raise InputError(
-                f"entry {k + 1}", where="--tau", value=shown(entry.strip()), limit=limit
-            ) from None
-    return ",".join(entries)
 
 
 def table_source(
@@ -275,14 +254,14 @@ def evaluate(
     from robodyn.tables.table import Reader
 
     with open_input(states) as (stream, name):
-        reader = Reader(stream, name)
+        reader = Reader(stream, name, units)
         there = next((x for x in columns if adds and x in reader.header), None)
         if there is not None:
             limit = "is in the table already; give the point another name, --of NAME=POINT"
             raise InputError(f"column {there}", where=name, limit=limit)
-        used = wanted(reader.header)
-        sources = [table_source(mechanism, x, reader.header, name) for x in used]
-        times = ["t"] if mechanism.timed and "t" in reader.header else []
+        used = wanted(reader.names)
+        sources = [table_source(mechanism, x, reader.names, name) for x in used]
+        times = ["t"] if mechanism.timed and "t" in reader.names else []
         if options.differentiate:
             sources, chunks = found_rates(mechanism, reader, sources, bool(times))
         else:

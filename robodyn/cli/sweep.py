@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -16,11 +16,12 @@ from typer import Option
 
 from robodyn.cli.files import named, output_file
 from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options
-from robodyn.cli.output import RowOptions, note
+from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
 from robodyn.cli.sweep_options import SweepOptions, plan_of
 from robodyn.errors import InputError
+from robodyn.pictures.column_units import scene_units
 from robodyn.sweeps.resumable_file import ResumableFile
 from robodyn.sweeps.sweep_chunks import Rows
 from robodyn.sweeps.sweep_plan import Plan, check
@@ -101,11 +102,13 @@ def sweep(
     if extremes and correlations:
         raise InputError("--extremes and --correlations", limit="exclude each other")
     check(plan)
-    lines = _Lines(plan.columns())
+    units, values = dict(scene_units(plan.mechanism)), model.values()
+    units |= {x.name: values.unit(x.name) for x in plan.variation.axes if x.name in values}
+    lines = _Lines(plan.columns(), units)
     outcomes: Counter[str] = Counter()
     size = plan.variation.size
-    told = bool(plan.told) and plan.variation.sample is not None and not quiet and size <= MOST
-    seen: list[Any] = []  # the rows, where it is told what matters most
+    what = bool(plan.told) and plan.variation.sample is not None and not quiet and size <= MOST
+    seen: list[Any] = []  # the rows, where it is to be told what matters most
     begun = time.perf_counter()
 
     def compute(begin: int, write: Callable[[Rows], object]) -> None:
@@ -118,13 +121,13 @@ def sweep(
             for rows in chunks:
                 write(rows)
                 outcomes.update(rows.outcomes)
-                seen.extend([rows.values] if told else [])
+                seen.extend([rows.values] if what else [])
                 show((first + outcomes.total()) / size)
 
     if extremes or correlations:
         summary = partial(_correlations, varied=len(plan.variation.axes))
-        kept = RowOptions(extremes, out=out).writer(plan.columns()[:-1], summary=summary)
-        with kept as writer:
+        kept = RowOptions(extremes, out=out)
+        with kept.writer(plan.columns()[:-1], units=units, summary=summary) as writer:
             compute(0, lambda rows: writer.write_columns(rows.values))
     # devices and pipes are written as they come
     elif out in (None, "-") or (Path(out).exists() and not Path(out).is_file()):
@@ -188,9 +191,9 @@ def _correlations(*given: Any, varied: int) -> Writer:
 class _Lines:
     """CSV lines as bytes, the header's first; what is missing is empty."""
 
-    def __init__(self, columns: Sequence[str]) -> None:
+    def __init__(self, columns: Sequence[str], units: Mapping[str, str]) -> None:
         self._stream = io.BytesIO()
-        self._writer = Writer(self._stream, columns)
+        self._writer = told(partial(Writer, self._stream), columns, units=units)
         self.header = self._stream.getvalue()
 
     def of(self, rows: Rows) -> bytes:

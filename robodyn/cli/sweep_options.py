@@ -27,6 +27,7 @@ from robodyn.errors import InputError, nearest_first
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.scene_values import SceneValues
+from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.settings import Engine, Settings
 from robodyn.simulation.simulation import check_span
@@ -276,6 +277,16 @@ def _unknown(mechanism: Mechanism, joints: list[str], scene: SceneValues, name: 
     )
 
 
+def _count(text: str) -> int | None:
+    """How many values a grid has; None for a step, which has a unit or a decimal point."""
+    try:
+        value = read_value(text)
+    except ValueError:
+        return None
+    whole = not value.of and "." not in text and value.total.is_integer()
+    return int(value.total) if whole and value.total >= 0.0 else None
+
+
 def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
     """One --vary: a list, a grid, or an interval to draw from."""
     where = f"--vary {name}"
@@ -313,8 +324,7 @@ def _axis(name: str, text: str, drawn: bool, unit: str) -> Axis:
     if len(parts) != 3:
         raise wrong("write first:last:count, first:last:step or a,b,c")
     first, last = map(number, parts[:2])
-    if re.fullmatch(r"\+?[0-9]{1,18}", parts[2].strip(), re.ASCII):
-        count = int(parts[2])
+    if (count := _count(parts[2])) is not None:
         if not 1 <= count <= MOST_VALUES:
             raise wrong(f"the count must be in [1, {MOST_VALUES}]")
         return Axis(name, spaced(first, last, count))

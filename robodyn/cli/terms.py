@@ -8,13 +8,13 @@ import numpy as np
 from typer import Option
 
 from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd, Qdd, Tau
-from robodyn.cli.output import Grid, note, write_structure
+from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import Quantity, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.pictures.column_units import SLIDING
+from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_units
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
 _BY = "By a number of the scene too, links.forearm.m; repeatable."
@@ -95,7 +95,7 @@ def terms(
         return [*found, Grid(["KE [J]", "PE [J]"], [list(energies.values())])]
 
     plain = {name: value.tolist() for name, (_, value) in content.items()}
-    write_structure(format, out, plain | energies, tables)
+    write_structure(format, out, in_told_units(plain | energies, scene_units(mechanism)), tables)
 
 
 def _derivatives(
@@ -125,9 +125,15 @@ def _derivatives(
 
 def _table(mechanism: Mechanism, name: str, unit: str, value: np.ndarray) -> Grid:
     """A term with its unit, or with those of each joint where some slide."""
-    matrix, title = np.atleast_2d(value).tolist(), name.replace("_", " ")
-    columns = [str(k + 1) for k in range(len(matrix[0]))]
     other = {**SLIDING, "m": "1"}.get(unit) if name in OF_JOINTS else None
+    title, told = (
+        name.replace("_", " "),
+        in_told_units({name: value.tolist()}, scene_units(mechanism)),
+    )
+    ((name, rows),) = told.items()
+    unit = DEGREES[unit] if name.endswith(IN_DEGREES) else unit
+    matrix = np.atleast_2d(rows).tolist()
+    columns = [str(k + 1) for k in range(len(matrix[0]))]
     if mechanism.slides and other is not None:
         units = [other if k in mechanism.slides else unit for k in range(mechanism.n)]
         columns = [f"{column} [{own}]" for column, own in zip(columns, units, strict=True)]

@@ -19,6 +19,7 @@ from robodyn.cli.times import value_from
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.per_joint import for_each_actuated
+from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown
 from robodyn.trajectories.continuation import TravelError
@@ -131,7 +132,7 @@ def points_from(mechanism: Mechanism, given: TrajectoryOptions) -> Points:
                 limit = "missing: give --from and --to, or --via, --speed, --of, --profile sweep"
                 raise InputError(f"--{name}", limit=limit)
     else:
-        values, names, source = read_columns(given.via, columns)
+        values, names, source = read_columns(given.via, columns, scene_units(mechanism))
         timed = names[-1] == "t"
         rows = np.full((len(values), mechanism.n), np.nan)
         joints = _joints(mechanism, len(names) - timed == mechanism.n)

@@ -1,7 +1,6 @@
 """Events as people write them: `q1 > 90deg`, or `qd1`, a function whose changes of sign count.
 
-An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take, with
-numbers such as 90deg, 60rpm or 5ms besides.
+An expression knows the time t, the joints' q1.. and qd1.., and takes what torques take.
 """
 
 from __future__ import annotations
@@ -21,22 +20,12 @@ from robodyn.errors import InputError
 from robodyn.events.rounding import Bounded, around_of, bound_of
 from robodyn.events.smooth_parts import switches
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.scene.expression_units import state_dimension
 from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
 
 Array = NDArray[np.float64]
 Values = Callable[[Array, Array], Array]
 
-UNITS = {  # times this, over that
-    "deg": (math.pi, 180.0),
-    "rad": (1.0, 1.0),
-    "rpm": (math.pi, 30.0),
-    "ms": (1e-3, 1.0),
-    "s": (1.0, 1.0),
-    "mm": (1e-3, 1.0),
-}
-_QUANTITY = re.compile(
-    rf"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)({'|'.join(UNITS)})\b", re.ASCII
-)
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)
 WAYS = {ast.Gt: 1, ast.GtE: 1, ast.Lt: -1, ast.LtE: -1}
 _ARRAYS: dict[str, Callable[..., Any]] = {
@@ -82,20 +71,15 @@ class EventFunction(Part):
     switches: tuple[Part, ...]
 
 
-def _number(quantity: re.Match[str]) -> str:
-    times, over = UNITS[quantity[2]]
-    return repr(float(quantity[1]) * times / over)
-
-
 @lru_cache(maxsize=256)
 def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> EventFunction:
     """The event at which a comparison becomes true, or at which a function passes zero.
 
     Raises InputError, naming `where`, for what is neither.
     """
-    plain = _QUANTITY.sub(_number, text)
+    names, known = state_names(mechanism.n)
     try:
-        written = Written(plain, *state_names(mechanism.n))
+        written = Written(text, names, known, dimensions=state_dimension(mechanism.slides))
     except NotAllowedError as error:
         raise InputError(f"an event does not allow {error}", where=where) from None
     except ValueError as error:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import Control, Steps
+from robodyn.scene.expression_units import misfit, state_dimension
 from robodyn.scene.expressions import FUNCTIONS as FUNCTIONS
 from robodyn.scene.expressions import (
     MAX_LENGTH,
@@ -117,15 +118,17 @@ def expressions(
     text: str,
     where: str,
     driving: Change | None = None,
+    unit: str = "",
 ) -> Actuation:
     """Torques from comma-separated expressions in t, q1.., qd1.., one an actuated joint, N m.
 
-    `driving` makes torques of what the expressions are, if they are none.  Raises InputError for
-    anything but arithmetic, comparisons, `a if b else c`, the functions above, pi and e.
+    `driving` makes torques of what the expressions are in another `unit`.  Raises InputError for
+    units that do not fit, and for anything but arithmetic, comparisons, `a if b else c`, the
+    functions above, pi and e.
     """
     rename, known = state_names(mechanism.n)
     try:
-        writer = Written(text, rename, known, driving)
+        writer = Written(text, rename, known, driving, state_dimension(mechanism.slides))
     except NotAllowedError as error:
         if len(text) > MAX_LENGTH:
             limit = f"is longer than {MAX_LENGTH} characters"
@@ -134,6 +137,11 @@ def expressions(
     except ValueError as error:
         raise InputError(repr(text), where=where, limit=f"is no expression: {error}") from None
     written = writer.codes
+    whole = len(written) == mechanism.n
+    for k, found in enumerate(writer.measures):
+        joint = k if whole or k >= len(mechanism.actuated) else mechanism.actuated[k]
+        if limit := misfit(found, unit or ("N" if joint in mechanism.slides else "N m")):
+            raise InputError(f"entry {k + 1}", where=where, value=writer.texts[k], limit=limit)
     if not writer.names:
         values = [_constant(code, text, where) for code in written]
         return constant(mechanism, values)

@@ -57,7 +57,7 @@ def voltages(
         return found
 
     text = volt if isinstance(volt, str) else ", ".join(repr(float(x)) for x in volt)
-    return actuation.expressions(mechanism, text, where, driving)
+    return actuation.expressions(mechanism, text, where, driving, "V")
 
 
 def _as_many(mechanism: Mechanism, given: list[Any], where: str) -> list[Any]:

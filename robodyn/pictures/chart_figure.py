@@ -82,7 +82,7 @@ def work_precision(result: Benchmark, title: str, path: str, slides: bool = Fals
     axes.grid(True, which="major", color="0.9")
     low, high = axes.get_xlim()
     axes.set_xlim(low / 30.0, min(high, 10.0))
-    save(figure, path, Path(path).suffix[1:].lower())
+    save(figure, path, Path(path).suffix[1:].lower(), 2 * DOTS)
 
 
 def chart_figure(content: Chart, size: tuple[float, float] | None, title: str = "") -> Any:

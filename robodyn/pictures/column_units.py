@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from robodyn.tables.csv_fields import IN_DEGREES as IN_DEGREES
 
 if TYPE_CHECKING:
     from robodyn.mechanics.mechanism import Mechanism
@@ -35,7 +37,6 @@ POINTS = {"x": "m", "y": "m", "v": "m/s", "a": "m/s²", "J": "m/rad"}
 ANGULAR = ("q", "e", "qd", "qdd", "tau")  # of joints
 SLIDING = {"rad": "m", "rad/s": "m/s", "rad/s²": "m/s²", "N m": "N", "N m s/rad": "N s/m"}
 DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s²": "°/s²"}
-IN_DEGREES = "_deg"  # ends the names of such columns
 TURNING: Mapping[str, str] = {}  # the units of columns of joints that turn need not be told
 
 
@@ -57,9 +58,10 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
 
     `units` are those of the scene, where it is known.
     """
+    name = re.sub(r"^[a-z]+\((.*)\)$", r"\1", name)  # max(q1)
     if name.endswith(IN_DEGREES):
         return DEGREES.get(unit_of(name.removesuffix(IN_DEGREES), units), "")
-    column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max)$", "", name)
+    column = re.sub("^(min|max)_(?=t$|q1$)|_(end|min|max|residual)$", "", name)
     of_point = _OF_POINT.search(column)
     unit = units.get(column) or UNITS.get(quantity_of(column), "")
     return unit or (POINTS[of_point[1][0]] if of_point else "")
@@ -67,8 +69,31 @@ def unit_of(name: str, units: Mapping[str, str] = TURNING) -> str:
 
 def in_degrees(name: str, units: Mapping[str, str] = TURNING) -> tuple[str, float]:
     """A column's name where angles are told in degrees, and what its values are times those."""
-    turns = unit_of(name, units) in DEGREES
-    return (name + IN_DEGREES, 180.0 / math.pi) if turns else (name, 1.0)
+    if unit_of(name, units) not in DEGREES:
+        return name, 1.0
+    inner = name.removesuffix(")") if "(" in name else name
+    return inner + IN_DEGREES + name[len(inner) :], 180.0 / math.pi
+
+
+def structure_in_degrees(content: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, Any]:
+    """A result with parts: values of angles in degrees, of `q` one by one as of q1, q2, ..."""
+
+    def told(value: Any, name: str) -> Any:
+        match value:
+            case float():
+                return in_degrees(name, units)[1] * value
+            case Mapping():
+                return structure_in_degrees(value, units)
+            case list() | tuple():
+                number = range(1, len(value) + 1)
+                return [told(x, f"{name}{k}") for k, x in zip(number, value, strict=True)]
+        return value
+
+    of_numbers = (float, list, tuple)
+    return {
+        in_degrees(name, units)[0] if isinstance(x, of_numbers) else name: told(x, name)
+        for name, x in content.items()
+    }
 
 
 def with_unit(name: str, units: Mapping[str, str] = TURNING) -> str:

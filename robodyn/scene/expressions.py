@@ -1,4 +1,4 @@
-"""Expressions that people write, "2*sin(3*t)", rewritten as Python that can do nothing else.
+"""Expressions that people write, "2 N m*sin(3*t)", rewritten as Python that can do nothing else.
 
 They are parsed and written again from a white list of syntax and names, so that nothing but
 arithmetic can run.
@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 import warnings
 from collections.abc import Callable, Sequence
+
+from robodyn.scene.expression_units import Marked, Measure, marked, measure
+from robodyn.scene.units import Dimension
 
 _NAMES = "sin cos tan asin acos atan atan2 sinh cosh tanh exp log sqrt hypot"
 
@@ -58,6 +62,7 @@ _COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 Rename = Callable[[str], str | None]  # a variable as code has it; None: it is none
 
 
+Dimensions = Callable[[str], Dimension | None]  # of the names that code has
 Change = Callable[[list[ast.expr]], list[ast.expr]]  # of expressions into others
 
 
@@ -68,18 +73,31 @@ class NotAllowedError(ValueError):
 class Written:
     """Comma-separated expressions as Python code over variables renamed, and the names used.
 
-    `known` tells which variables there are; `change` makes others of the expressions first.  Raises
-    NotAllowedError for anything but arithmetic, comparisons, `a if b else c`, the functions above,
-    pi and e; ValueError for what is no Python.
+    `known` tells which variables there are, `dimensions` what they are in; `change` makes others of
+    the expressions first.  `measures` has what each is in, where units tell.  Raises
+    NotAllowedError for anything but arithmetic with units that fit, comparisons, `a if b else c`,
+    the functions above, pi and e; ValueError for what is no Python.
     """
 
-    def __init__(self, text: str, rename: Rename, known: str, change: Change | None = None) -> None:
+    def __init__(
+        self,
+        text: str,
+        rename: Rename,
+        known: str,
+        change: Change | None = None,
+        dimensions: Dimensions | None = None,
+    ) -> None:
         self.names: set[str] = set()  # as they are written
-        self._rename, self._known = rename, known
+        self.measures: list[Measure | None] = []
+        self._rename, self._known, self._text = rename, known, text
         if len(text) > MAX_LENGTH:
             raise NotAllowedError(f"more than {MAX_LENGTH} characters")
         try:
-            nodes = _parsed(text)
+            self._marked = marked(text)
+            nodes = _parsed(self._marked)
+            if self._marked.quantities:
+                self.measures = [self._measure(node, dimensions) for node in nodes]
+            self.texts = [self._segment(node) for node in nodes]
             nodes = nodes if change is None else change(list(nodes))
             self.codes = [ast.unparse(self._write(node)) for node in nodes]
             for code in self.codes:
@@ -89,14 +107,32 @@ class Written:
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise ValueError(getattr(error, "msg", None) or str(error)) from None
 
+    def _no(self, node: ast.expr, what: str) -> NotAllowedError:
+        """What is not allowed, and where it stands."""
+        at = self._marked.places[min(getattr(node, "col_offset", 0), len(self._marked.places) - 1)]
+        return NotAllowedError(f"{what}, at character {at + 1}" if at else what)
+
+    def _measure(self, node: ast.expr, dimensions: Dimensions | None) -> Measure | None:
+        def of(name: str) -> Dimension | None:
+            own = self._rename(name)
+            return None if own is None or dimensions is None else dimensions(own)
+
+        try:
+            return measure(node, self._marked.quantities, of)
+        except ValueError as error:
+            what, where = error.args
+            raise self._no(where, what) from None
+
     def _write(self, node: ast.expr) -> ast.expr:
         match node:
             case ast.Constant(value=bool()):
                 pass
             case ast.Constant(value=int() | float() as value) if math.isfinite(_float(value)):
                 return ast.Constant(_float(value))
+            case ast.Name(id=name) if name in self._marked.quantities:
+                return ast.Constant(self._marked.quantities[name].total)
             case ast.Name(id=name):
-                return self._name(name)
+                return self._name(node)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 return ast.UnaryOp(op, self._write(operand))
             case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _OPERATORS):
@@ -104,7 +140,7 @@ class Written:
                 if not isinstance(op, ast.Pow):
                     return ast.BinOp(sides[0], op, sides[1])
                 if _exponent(right) > MAX_POWER:
-                    raise NotAllowedError(f"an exponent above {MAX_POWER:g}")
+                    raise self._no(right, f"an exponent above {MAX_POWER:g}")
                 if _exponent(right).is_integer():
                     return ast.BinOp(sides[0], op, sides[1])
                 return ast.Call(ast.Name("_pow"), sides, [])
@@ -117,18 +153,24 @@ class Written:
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
                 least, most = _ARGUMENTS.get(name, (1, 1))
                 if not least <= len(args) <= most:
-                    raise NotAllowedError(f"{len(args)} arguments of {name}")
+                    raise self._no(node, f"{len(args)} arguments of {name}")
                 return ast.Call(ast.Name(f"_{name}"), [self._write(x) for x in args], [])
             case ast.Call(func=ast.Name(id=name)):
-                raise NotAllowedError(f"function {name}; known: {', '.join(FUNCTIONS)}")
-        raise NotAllowedError(f"`{ast.unparse(node)[:80]}`")
+                raise self._no(node, f"function {name}; known: {', '.join(FUNCTIONS)}")
+        raise self._no(node, f"`{self._segment(node)[:80]}`")
 
-    def _name(self, name: str) -> ast.expr:
+    def _segment(self, node: ast.expr) -> str:
+        """An expression as it is written."""
+        begin, end = (self._marked.places[x] for x in (node.col_offset, node.end_col_offset or -1))
+        return self._text[begin:end].strip()
+
+    def _name(self, node: ast.Name) -> ast.expr:
+        name = node.id
         if name in CONSTANTS:
             return ast.Constant(CONSTANTS[name])
         own = self._rename(name)
         if own is None:
-            raise NotAllowedError(f"name {name}; known: {self._known}, pi, e")
+            raise self._no(node, f"name {name}; known: {self._known}, pi, e")
         self.names.add(own)
         return ast.Name(own)
 
@@ -173,15 +215,26 @@ def value_of(code: str) -> float:
         raise ValueError(error) from None
 
 
-def _parsed(text: str) -> Sequence[ast.expr]:
-    line = " ".join(part.partition("#")[0] for part in text.split("\n")).strip()
-    if line.endswith(","):
+def _parsed(given: Marked) -> Sequence[ast.expr]:
+    """The expressions in the text; their places are those in it."""
+    line = re.sub("#[^\n]*", lambda comment: " " * len(comment[0]), given.text).replace("\n", " ")
+    if line.rstrip().endswith(","):
         raise SyntaxError("an expression is missing at the end")
     if not line.isascii():  # Python would take other scripts' letters for our own
         raise SyntaxError("a character is not ASCII")
     with warnings.catch_warnings():  # what Python warns of it will not take one day
         warnings.simplefilter("error")
-        tree = ast.parse(line, mode="eval").body
+        begin = len(line) - len(line.lstrip())
+        try:
+            tree = ast.parse(line[begin:], mode="eval").body
+        except SyntaxError as error:
+            at = given.places[min(begin + (error.offset or 1) - 1, len(given.places) - 1)]
+            raise SyntaxError(f"{error.msg} at character {at + 1}") from None
+    for node in ast.walk(tree):
+        if isinstance(node, ast.expr):
+            node.col_offset, node.end_col_offset = (
+                x + begin for x in (node.col_offset, node.end_col_offset or 0)
+            )
     return tree.elts if isinstance(tree, ast.Tuple) else [tree]
 
 

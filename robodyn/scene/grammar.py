@@ -39,7 +39,7 @@ NUMBERS = {  # and their limits
 }
 WORDS = {"branch": BRANCHES, "frame": FRAMES, "joint_kind": JOINTS}
 BY_JOINT = "rad or m"  # as the joint turns or slides
-WITH_UNIT = ("vector", "varying", "varying_vector")  # beside numbers
+WITH_UNIT = ("vector", "varying", "varying_vector", "law")  # beside numbers
 OR_VECTOR = {"gravity": "number", "centre": "amount"}  # a number of this kind, or [x, y]
 # The forms of a mapping of this kind, each with the keys that tell it; the last has none.
 MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {

@@ -5,19 +5,26 @@ By the kind of mapping that they stand in; the reader's message of an unknown ke
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
+
 _DH = "Denavit-Hartenberg rows are not read: l is the length, from the pin, q its angle"
 _PINNED = "the link that it hangs from is from: NAME, or {link: NAME, at: [x, y]}, or [x, y]"
+_WEIGHED = ("mass", "gravity")
 _CENTRE = "the centre of gravity is r: along the link, or [x, y]"
 _INERTIA = "the moment of inertia about the centre of gravity is I"
 _KIND = "a joint is revolute unless joint: prismatic and axis: [dx, dy] stand in its link"
 _LIMITS = "the ends of a joint are limits: {min: -1, max: 1}"
 _ACTUATED = "the list `actuated` of the scene names the joints that carry torque"
 _LINK = {
-    **dict.fromkeys(("mass", "M"), "the mass is m"),
+    **dict.fromkeys(("mass", "M", "weight"), "the mass is m"),
     **dict.fromkeys(("length", "L"), "the length is l"),
-    **dict.fromkeys(("com", "cog", "cg", "lc", "center", "centre", "center_of_mass"), _CENTRE),
+    **dict.fromkeys(("com", "cog", "cg", "lc", "rc", "center", "centre"), _CENTRE),
+    **dict.fromkeys(
+        (f"cent{x}_of_{y}" for x in ("er", "re") for y in ("mass", "gravity")), _CENTRE
+    ),
     **dict.fromkeys(("inertia", "Izz", "izz", "J", "moment_of_inertia", "inertial"), _INERTIA),
-    **dict.fromkeys(("type", "joint_type", "kind", "sigma"), _KIND),
+    **dict.fromkeys(("type", "joint_type", "kind", "sigma", "prismatic", "slider"), _KIND),
     **dict.fromkeys(("a", "alpha", "d", "theta", "dh", "offset"), _DH),
     **dict.fromkeys(("parent", "origin", "base", "xyz", "rpy", "pivot", "attached_to"), _PINNED),
     **dict.fromkeys(("limit", "qlim", "lower", "upper", "min", "max", "range"), _LIMITS),
@@ -71,3 +78,14 @@ KEYS = {
     "slide_limits": _ENDS,
 }
 LISTS = dict.fromkeys(("limits", "slide_limits"), "; [lower, upper] is {min: lower, max: upper}")
+LISTS["link"] = f"; {_DH}"
+_IN_UNITS = re.compile("_(m|mm|kg|g|rad|deg|kgm2)$")
+
+
+def way_here(form: str, key: str, known: Collection[str]) -> str:
+    """What is written here for a key, in whatever case, with - or _; nothing where that is open."""
+    ways, plain = KEYS.get(form, {}), key.replace("-", "_")
+    own = [x for x in known if x.lower() == plain.lower()]
+    lower = plain.lower()
+    found = ways.get(key) or (f"did you mean {own[0]}?" if own else ways.get(lower))
+    return found or ways.get(_IN_UNITS.sub("", lower), "")

@@ -17,6 +17,9 @@ from robodyn.scene.units import UNITS
 
 Schema = dict[str, Any]
 
+# of units and signs, as values may have them
+LETTERS = "\u03c0\u00b0\u00b2\u00b3\u00b7\u03a9\u2126\u00b5\u03bc\u2212\u00d7"
+
 
 def scene_schema() -> Schema:
     """The schema of a scene file, as JSON has it."""
@@ -67,17 +70,16 @@ def _other_kinds() -> dict[str, Schema]:
 
 def _expression(variables: str) -> str:
     """The pattern of smooth expressions: which words they have, in the dialect of JSON Schema."""
-    words = "|".join((*SMOOTH, *CONSTANTS, variables))
-    return rf"^(?:[\s0-9.+*/(),-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
+    words = "|".join((*sorted({*SMOOTH, *CONSTANTS, *UNITS}, key=len, reverse=True), variables))
+    return rf"^(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
 
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
     words = "|".join(sorted({*FUNCTIONS, *OF_VALUES, *UNITS}, key=len, reverse=True))
-    letters = "\u03c0\u00b0\u00b2\u00b3\u00b7\u03a9\u2126\u00b5\u03bc\u2212\u00d7"
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
     return (
-        rf"^(?!{plain})(?:[\s0-9.+*/(),^{letters}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
+        rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
     )
 
 

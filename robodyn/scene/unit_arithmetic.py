@@ -14,10 +14,10 @@ from typing import NamedTuple
 from robodyn.scene.units import ALIASES, PLAIN, UNITS, Dimension, shown_dimension, times
 
 # Digits can be told in one way only: a pattern with two takes time by the square of their number.
-_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-PLAIN_NUMBER = re.compile(rf"[+-]?{_NUMBER}", re.ASCII)
+NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+PLAIN_NUMBER = re.compile(rf"[+-]?{NUMBER}", re.ASCII)
 _TOKEN = re.compile(
-    rf"(?P<number>{_NUMBER})|(?P<name>[^\W\d_][^\W\d_]*\d*|°)|(?P<sign>\*\*|[-+*/^(),])", re.ASCII
+    rf"(?P<number>{NUMBER})|(?P<name>[^\W\d_][^\W\d_]*\d*|°)|(?P<sign>\*\*|[-+*/^(),])", re.ASCII
 )
 _LETTERS = str.maketrans({"π": "pi", "²": "^2", "³": "^3", "·": "*", "−": "-", "×": "*"})
 LONGEST, DEEPEST = 300, 30  # characters of one value, parentheses within one another

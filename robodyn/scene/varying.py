@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from robodyn.scene.grammar import Key
+from robodyn.scene.quantities import dimension_of
 from robodyn.scene.scene import Law, Signal, Table
 from robodyn.scene.unit_arithmetic import read_value
 from robodyn.scene.yaml_tree import Mapping, Node, Scalar, Sequence
@@ -22,12 +23,12 @@ class SignalReader(ValueReader):
         self.count = 0  # of links
         self.slides: set[int] = set()
 
-    def law(self, node: Node, place: str) -> Law | None:
+    def law(self, node: Node, place: str, unit: str) -> Law | None:
         """The pull of a spring as an expression in x and v."""
         if not isinstance(node, Scalar) or not node.text.strip():
             self.fault(place, node, "must be an expression in x and v", self.shown(node))
             return None
-        return self.expression(node, place, of_spring=True)
+        return self.expression(node, place, unit, of_spring=True)
 
     def spring_table(self, node: Node, place: str) -> Table | None:
         """The pull of a spring by the columns x and F of a file."""
@@ -40,7 +41,7 @@ class SignalReader(ValueReader):
             return self.load_table(node, place) or 0.0
         if not isinstance(node, Scalar) or _meant_as_number(node):
             return self.number(node, place, Key("number", "", unit))
-        law = self.expression(node, place)
+        law = self.expression(node, place, unit)
         if law is None or law.names:
             return law or 0.0
         from robodyn.scene.expressions import value_of
@@ -93,17 +94,28 @@ class SignalReader(ValueReader):
             self.fault(place, node, str(error), file)
         return None
 
-    def expression(self, node: Scalar, place: str, of_spring: bool = False) -> Law | None:
+    def expression(
+        self, node: Scalar, place: str, unit: str, of_spring: bool = False
+    ) -> Law | None:
         """A smooth expression in the state, or of a spring in x and v; None, and a fault, for none.
 
         Scenes without expressions start without what reads them.
         """
         from robodyn.scene import expressions
+        from robodyn.scene.expression_units import misfit, state_dimension
 
         rename, known = (SPRING, "x, v") if of_spring else expressions.state_names(self.count)
+        dimensions = state_dimension(self.slides)
+        if of_spring:
+            x = "rad" if unit == "N m" else "m"
+            dimensions = {"x": dimension_of(x), "v": dimension_of(f"{x}/s")}.get
         try:
-            written = expressions.Written(node.text, rename, known)
+            written = expressions.Written(node.text, rename, known, None, dimensions)
             expressions.check_smooth(written.codes)
+            for found in written.measures:
+                if limit := misfit(found, unit):
+                    self.fault(place, node, limit, self.shown(node))
+                    return None
         except expressions.NotAllowedError as error:
             self.fault(place, node, f"has {error}", self.shown(node))
             return None

@@ -61,7 +61,7 @@ class ValueReader:
         prefix = f"{place}." if place else ""
         for key, value in node.pairs:
             if key.text not in known:
-                here = other_conventions.KEYS.get(form, {}).get(key.text)
+                here = other_conventions.way_here(form, key.text, known)
                 near = f"; {here}" if here else self.nearest(key.text, list(known))
                 limit = f"is an unknown {kind}{near}"
                 if beside and key.text in beside:

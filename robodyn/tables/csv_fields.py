@@ -7,6 +7,7 @@ import re
 
 from robodyn.errors import printable
 
+IN_DEGREES = "_deg"  # ends the names of columns of angles in degrees
 LONGEST_SHOWN = 200  # characters of the input that an error repeats
 
 # A quoted field takes all that it can (*+): giving back half of a doubled quote would close it.

@@ -38,6 +38,9 @@ class ScaledWriter(Writer):
         pairs = zip(values, self._factors, strict=True)
         self._writer.write_row([f * x if isinstance(x, float) else x for x, f in pairs])
 
+    def write_ended(self, values: Array, ends: Sequence[str]) -> None:
+        self._writer.write_ended(values * self._factors[:-1], ends)
+
     def write_columns(self, values: Array) -> None:
         self._writer.write_columns(values * self._factors)
 

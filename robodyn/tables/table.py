@@ -18,13 +18,14 @@ nobody needs as numbers pass through byte for byte.  Numbers are read as `float`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from itertools import chain, compress, repeat
 from operator import contains
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from robodyn.errors import InputError
-from robodyn.tables.csv_fields import ends_open, finite, shown, split_fields, unquoted
+from robodyn.tables.csv_fields import IN_DEGREES, ends_open, finite, shown, split_fields, unquoted
 from robodyn.tables.delimited import columns_told, delimiter_hint
 
 if TYPE_CHECKING:
@@ -84,11 +85,13 @@ def plain_numbers(rows: Sequence[str], width: int, places: Sequence[int]) -> Arr
 class Reader:
     """A CSV table (RFC 4180, UTF-8) read from a binary stream; `source` names it in errors.
 
-    The header is read at once: `header` holds the names, less the spaces around them.
+    The header is read at once: `header` holds the names, less the spaces around them.  In
+    `names` a column q1_deg is q1, and is read as that, unless there is another q1, or q1 is among
+    the `lengths`, which are no angles.
     Raises InputError where the input is empty or a name occurs twice.
     """
 
-    def __init__(self, stream: BinaryIO, source: str) -> None:
+    def __init__(self, stream: BinaryIO, source: str, lengths: Container[str] = ()) -> None:
         self.source = source
         arrivals = self._arrivals(stream)
         lines, numbers, quoted = next(arrivals, _Rows([], [], False))
@@ -102,6 +105,10 @@ class Reader:
             if self._place[name] != place:
                 limit = "the name occurs twice in the header"
                 raise self._fault(numbers[0], "column", shown(name) or "''", limit)
+        turned = {name: name.removesuffix(IN_DEGREES) for name in self.header}
+        own = {name: x for name, x in turned.items() if x not in self._place and x not in lengths}
+        self.names = tuple(own.get(name, name) for name in self.header)
+        self._place |= {name: place for place, name in enumerate(self.names)}
         self._rows = chain([_Rows(lines[1:], numbers[1:], quoted)], arrivals)
 
     def require(self, names: Iterable[str]) -> None:
@@ -123,10 +130,13 @@ class Reader:
         return self._checked(names, [self._place[name] for name in names])
 
     def _checked(self, names: Sequence[str], places: list[int]) -> Iterator[Chunk]:
+        turned = [k for k, x in enumerate(places) if self.header[x] != names[k]]
         for rows in self._rows:
             values, fault = self._parse_fast(rows, places), None
             if values is None:
-                values, fault = self._parse_slow(rows, names, places)
+                values, fault = self._parse_slow(rows, [self.header[x] for x in places], places)
+            if turned:
+                values[:, turned] *= math.pi / 180.0
             if n := len(values):
                 yield Chunk(rows.lines[:n], rows.numbers[:n], values)
             if fault:
@@ -150,7 +160,7 @@ class Reader:
             for line, number in zip(rows.lines, rows.numbers, strict=True):
                 fields = self._split(line, number)
                 if len(fields) != len(self.header):
-                    limit = f"the header has {len(self.header)}"
+                    limit = f"the header has {len(self.header)}{delimiter_hint(self.header)}"
                     raise self._fault(number, "number of fields", len(fields), limit)
                 texts = [unquoted(fields[place]) for place in places]
                 found = list(map(finite, texts))

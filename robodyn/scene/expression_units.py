@@ -1,0 +1,164 @@
+"""Units in expressions, `q1 > 90 deg` or `2 N m*sin(3 rad/s*t)`: the table and grammar of values.
+
+A unit stands behind a number, pi or a parenthesis.  A number without a unit may be in any; where an
+expression has units, they must fit one another, and those of t, q and qd.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Container
+from typing import NamedTuple
+
+from robodyn.scene.quantities import dimension_of
+from robodyn.scene.unit_arithmetic import ANGULAR, NUMBER, Value, plain_text, read_value
+from robodyn.scene.units import PLAIN, UNITS, Dimension, fits, shown_dimension, times
+
+_NAMES = "|".join(sorted(map(re.escape, UNITS), key=len, reverse=True))
+_UNIT = rf"(?:{_NAMES})(?!\w|\s*\()(?:\s*\*\*\s*-?\d+)?"
+_TAIL = rf"{_UNIT}(?:\s*(?:\*(?!\*)|/)?\s*{_UNIT})*"
+_QUANTITY = re.compile(rf"((?<![\w.]){NUMBER}|(?<!\w)pi(?!\w)|\))\s*({_TAIL})", re.ASCII)
+_NOT_FIRST = re.compile(r"(?:/|\*\*)\s*[+-]?\s*\Z")  # what binds the number behind it first
+_ALIKE = ("abs", "min", "max", "hypot", "floor")  # of what they are of
+MARK = "__"  # begins the name of a quantity in the text
+
+
+class Marked(NamedTuple):
+    """An expression as Python reads it, with names for its quantities; where its letters were."""
+
+    text: str
+    quantities: dict[str, Value]
+    places: list[int]
+
+
+def marked(text: str) -> Marked:
+    """The expression with quantities as names; ^ is a power, as in values."""
+    letters = [
+        (one, k)
+        for k, letter in enumerate(text)
+        for one in plain_text(letter).replace("°", "deg").replace("^", "**")
+    ]
+    plain, origins = "".join(one for one, _ in letters), [k for _, k in letters] + [len(text)]
+    found: dict[str, Value] = {}
+    pieces: list[str] = []
+    places: list[int] = []
+    at = 0
+
+    for match in _QUANTITY.finditer(plain):
+        pieces.append(plain[at : match.start()])
+        places += origins[at : match.start()]
+        number, name = match[1], f"{MARK}{len(found)}"
+        alone = number[0] in "p)" or _NOT_FIRST.search(plain[: match.start()])
+        found[name] = read_value(match[2] if alone else match[0])
+        pieces.append(f"{number}*{name} " if alone else f"{name} ")
+        at = match.end()
+        places += [origins[match.start()]] * (len(pieces[-1]) - 1) + [origins[at]]
+    pieces.append(plain[at:])
+    return Marked("".join(pieces), found, places + origins[at:])
+
+
+def _bare(of: Dimension) -> Dimension:
+    """Without radians, which are 1."""
+    return {base: power for base, power in of.items() if base != "rad"}
+
+
+def _told(of: Dimension) -> str:
+    return shown_dimension(_bare(of) or of) if of else "a plain number"
+
+
+class Measure(NamedTuple):
+    """What an expression is in, and whether a unit says so (else it may be in any)."""
+
+    of: Dimension
+    sure: bool = False
+
+
+NUMBER_ALONE = Measure(PLAIN)
+
+
+def state_dimension(slides: Container[int]) -> Callable[[str], Dimension | None]:
+    """What t, q0.. and qd0.. are in."""
+
+    def of(name: str) -> Dimension | None:
+        kind = name.rstrip("0123456789")
+        length = kind != name and int(name[len(kind) :]) in slides
+        units = {"t": "s", "q": "m" if length else "rad", "qd": "m/s" if length else "rad/s"}
+        return dimension_of(units[kind]) if kind in units else None
+
+    return of
+
+
+def measure(
+    node: ast.expr, quantities: dict[str, Value], named: Callable[[str], Dimension | None]
+) -> Measure | None:
+    """What an expression is in, None where numbers leave that open.
+
+    Raises ValueError, with the expression that has no sense, where units do not fit.
+    """
+
+    def of(node: ast.expr) -> Measure | None:
+        match node:
+            case ast.Name(id=name) if name in quantities:
+                return Measure(quantities[name].of, True)
+            case ast.Name(id=name):
+                known = named(name)
+                return None if known is None else Measure(known)
+            case ast.UnaryOp(operand=operand):
+                return of(operand)
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mod(), right=right):
+                return same(node, "a sum", of(left), of(right))
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                base = of(left)
+                if base is None or not base.of or not isinstance(right, ast.Constant):
+                    return NUMBER_ALONE if base is not None and not base.of else None
+                return Measure(times(PLAIN, base.of, float(right.value)), base.sure)  # type: ignore[arg-type]
+            case ast.BinOp(left=left, op=op, right=right):
+                a, b = of(left), of(right)
+                if a is None or b is None:
+                    return None
+                if NUMBER_ALONE in (a, b) and not (a.sure or b.sure):
+                    return a if a == b else None
+                power = -1.0 if isinstance(op, ast.Div) else 1.0
+                return Measure(times(a.of, b.of, power), a.sure or b.sure)
+            case ast.Compare(left=left, comparators=[right]):
+                same(node, "a comparison", of(left), of(right))
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                of(test)
+                return same(node, "a choice", of(body), of(orelse))
+            case ast.Call(func=ast.Name(id=name), args=args):
+                return called(node, name, [of(x) for x in args])
+        return NUMBER_ALONE
+
+    def called(node: ast.expr, name: str, given: list[Measure | None]) -> Measure | None:
+        if name in _ALIKE or name == "atan2":
+            both = given[0]
+            for other in given[1:]:
+                both = same(node, name, both, other)
+            return NUMBER_ALONE if name == "atan2" else both
+        (first, *_) = given
+        if name == "sqrt" and first is not None:
+            return Measure(times(PLAIN, first.of, 0.5), first.sure)
+        odd = first is not None and (_bare(first.of) or (first.of and name not in ANGULAR))
+        if first is not None and first.sure and odd and name != "sign":
+            raise ValueError(f"{name} of {shown_dimension(first.of)}", node)
+        return NUMBER_ALONE
+
+    def same(node: ast.expr, what: str, a: Measure | None, b: Measure | None) -> Measure | None:
+        if a is None or b is None or not (a.sure or b.sure):
+            return a if a == b else next((x for x in (a, b) if x is not None and x.sure), None)
+        sure, other = (a, b) if a.sure else (b, a)
+        alike = _bare(a.of) == _bare(b.of) or (other.of and fits(sure.of, other.of))
+        if not alike:
+            raise ValueError(f"{what} of {_told(a.of)} and {_told(b.of)}", node)
+        return sure
+
+    return of(node)
+
+
+def misfit(found: Measure | None, unit: str) -> str:
+    """Why an expression cannot stand in a place of this unit; nothing where it can."""
+    place = dimension_of(unit)
+    if found is None or not found.sure or fits(found.of, place) or _bare(found.of) == _bare(place):
+        return ""
+    return f"must be in {unit}, not in {_told(found.of)}"
