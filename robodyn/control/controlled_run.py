@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
 
-Array = NDArray[np.float64]
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.controlled_run import Law, Slopes
 from robodyn.control.state_feedback import StateFeedback
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.parts import untimed
-
-Array = NDArray[np.float64]
 
 
 def law_slopes(

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.mechanics.array_types import Array
 from robodyn.trajectories.splines import hermite
-
-Array = NDArray[np.float64]
 
 BEND = 1e-9  # part of the largest acceleration by which pieces that meet smoothly may differ
 ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between close rows magnify

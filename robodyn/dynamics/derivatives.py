@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
@@ -25,11 +25,11 @@ from robodyn.engines.derivative_formulas import (
     residual_derivatives_formula,
 )
 from robodyn.engines.formula_rows import FormulaRows
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.tables.short_repr import short_repr
 
-Array = NDArray[np.float64]
 Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each
 
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
@@ -21,11 +20,10 @@ from robodyn.kinematics.transmission import (
     transmission_angles,
     transmission_loops,
 )
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.loop_columns import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
-
-Array = NDArray[np.float64]
 
 
 class Solved(NamedTuple):

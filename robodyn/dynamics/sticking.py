@@ -18,15 +18,14 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import responses
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
-
-Array = NDArray[np.float64]
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
 TOGETHER = 1e-9  # relative singular value below which joints are not held independently

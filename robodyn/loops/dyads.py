@@ -13,14 +13,11 @@ displacements; a line takes one part of it, and a line of an unknown link turns 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.loops.assembly_plan import Plan, Step
+from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Coupling
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
