@@ -19,7 +19,7 @@ from robodyn.errors import DescriptionError, InputError, RobodynError
 from robodyn.kinematics.point_motion import link_turns
 from robodyn.kinematics.transmission import transmission_angles, transmission_loops
 from robodyn.loops.assembly_plan import assembly_plan
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters import motion_lanes

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
+from robodyn.dynamics.placed import n_wide
 from robodyn.kinematics.named_points import NamedPoint, point_columns
 from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
@@ -21,7 +23,7 @@ from robodyn.kinematics.transmission import (
     transmission_loops,
 )
 from robodyn.mechanics.array_types import Array
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 
@@ -49,6 +51,18 @@ def torque_values(mechanism: Mechanism, q: Array, qd: Array, tau: Array, forces:
     motors = motor_values(mechanism, list(tau.T), list(qd.T))
     parts = [tau[:, list(mechanism.actuated)], loops, *(x[:, None] for x in motors)]
     return np.concatenate(parts, axis=1)
+
+
+def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str, Array]:
+    """Torque N m, speed rad/s, voltage V, current A and power W of motors, by columns' names.
+
+    Each is (...), of joint torques and rates (..., n), which broadcast.  There are those of the
+    actuated joints: `motor1`, `motor_speed1`, and `volt1`, `amp1`, `watt1` of a motor with its
+    constants.  Raises InputError for arrays that are not n wide.
+    """
+    given = [n_wide(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
+    torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))
+    return dict(zip(motor_columns(mechanism), motor_values(mechanism, torques, rates), strict=True))
 
 
 def reaction_columns(mechanism: Mechanism) -> list[str]:

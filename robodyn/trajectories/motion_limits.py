@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
-from robodyn.mechanics.per_joint import for_each_actuated
 
 Array = NDArray[np.float64]
 
