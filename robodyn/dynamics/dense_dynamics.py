@@ -77,10 +77,7 @@ def required_load(
     mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0
 ) -> Array:
     """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
-    rates, accelerations = (
-        absolute_rates(mechanism, qd),
-        absolute_rates(mechanism, qdd, "qdd"),
-    )
+    rates, accelerations = (absolute_rates(mechanism, qd), absolute_rates(mechanism, qdd, "qdd"))
     at = placed(mechanism, q)
     if rates.shape != accelerations.shape:
         rates, accelerations = np.broadcast_arrays(rates, accelerations)

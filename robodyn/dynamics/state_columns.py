@@ -162,10 +162,7 @@ def columns_of(
     groups = (
         (["energy"], lambda: np.sum(energies(mechanism, q, qd), axis=0)[:, None]),
         (torque_columns(mechanism), lambda: torque_values(mechanism, q, qd, tau, forces)),
-        (
-            reaction_columns(mechanism),
-            lambda: reaction_values(mechanism, q, qd, qdd, forces, t),
-        ),
+        (reaction_columns(mechanism), lambda: reaction_values(mechanism, q, qd, qdd, forces, t)),
         (power_columns(mechanism), lambda: power_values(mechanism, qd, tau)),
         (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
         (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),

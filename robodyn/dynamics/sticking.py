@@ -130,11 +130,7 @@ def mode_at(
 
 
 def _starts(
-    mechanism: Mechanism,
-    qdd: Array,
-    W: Array,
-    limits: dict[int, Bounds],
-    starting: dict[int, int],
+    mechanism: Mechanism, qdd: Array, W: Array, limits: dict[int, Bounds], starting: dict[int, int]
 ) -> dict[int, int]:
     """Which joints of `limits` start, and which way; qdd is theirs where nothing holds them.
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robodyn.loops.assembly_plan import Plan, Step
+from robodyn.loops.assembly_plan import Plan, Step, root_of
 from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Coupling
@@ -80,7 +80,7 @@ def solve_dyad(
         arm = unit * (along + 1j * side * y)
         found[one], found[two] = np.angle(arm / first), np.angle((-K - arm) / second)
         sine = _ratio(np.abs(d * y), ra * rb)
-    elif turning and _turned(mechanism, plan, sliding[0]) == turning[0]:  # RPR
+    elif turning and root_of(mechanism, plan.turns_with, sliding[0]) == turning[0]:  # RPR
         (u,), (s,) = turning, sliding
         ahead = c[u] * c[s].conj()
         along, missing, sine = _second_side(np.abs(K), ahead.imag, side)
@@ -130,7 +130,7 @@ def _gap_of(
             continue
         if k in slides:
             term = term * x[..., k]
-        root = _turned(mechanism, plan, k)
+        root = root_of(mechanism, plan.turns_with, k)
         if root in c:
             assert root is not None
             c[root] = c[root] + term
@@ -161,12 +161,6 @@ def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Arra
 
 def _ratio(a: Array, b: Array) -> Array:
     return np.asarray(a / np.where(b > 0.0, b, 1.0))
-
-
-def _turned(mechanism: Mechanism, plan: Plan, k: int) -> int | None:
-    """The unknown link that the direction of X_k turns with."""
-    d = mechanism.frames[k]
-    return None if d is None else plan.turns_with[d]
 
 
 def _line_root(plan: Plan, row: ClosureRow) -> int | None:

@@ -219,7 +219,10 @@ def _steps(
     at, damping = balance(acting, q, tau), 0.0
     for _ in range(PASSES):
         size = _size(mechanism, at, tau)
-        step = _downhill(at, size) if downhill else _newton(at, size, damping)
+        if downhill:
+            step = _downhill(at, size)
+        else:  # K^-1 r where nothing is damped, and where K is singular the least such step
+            step = damped(at.stiffness, at.force, damping * damping, LEVEL * size)
         length = float(np.abs(step).max(initial=0.0))
         settled = length <= SETTLED and not damping
         left = np.abs(at.force - at.stiffness @ step).max(initial=0.0)
@@ -244,11 +247,6 @@ def _steps(
         elif (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
             return None
     return None
-
-
-def _newton(at: Balance, size: float, damping: float) -> Array:
-    """K^-1 r where nothing is damped, and where K is singular the least such step."""
-    return damped(at.stiffness, at.force, damping * damping, LEVEL * size)
 
 
 def _downhill(at: Balance, size: float) -> Array:
