@@ -8,7 +8,7 @@ the mechanism does; across them it is a matter of how that equation is written.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -173,13 +173,10 @@ def _generated(mechanism: Mechanism) -> FormulaRows | None:
     n = mechanism.n
     if n > formulas.MAX_GENERATED or not elimination_is_safe(mechanism):
         return None
-    formula = forward_derivatives_formula(mechanism)
+    record = partial(forward_derivatives_formula, mechanism)
+    formula = record()
     if formula is None:
         return None
-
-    def record(parameters: bool) -> formulas.Formula | None:
-        return forward_derivatives_formula(mechanism, parameters)
-
     return FormulaRows(formula, record, (n, n * n, n * n, n * n), PIVOT_CUT)
 
 

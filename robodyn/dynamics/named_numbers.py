@@ -87,7 +87,10 @@ def with_variables(
     if made.dry != mechanism.dry:
         limit = "no derivative is known by it: it changes dry friction"
         raise InputError(name, where=mechanism.source, limit=limit)
-    return in_mode(replace(made, rows=rows), mode)
+    # what holds joints is a matter of rates: its rows have no number of the scene
+    held = in_mode(mechanism, mode).rows[len(mechanism.rows) :]
+    moving = in_mode(replace(made, rows=rows), mode._replace(held=()))
+    return replace(moving, rows=moving.rows + held)
 
 
 def _without_kept_angles(scene: Description) -> Description:

@@ -43,11 +43,10 @@ class Standing(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Between what a joint at rest is held, N m or N, and which ways it may start."""
+    """Between what a joint at rest is held, N m or N."""
 
     low: float
     high: float
-    ways: tuple[int, ...]
 
 
 def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
@@ -56,7 +55,7 @@ def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
     most = 0.0 if friction is None else friction.static
     low = -math.inf if 1 in sides else -most
     high = math.inf if -1 in sides else most
-    return Bounds(low, high, tuple(way for way in (1, -1) if way not in sides))
+    return Bounds(low, high)
 
 
 def resting(mechanism: Mechanism, qd: ArrayLike) -> list[int]:

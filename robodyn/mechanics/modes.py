@@ -38,8 +38,8 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     """The mechanism in a mode; the rows of what is held follow its own."""
     dry, limits = dict(mechanism.dry), dict(mechanism.limits)
     description = mechanism.description
-    held = tuple(Coupling(joint, (), 0.0) for joint in mode.held)
-    rows = [row._replace(held=True) for row in coupling_rows(description._replace(couplings=held))]
+    held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
+    rows = [row._replace(held=True) for row in (coupling_rows(held) if mode.held else ())]
     springs, damping = list(mechanism.joint_springs), list(mechanism.damping)
     for joint, side in mode.pressed:
         stop = limits[joint]
