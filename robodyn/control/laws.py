@@ -32,20 +32,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-
-import numpy as np
+from typing import Any
 
 from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled, Slopes
 from robodyn.control.driven_torques import driving_torques, rest_torques
+from robodyn.control.law_slopes import remainder, sloped_torques, slopes_of
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
 from robodyn.engines.straightline import define
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
-from robodyn.mechanics.parts import untimed
 
 LAWS = {  # what each needs, and what it takes besides
     "pd": (("kp", "kd"), ("control_model",)),
@@ -113,7 +111,12 @@ def controller(
         lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
     torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
-    slopes = _slopes_of(mechanism, model, control, gains, limits, gain, torques)
+    slopes: Slopes | None = None  # of computed torque and of chains that hang loose not known
+    if control != "computed-torque" and (control != "pd+g" or model.rows or not model.passive):
+        sloped: dict[str, Any] = {"remainder": remainder}
+        if "model" in scope:
+            sloped["model"] = sloped_torques(model, scope["model"])
+        slopes = slopes_of(_compile_law(mechanism, lines, scope | sloped, limits, gains))
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
@@ -175,7 +178,7 @@ def _tracking(
     pieces: Pieces,
     law: str,
     gains: Mapping[str, Sequence[float]],
-) -> tuple[list[str], dict[str, object]]:
+) -> tuple[list[str], dict[str, Any]]:
     """Lines that make the errors e0.. and the torques u0.. of the actuated joints, and their scope.
 
     They ask t, q0.., qd0.. and, of a law with an integral, z0...
@@ -196,7 +199,7 @@ def _tracking(
             asked += f" + {gains['ki'][j]!r}*z{j}"
         lines.append(f"u{j} = {asked}")
     torques = _each("u", joints)
-    scope: dict[str, object] = {
+    scope: dict[str, Any] = {
         "piece": pieces.at,
         "times": reference.times,
         "coefficients": [
@@ -213,7 +216,7 @@ def _tracking(
     return lines, scope
 
 
-def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], dict[str, object]]:
+def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], dict[str, Any]]:
     """The same of state-feedback."""
     lines: list[str] = []
     state: list[str] = []
@@ -231,7 +234,7 @@ def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], di
 def _compile_law(
     mechanism: Mechanism,
     lines: Sequence[str],
-    scope: dict[str, object],
+    scope: dict[str, Any],
     limits: Sequence[float],
     gains: Mapping[str, Sequence[float]],
 ) -> Law:
@@ -276,56 +279,3 @@ def _horner(coefficients: Sequence[str]) -> str:
     for coefficient in reversed(coefficients[:-1]):
         code = f"({coefficient} + x*{code})"
     return code
-
-
-def _slopes_of(
-    mechanism: Mechanism,
-    model: Mechanism,
-    control: str,
-    gains: Mapping[str, Sequence[float]],
-    limits: Sequence[float],
-    gain: StateFeedback | None,
-    law: Law,
-) -> Slopes | None:
-    """How torques, and the rates of integrals, change with the state; None where it is not known.
-
-    That is computed torque, and the torques at rest of an open chain with passive joints.
-    """
-    n, driven = mechanism.n, list(mechanism.actuated)
-    joints, states = len(driven), len(driven) if "ki" in gains else 0
-    balanced = control == "pd+g"
-    if control == "computed-torque" or (balanced and mechanism.passive and not mechanism.rows):
-        return None
-    if balanced:
-        model = untimed(model)
-    own = np.zeros((joints, 2 * n + states))
-    rows = np.arange(joints)
-    if gain is not None:
-        wide, K = len(gain.coordinates), np.array(gain.gain).reshape(joints, -1)
-        for i, k in enumerate(gain.coordinates):
-            own[:, k], own[:, n + k] = -K[:, i], -K[:, wide + i]
-    else:
-        own[rows, driven], own[rows, np.add(n, driven)] = (
-            -np.array(gains[x]) for x in ("kp", "kd")
-        )
-    if states:
-        own[rows, 2 * n + rows] = gains["ki"]
-
-    def slopes(t: float, y: Sequence[float]) -> Array:
-        from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
-
-        found = own.copy()
-        if balanced:
-            still = np.zeros(n)
-            found[:, :n] += inverse_dynamics_derivatives(model, y[:n], still, still).by_q[driven]
-        cut = np.abs(law(t, *y)[:joints]) >= limits
-        given = np.where(cut[:, None], 0.0, found)
-        rates = np.zeros((states, found.shape[1]))
-        for j in range(states):
-            if gains["ki"][j]:
-                rates[j, driven[j]] = -1.0
-                if cut[j]:
-                    rates[j] -= found[j] / gains["kp"][j]
-        return np.concatenate([given, rates])
-
-    return slopes
