@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from robodyn.mechanics.parts import untimed
 class Sloped:
     """A number with its slopes (N,) by the state; compared as the number is."""
 
+    __slots__ = ("slopes", "value")
+
     def __init__(self, value: float, slopes: Array) -> None:
         self.value, self.slopes = value, slopes
 
@@ -27,10 +29,12 @@ class Sloped:
     __radd__ = __add__
 
     def __sub__(self, other: Sloped | float) -> Sloped:
-        return self + -1.0 * other
+        if isinstance(other, Sloped):
+            return Sloped(self.value - other.value, self.slopes - other.slopes)
+        return Sloped(self.value - other, self.slopes)
 
     def __rsub__(self, other: float) -> Sloped:
-        return -1.0 * self + other
+        return Sloped(other - self.value, -self.slopes)
 
     def __mul__(self, other: Sloped | float) -> Sloped:
         if isinstance(other, Sloped):
@@ -53,33 +57,47 @@ class Sloped:
         return self.value > other
 
 
-def slopes_of(law: Law) -> Slopes:
-    """d(what a law gives)/d(what it asks but t), of a law whose scope takes `Sloped` numbers."""
-
-    def slopes(t: float, y: Sequence[float]) -> Array:
-        still = np.zeros(len(y))
-        given = map(Sloped, y, np.eye(len(y)))
-        return np.array([getattr(x, "slopes", still) for x in law(t, *given)])
-
-    return slopes
-
-
 def remainder(x: Sloped, turn: float) -> Sloped:
     """As `math.remainder`."""
     return Sloped(math.remainder(x.value, turn), x.slopes)
 
 
-def sloped_torques(
-    model: Mechanism, torques: Callable[..., Sequence[float]]
-) -> Callable[..., list[Sloped]]:
-    """`rest_torques` of a model, which it gives as `torques`."""
-    untold, driven, zero = untimed(model), list(model.actuated), np.zeros(model.n)
+def slopes_of(
+    compile_law: Callable[[Mapping[str, object]], Law],
+    model: Mechanism,
+    rest: Callable[..., Sequence[float]] | None,
+    limited: bool,
+) -> Slopes:
+    """d(what a law gives)/d(what it asks but t), of a law compiled for what its scope has more.
 
-    def sloped(*q: Sloped) -> list[Sloped]:
-        from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
+    `rest` are the torques at rest of the model, where the law asks for them.  What no limit cuts
+    off is linear in the state and in them.
+    """
+    n, untold, driven = model.n, untimed(model), list(model.actuated)
+    seeds: Array = np.zeros((0, 0))  # of what the law asks, then of the torques at rest
 
-        values = [x.value for x in q]
-        by_q = inverse_dynamics_derivatives(untold, values, zero, zero).by_q[driven]
-        return list(map(Sloped, torques(*values), by_q @ [x.slopes for x in q]))
+    def at_rest(*q: Sloped) -> list[Sloped]:
+        assert rest is not None
+        return list(map(Sloped, rest(*(x.value for x in q)), seeds[-len(driven) :]))
 
-    return sloped
+    law = compile_law({"remainder": remainder} | ({"model": at_rest} if rest else {}))
+    known: list[Array] = []
+
+    def slopes(t: float, y: Sequence[float]) -> Array:
+        nonlocal seeds
+        if limited or not known:
+            seeds = np.eye(len(y) + len(driven))
+            still = np.zeros(len(seeds))
+            given = law(t, *map(Sloped, y, seeds))
+            known[:] = [np.array([getattr(x, "slopes", still) for x in given])]
+        found = known[0][:, : len(y)]
+        if rest is not None:
+            from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
+
+            still = np.zeros(n)
+            by_q = inverse_dynamics_derivatives(untold, y[:n], still, still).by_q
+            found = found.copy()
+            found[:, :n] += known[0][:, len(y) :] @ by_q[driven]
+        return found
+
+    return slopes

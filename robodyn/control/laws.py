@@ -36,7 +36,7 @@ from typing import Any
 
 from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled, Slopes
 from robodyn.control.driven_torques import driving_torques, rest_torques
-from robodyn.control.law_slopes import remainder, sloped_torques, slopes_of
+from robodyn.control.law_slopes import slopes_of
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
 from robodyn.engines.straightline import define
@@ -113,10 +113,12 @@ def controller(
     states = joints if "ki" in gains else 0
     slopes: Slopes | None = None  # of computed torque and of chains that hang loose not known
     if control != "computed-torque" and (control != "pd+g" or model.rows or not model.passive):
-        sloped: dict[str, Any] = {"remainder": remainder}
-        if "model" in scope:
-            sloped["model"] = sloped_torques(model, scope["model"])
-        slopes = slopes_of(_compile_law(mechanism, lines, scope | sloped, limits, gains))
+        limited = min(*limits, *rate_limits(mechanism)) < math.inf
+
+        def with_slopes(more: Mapping[str, object]) -> Law:
+            return _compile_law(mechanism, lines, {**scope, **more}, limits, gains)
+
+        slopes = slopes_of(with_slopes, model, scope.get("model"), limited)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
