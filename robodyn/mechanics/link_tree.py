@@ -22,7 +22,13 @@ class Tree:
     def __init__(self, links: Sequence[Link]) -> None:
         self.links = links
         self.parent = tuple(link.hangs_from.link for link in links)
-        self.order = _order(self.parent)
+        children: dict[int | None, list[int]] = {}
+        for k, j in enumerate(self.parent):
+            children.setdefault(j, []).append(k)
+        order = children.get(None, [])
+        for k in order:  # it grows: each link after the one it hangs from
+            order += children.get(k, [])
+        self.order = tuple(order)
         self.frames: list[int | None] = [None] * len(links)
         self.phases: list[complex] = [1.0 + 0j] * len(links)
         for k in self.order:
@@ -179,17 +185,6 @@ class Tree:
         for link in passed:
             shared[link] = k, set(list(loop)[:1])
         return k
-
-
-def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
-    """The links, each after the one it hangs from."""
-    children: dict[int | None, list[int]] = {}
-    for k, j in enumerate(parent):
-        children.setdefault(j, []).append(k)
-    order = list(children.get(None, []))
-    for k in order:
-        order += children.get(k, [])
-    return tuple(order)
 
 
 class Bodies(NamedTuple):

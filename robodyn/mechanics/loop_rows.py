@@ -126,7 +126,8 @@ def loop_class(mechanism: Mechanism, closure: int) -> str:
         turning = {k for k, _ in row.P if k not in mechanism.slides} | ({row.line} - {None})
         joints = f"{len(turning)} turning" + f" and {len(sliding)} sliding" * bool(sliding)
         return f"{'loop with a slot' if row.line is not None else 'loop'} of {joints} links"
-    offset = _ground_length(mechanism, closure)
+    each = [x.offset for x in mechanism.rows if x.closure == closure]
+    offset = float(sum(x**2 for x in each) ** 0.5)  # the length of the ground's side, m
     links = [k for k, _ in row.P]
     lengths = [abs(p) for _, p in row.P]
     if mechanism.description.closures[closure].along is not None:
@@ -161,9 +162,3 @@ def _four_bar(lengths: list[float], grounded: list[bool], ground: float) -> str:
     return (
         "crank-rocker (Grashof)" if grounded[lengths.index(shortest)] else "double-rocker (Grashof)"
     )
-
-
-def _ground_length(mechanism: Mechanism, closure: int) -> float:
-    """The length of the ground's side of the loop, m."""
-    rows = [row for row in mechanism.rows if row.closure == closure]
-    return float(sum(row.offset**2 for row in rows) ** 0.5)
