@@ -89,7 +89,7 @@ def slopes_of(
             seeds = np.eye(len(y) + len(driven))
             still = np.zeros(len(seeds))
             given = law(t, *map(Sloped, y, seeds))
-            known[:] = [np.array([getattr(x, "slopes", still) for x in given])]
+            known[:] = [np.array([getattr(x, "slopes", still) for x in given]) + 0.0]  # no -0.0
         found = known[0][:, : len(y)]
         if rest is not None:
             from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
