@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 
 import numpy as np
 
@@ -80,7 +81,8 @@ def slopes_of(
         assert rest is not None
         return list(map(Sloped, rest(*(x.value for x in q)), seeds[-len(driven) :]))
 
-    law = compile_law({"remainder": remainder} | ({"model": at_rest} if rest else {}))
+    scope = {"remainder": remainder} | ({"model": at_rest} if rest else {})
+    law = cache(partial(compile_law, scope))  # when it is first asked for
     known: list[Array] = []
 
     def slopes(t: float, y: Sequence[float]) -> Array:
@@ -88,7 +90,7 @@ def slopes_of(
         if limited or not known:
             seeds = np.eye(len(y) + len(driven))
             still = np.zeros(len(seeds))
-            given = law(t, *map(Sloped, y, seeds))
+            given = law()(t, *map(Sloped, y, seeds))
             known[:] = [np.array([getattr(x, "slopes", still) for x in given]) + 0.0]  # no -0.0
         found = known[0][:, : len(y)]
         if rest is not None:
