@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from robodyn.dynamics.dynamics import inverse_dynamics_and_forces as inverse_dynamics_and_forces
     from robodyn.dynamics.dynamics import kept_moments as kept_moments
     from robodyn.dynamics.dynamics import pin_forces as pin_forces
-    from robodyn.dynamics.motor_loads import motor_loads as motor_loads
     from robodyn.dynamics.reaction_forces import reactions as reactions
     from robodyn.dynamics.reaction_forces import shaking_force as shaking_force
     from robodyn.dynamics.reaction_forces import slide_moments as slide_moments
+    from robodyn.dynamics.state_columns import motor_loads as motor_loads
     from robodyn.errors import AssemblyError as AssemblyError
     from robodyn.errors import DescriptionError as DescriptionError
     from robodyn.errors import InputError as InputError
@@ -101,7 +101,7 @@ _ROOMS = {
     "kinematics.point_motion": ["points"],
     "loops.loop_rates": ["loop_accelerations", "loop_velocities"],
     "mechanics.mechanism": ["Mechanism"],
-    "dynamics.motor_loads": ["motor_loads"],
+    "dynamics.state_columns": ["motor_loads"],
     "mechanics.voltages": ["voltages"],
     "dynamics.reaction_forces": ["reactions", "shaking_force", "slide_moments"],
     "notebook.figures_of": ["animate", "draw", "plot"],

@@ -122,6 +122,10 @@ def test_what_sticks_has_no_part_in_it(scene) -> None:
     h = 1e-6
     ahead, behind = (rd.forward_dynamics(mech, [0.3 + x, -1.2], [0.5, 0], [9, 3]) for x in (h, -h))
     assert found.by_q[0, 0] == pytest.approx((ahead - behind)[0] / (2 * h), rel=1e-7)
+    state, number = ([0.3, -1.2], [0.5, 0.0], [9.0, 3.0]), "links.upper arm.l"
+    expected = by_differences(mech, numbers_of(dry, mech.source), number, state)
+    found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
+    assert relative_error(found.by_numbers[:, 0], expected) < 1e-8
 
 
 @pytest.mark.parametrize(("name", "bound"), [("2r", 5.0), ("four-bar", 5.0), ("watt-six-bar", 8.0)])

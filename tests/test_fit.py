@@ -26,7 +26,7 @@ from robodyn.kinematics.transmission import (
     transmission_loops,
 )
 from robodyn.loops.assembly_plan import assembly_plan
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import build, load
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters import lane_runs, motion_lanes

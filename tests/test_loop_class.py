@@ -10,7 +10,7 @@ from named_case import case
 
 from random_mechanisms import LOOPS, mechanism, seeded_scene
 from robodyn.loops import assembly
-from robodyn.mechanics.loop_class import loop_class
+from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import load
 
 ROBOTS = Path(__file__).parent.parent / "robots"

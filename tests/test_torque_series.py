@@ -55,17 +55,8 @@ class Along:
     def __init__(self, mech):
         self.mechanism, self.program = mech, Program()
 
-    def slot(self, name):
+    def variable(self, name):
         return self.program.add(Given(name))
-
-    def q(self, j):
-        return self.slot(f"q{j}")
-
-    def v(self, j):
-        return self.slot(f"qd{j}")
-
-    def t(self):
-        return self.slot("t")
 
 
 def torque_series(text, t, q, qd):

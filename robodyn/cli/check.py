@@ -15,7 +15,7 @@ from robodyn.dynamics import closed_form
 from robodyn.dynamics.identities import BOUND, Identity, Sample, identities, sample_states
 from robodyn.errors import InputError
 from robodyn.loops import assembly
-from robodyn.mechanics.loop_class import loop_class
+from robodyn.mechanics.loop_rows import loop_class
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.pictures.column_units import (

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.loop_columns import loop_columns as loop_columns
+from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
 from robodyn.scene.quantities import parse_vector

@@ -17,8 +17,8 @@ from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, joint_values, option_source, table_source
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError
+from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.per_joint import for_each_actuated
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.csv_fields import shown

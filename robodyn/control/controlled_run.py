@@ -8,14 +8,13 @@ from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
 
-Array = NDArray[np.float64]
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]
 
@@ -105,7 +104,9 @@ class Tracked:
             ended = ended[1:]
         self._last = t[-1:], e[-1:], ed[-1:]
         h = np.diff(t)[:, None]
-        cubic = _cubics(e, ed[:-1] * h, ended * h)
+        rise, slope, end = np.diff(e, axis=0), ed[:-1] * h, ended * h
+        # by the powers of u from 0 to 1 along each step
+        cubic = e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
         for u, extreme in _extremes(cubic):
             self._compare(t[:-1, None] + u * h, np.abs(extreme))
         parts = [cubic[i] * cubic[j] / (i + j + 1) for i, j in product(range(4), repeat=2)]
@@ -127,12 +128,6 @@ class Tracked:
         columns = (np.sqrt(mean), self._largest, self._at, self._torque)
         rows = zip(names, *(column.tolist() for column in columns), strict=True)
         return [JointTracking(*row) for row in rows]
-
-
-def _cubics(e: Array, slope: Array, end: Array) -> tuple[Array, Array, Array, Array]:
-    """The cubic of each step, by the powers of u from 0 to 1 along it, as are its slopes there."""
-    rise = np.diff(e, axis=0)
-    return e[:-1], slope, 3.0 * rise - 2.0 * slope - end, slope + end - 2.0 * rise
 
 
 def _extremes(cubic: tuple[Array, Array, Array, Array]) -> list[tuple[Array, Array]]:

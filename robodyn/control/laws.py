@@ -32,18 +32,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
+from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled, Slopes
 from robodyn.control.driven_torques import driving_torques, rest_torques
-from robodyn.control.law_slopes import law_slopes
+from robodyn.control.law_slopes import slopes_of
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
 from robodyn.engines.straightline import define
 from robodyn.errors import InputError
-from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.actuation import Actuation, for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import rate_limits, torque_limits
-from robodyn.mechanics.per_joint import for_each_actuated
 
 LAWS = {  # what each needs, and what it takes besides
     "pd": (("kp", "kd"), ("control_model",)),
@@ -111,7 +111,13 @@ def controller(
         lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
     torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
-    slopes = law_slopes(mechanism, model, control, gains, limits, gain, torques, reference)
+    slopes: Slopes | None = None  # of computed torque and of chains that hang loose not known
+    if control != "computed-torque" and (control != "pd+g" or model.rows or not model.passive):
+
+        def with_slopes(more: Mapping[str, object]) -> Law:
+            return _compile_law(mechanism, lines, {**scope, **more}, limits, gains)
+
+        slopes = slopes_of(with_slopes, model, scope.get("model"))
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
@@ -173,7 +179,7 @@ def _tracking(
     pieces: Pieces,
     law: str,
     gains: Mapping[str, Sequence[float]],
-) -> tuple[list[str], dict[str, object]]:
+) -> tuple[list[str], dict[str, Any]]:
     """Lines that make the errors e0.. and the torques u0.. of the actuated joints, and their scope.
 
     They ask t, q0.., qd0.. and, of a law with an integral, z0...
@@ -194,7 +200,7 @@ def _tracking(
             asked += f" + {gains['ki'][j]!r}*z{j}"
         lines.append(f"u{j} = {asked}")
     torques = _each("u", joints)
-    scope: dict[str, object] = {
+    scope: dict[str, Any] = {
         "piece": pieces.at,
         "times": reference.times,
         "coefficients": [
@@ -211,7 +217,7 @@ def _tracking(
     return lines, scope
 
 
-def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], dict[str, object]]:
+def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], dict[str, Any]]:
     """The same of state-feedback."""
     lines: list[str] = []
     state: list[str] = []
@@ -229,7 +235,7 @@ def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], di
 def _compile_law(
     mechanism: Mechanism,
     lines: Sequence[str],
-    scope: dict[str, object],
+    scope: dict[str, Any],
     limits: Sequence[float],
     gains: Mapping[str, Sequence[float]],
 ) -> Law:

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.mechanics.array_types import Array
 from robodyn.trajectories.splines import hermite
-
-Array = NDArray[np.float64]
 
 BEND = 1e-9  # part of the largest acceleration by which pieces that meet smoothly may differ
 ROUNDING = 1e3 * np.finfo(float).eps  # of q, which the accelerations between close rows magnify
@@ -49,7 +48,13 @@ class ReferenceTable:
         if qd is None and qdd is not None:
             raise InputError("qdd", where=where, limit="needs qd beside it")
         _check(stamps, given, where)
-        self._consist(where, stamps.tolist(), _coefficients(stamps, given))
+        if len(given) == 1:
+            from scipy.interpolate import CubicSpline
+
+            pieces = np.moveaxis(CubicSpline(stamps, given[0]).c[::-1], 0, -1)
+        else:
+            pieces = np.moveaxis(hermite(stamps, *given), 1, -1)
+        self._consist(where, stamps.tolist(), pieces.copy())
 
     def __repr__(self) -> str:
         span = f"t = {self.times[0]:.6g} to {self.times[-1]:.6g} s"
@@ -127,15 +132,6 @@ def _check(times: Array, given: list[Array], where: str) -> None:
         if not after > before:
             limit = f"times must increase; the row before has {before:g}"
             raise InputError("t", where=where, value=f"{after:g}", limit=limit)
-
-
-def _coefficients(times: Array, given: list[Array]) -> Array:
-    """Of the powers of t - times[k] in each piece, (T - 1, m, degree + 1)."""
-    if len(given) == 1:
-        from scipy.interpolate import CubicSpline
-
-        return np.moveaxis(CubicSpline(times, given[0]).c[::-1], 0, -1).copy()
-    return np.moveaxis(hermite(times, *given), 1, -1).copy()
 
 
 def _kinks(times: Array, c: Array) -> list[NDArray[np.bool_]]:

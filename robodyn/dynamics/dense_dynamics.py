@@ -41,10 +41,9 @@ from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics import parts
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero
 MASS_CUT = 1e-13  # a mass matrix, its diagonal scaled to 1, with a smaller eigenvalue is singular
@@ -78,10 +77,7 @@ def required_load(
     mechanism: Mechanism, q: Array, qd: Array, qdd: Array, t: ArrayLike = 0.0
 ) -> Array:
     """M qdd + C qd + D qd + G - Q, (..., n): what torques and pin forces must balance, N m."""
-    rates, accelerations = (
-        absolute_rates(mechanism, qd),
-        absolute_rates(mechanism, qdd, "qdd"),
-    )
+    rates, accelerations = (absolute_rates(mechanism, qd), absolute_rates(mechanism, qdd, "qdd"))
     at = placed(mechanism, q)
     if rates.shape != accelerations.shape:
         rates, accelerations = np.broadcast_arrays(rates, accelerations)

@@ -8,11 +8,11 @@ the mechanism does; across them it is a matter of how that equation is written.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.dense_dynamics import RANK_CUT, elimination_is_safe
@@ -25,11 +25,11 @@ from robodyn.engines.derivative_formulas import (
     residual_derivatives_formula,
 )
 from robodyn.engines.formula_rows import FormulaRows
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.tables.short_repr import short_repr
 
-Array = NDArray[np.float64]
 Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each
 
 
@@ -173,13 +173,10 @@ def _generated(mechanism: Mechanism) -> FormulaRows | None:
     n = mechanism.n
     if n > formulas.MAX_GENERATED or not elimination_is_safe(mechanism):
         return None
-    formula = forward_derivatives_formula(mechanism)
+    record = partial(forward_derivatives_formula, mechanism)
+    formula = record()
     if formula is None:
         return None
-
-    def record(parameters: bool) -> formulas.Formula | None:
-        return forward_derivatives_formula(mechanism, parameters)
-
     return FormulaRows(formula, record, (n, n * n, n * n, n * n), PIVOT_CUT)
 
 

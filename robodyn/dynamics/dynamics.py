@@ -13,8 +13,8 @@ the constrained system is not, and where closures depend on one another.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -37,9 +37,8 @@ from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import change_points, projection
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
 BATCH = 200  # from so many states on generated array code wins, its generation included
@@ -176,12 +175,6 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
     M must be eliminated at every configuration, so that no state need be asked.  As x^T M x =
     Re((E x)^H A (E x)) in absolute angles, M has no eigenvalue below A's least; rotors add to it.
     """
-
-    def record(parameters: bool) -> Formula | None:
-        if kind == "inverse":
-            return formulas.inverse_formula(mechanism, parameters)
-        return formulas.forward_formula(mechanism, parameters=parameters)
-
     if kind == "forward":
         if not elimination_is_safe(mechanism):
             return None
@@ -189,7 +182,9 @@ def _generated(kind: str, mechanism: Mechanism) -> FormulaRows | None:
         scale = np.sqrt(A.diagonal().real)
         if not scale.all() or not np.linalg.eigvalsh(A / (scale[:, None] * scale))[0] > MASS_CUT:
             return None
-    formula = record(False)
+    write = formulas.inverse_formula if kind == "inverse" else formulas.forward_formula
+    record: Callable[..., Formula | None] = partial(write, mechanism)
+    formula = record()
     if formula is None:
         return None
     return FormulaRows(formula, record, (mechanism.n, len(mechanism.rows)), PIVOT_CUT)

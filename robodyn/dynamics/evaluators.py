@@ -12,7 +12,6 @@ from timeit import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import dynamics, identities
 from robodyn.engines import formulas, straightline
@@ -21,9 +20,8 @@ from robodyn.engines.frames import relative
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("dynamics", "evaluator", "states", "ns_per_state", "largest_error", "median_error")
 BATCHES = (1, 1000, 1_000_000)

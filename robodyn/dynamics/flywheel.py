@@ -19,11 +19,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-
-Array = NDArray[np.float64]
+from robodyn.mechanics.array_types import Array
 
 TURN_OFF = 1e-6  # rad by which rows may miss whole turns
 APART = math.radians(45.0)  # rad that rows may be apart, for a spline to tell a torque at all

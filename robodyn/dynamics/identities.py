@@ -22,10 +22,9 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Table
-
-Array = NDArray[np.float64]
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above
@@ -112,9 +111,11 @@ def identities(mechanism: Mechanism, sample: Sample) -> list[Identity]:
     q, qd, scene = sample.q, sample.qd, build(mechanism.description)
     rows = RowValues(replace(scene, A=()))  # which none reads, and which is large
     M = closed_form.mass_matrix(mechanism, q)
+    scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
+    least = np.linalg.eigvalsh(M / (scale[..., :, None] * scale[..., None, :]))[..., 0]
     found = [
         Identity("M = M^T", _relative(M - np.swapaxes(M, -1, -2), M)),
-        Identity("M positive (least eigenvalue >= 0)", _negative_part(M)),
+        Identity("M positive (least eigenvalue >= 0)", float(max(0.0, -least.min(initial=0.0)))),
     ]
     found += _energy_identities(mechanism, rows, q, qd, M)
     if mechanism.rows:
@@ -311,13 +312,6 @@ def _step(speed: Array) -> Array:
     """That of differences, (T, 1)."""
     fastest = np.abs(speed).max(axis=-1, keepdims=True)
     return np.asarray(STEP / np.where(fastest > 0.0, fastest, 1.0))
-
-
-def _negative_part(M: Array) -> float:
-    """How far M's eigenvalues reach below zero, its diagonal scaled to 1."""
-    scale = np.sqrt(np.maximum(np.abs(np.diagonal(M, axis1=-2, axis2=-1)), 1e-300))
-    least = np.linalg.eigvalsh(M / (scale[..., :, None] * scale[..., None, :]))[..., 0]
-    return float(max(0.0, -least.min(initial=0.0)))
 
 
 def _dot(left: Array, right: Array) -> Array:

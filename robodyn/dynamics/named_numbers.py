@@ -83,7 +83,10 @@ def with_variables(
     rows = (*made.rows, *couplings)
     if mode is None:
         return replace(made, rows=rows, dry=(), limits=())
-    return in_mode(replace(made, rows=rows), mode)
+    # what holds joints is a matter of rates: its rows have no number of the scene
+    held = in_mode(mechanism, mode).rows[len(mechanism.rows) :]
+    moving = in_mode(replace(made, rows=rows), mode._replace(held=()))
+    return replace(moving, rows=moving.rows + held)
 
 
 def _without_kept_angles(scene: Description) -> Description:

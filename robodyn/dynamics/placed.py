@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
+from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.tables.csv_fields import shown
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def as_states(mechanism: Mechanism, name: str, values: ArrayLike) -> Array:

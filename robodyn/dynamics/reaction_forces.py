@@ -35,12 +35,11 @@ from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
+from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Moment, Point
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Part = Callable[[Mechanism], Mechanism]
 
 FELT = 1e-9  # part of the largest force of a null vector that is more than rounding

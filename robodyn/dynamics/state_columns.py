@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.closed_form import energies, point_motion
+from robodyn.dynamics.placed import n_wide
 from robodyn.kinematics.named_points import NamedPoint, point_columns
 from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
@@ -21,11 +22,10 @@ from robodyn.kinematics.transmission import (
     transmission_angles,
     transmission_loops,
 )
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.array_types import Array
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
-
-Array = NDArray[np.float64]
 
 
 class Solved(NamedTuple):
@@ -51,6 +51,18 @@ def torque_values(mechanism: Mechanism, q: Array, qd: Array, tau: Array, forces:
     motors = motor_values(mechanism, list(tau.T), list(qd.T))
     parts = [tau[:, list(mechanism.actuated)], loops, *(x[:, None] for x in motors)]
     return np.concatenate(parts, axis=1)
+
+
+def motor_loads(mechanism: Mechanism, tau: ArrayLike, qd: ArrayLike) -> dict[str, Array]:
+    """Torque N m, speed rad/s, voltage V, current A and power W of motors, by columns' names.
+
+    Each is (...), of joint torques and rates (..., n), which broadcast.  There are those of the
+    actuated joints: `motor1`, `motor_speed1`, and `volt1`, `amp1`, `watt1` of a motor with its
+    constants.  Raises InputError for arrays that are not n wide.
+    """
+    given = [n_wide(mechanism, name, x) for name, x in (("tau", tau), ("qd", qd))]
+    torques, rates = (list(np.moveaxis(x, -1, 0)) for x in np.broadcast_arrays(*given))
+    return dict(zip(motor_columns(mechanism), motor_values(mechanism, torques, rates), strict=True))
 
 
 def reaction_columns(mechanism: Mechanism) -> list[str]:
@@ -150,10 +162,7 @@ def columns_of(
     groups = (
         (["energy"], lambda: np.sum(energies(mechanism, q, qd), axis=0)[:, None]),
         (torque_columns(mechanism), lambda: torque_values(mechanism, q, qd, tau, forces)),
-        (
-            reaction_columns(mechanism),
-            lambda: reaction_values(mechanism, q, qd, qdd, forces, t),
-        ),
+        (reaction_columns(mechanism), lambda: reaction_values(mechanism, q, qd, qdd, forces, t)),
         (power_columns(mechanism), lambda: power_values(mechanism, qd, tau)),
         (link_columns(mechanism), lambda: link_values(mechanism, q, qd, qdd)),
         (transmission_columns(mechanism), lambda: transmission_values(mechanism, q)),

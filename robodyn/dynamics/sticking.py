@@ -18,15 +18,14 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import responses
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
-
-Array = NDArray[np.float64]
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
 TOGETHER = 1e-9  # relative singular value below which joints are not held independently
@@ -44,11 +43,10 @@ class Standing(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Between what a joint at rest is held, N m or N, and which ways it may start."""
+    """Between what a joint at rest is held, N m or N."""
 
     low: float
     high: float
-    ways: tuple[int, ...]
 
 
 def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
@@ -57,7 +55,7 @@ def bounds(mechanism: Mechanism, joint: int, sides: Sequence[int]) -> Bounds:
     most = 0.0 if friction is None else friction.static
     low = -math.inf if 1 in sides else -most
     high = math.inf if -1 in sides else most
-    return Bounds(low, high, tuple(way for way in (1, -1) if way not in sides))
+    return Bounds(low, high)
 
 
 def resting(mechanism: Mechanism, qd: ArrayLike) -> list[int]:
@@ -131,11 +129,7 @@ def mode_at(
 
 
 def _starts(
-    mechanism: Mechanism,
-    qdd: Array,
-    W: Array,
-    limits: dict[int, Bounds],
-    starting: dict[int, int],
+    mechanism: Mechanism, qdd: Array, W: Array, limits: dict[int, Bounds], starting: dict[int, int]
 ) -> dict[int, int]:
     """Which joints of `limits` start, and which way; qdd is theirs where nothing holds them.
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import finite
 from robodyn.dynamics.sticking import modes_of
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, resting_friction
 
-Array = NDArray[np.float64]
 Solved = tuple[Array, Array, str]  # of joints, multipliers, and a remark
 Smooth = Callable[[Mechanism, str, int, dict[str, Array], Array], Solved]
 

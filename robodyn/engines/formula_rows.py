@@ -23,7 +23,7 @@ WORTH = 1e8
 class FormulaRows:
     """One kind of formula of one mechanism, for batches.
 
-    `record(parameters)` records it again.  The outputs are split into `widths`, such as joint
+    `record(parameters=True)` records it again.  The outputs are split into `widths`, such as joint
     values and multipliers; states are doubtful where a pivot does not exceed `least`, or the first
     outputs are not finite.
     """
@@ -31,7 +31,7 @@ class FormulaRows:
     def __init__(
         self,
         formula: Formula,
-        record: Callable[[bool], Formula | None],
+        record: Callable[..., Formula | None],
         widths: Sequence[int],
         least: float,
     ) -> None:
@@ -63,7 +63,7 @@ class FormulaRows:
     def machine(self, wanted: int) -> Evaluate | None:
         """Machine code for the first `wanted` arrays of outputs; None where there is none."""
         if wanted not in self._machine:
-            formula = self.record(True)
+            formula = self.record(parameters=True)
             assert formula is not None
             wide = len(formula.inputs) // 3  # q, qd, and accelerations or torques; and the time
             inputs = [list(formula.inputs[i : i + wide]) for i in range(0, 3 * wide, wide)]

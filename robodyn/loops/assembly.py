@@ -37,10 +37,9 @@ from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
 from robodyn.loops.dyads import coupled_angle, solve_dyad
 from robodyn.loops.path_from_start import farthest, from_start, reachable_from_start
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
-
-Array = NDArray[np.float64]
 
 OPEN = 1e3  # rad; what does not close is farther than all that does
 CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it
@@ -253,12 +252,6 @@ def _within(mechanism: Mechanism, joint: int, value: float, side: int) -> str:
     return f"{(np.ceil(scaled) if side > 0 else np.floor(scaled)) / 1e4:.8g}"
 
 
-def _shown(mechanism: Mechanism, joint: int, value: float) -> str:
-    if joint in mechanism.slides:
-        return f"q{joint + 1} = {value:.6g} m"
-    return f"q{joint + 1} = {np.degrees(value):.6g} deg"
-
-
 def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
     array = np.asarray(values, float)
     wanted = len(mechanism.actuated)
@@ -274,8 +267,10 @@ def _as_actuated(mechanism: Mechanism, values: ArrayLike) -> Array:
 def _cannot_close(
     mechanism: Mechanism, given: Array, missing: float, branches: Sequence[str] | None
 ) -> AssemblyError:
-    pairs = zip(mechanism.actuated, given, strict=True)
-    at = ", ".join(_shown(mechanism, k, value) for k, value in pairs)
+    at = ", ".join(
+        f"q{k + 1} = " + (f"{x:.6g} m" if k in mechanism.slides else f"{np.degrees(x):.6g} deg")
+        for k, x in zip(mechanism.actuated, given, strict=True)
+    )
     off = [float(x) for x in _known(mechanism, assembly_plan(mechanism), given)[1]]
     if any(off):
         worst = int(np.argmax(off))

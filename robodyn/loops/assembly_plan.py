@@ -53,23 +53,19 @@ def assembly_plan(mechanism: Mechanism) -> Plan:
     loops = [_unknown_in_loop(mechanism, turns_with, given, c, rows) for c, rows in conditions]
     known: set[int] = set()
     steps: list[Step] = []
+    two_way = []
     waiting = set(range(len(loops)))
     while waiting and not open_couplings:
         for i in sorted(waiting):
             step = Step(*conditions[i], tuple(k for k in loops[i] if k not in known))
-            if _ways(mechanism, turns_with, step, known):
+            if ways := _ways(mechanism, turns_with, step, known):
                 steps.append(step)
+                two_way += [step.closure] if ways == 2 else []
                 known.update(step.unknown)
                 waiting.remove(i)
                 break
         else:
             break
-    solved: set[int] = set()
-    two_way = []
-    for step in steps:
-        if _ways(mechanism, turns_with, step, solved) == 2:
-            two_way.append(step.closure)
-        solved.update(step.unknown)
     rest = tuple(k for k in mechanism.passive if k not in known and k not in given)
     held = set(open_couplings).union(*(loops[i] for i in waiting))
     free = [k for k in rest if k not in held]
@@ -126,18 +122,6 @@ def _conditions(mechanism: Mechanism) -> list[tuple[int, tuple[ClosureRow, ...]]
     return found
 
 
-def _coordinates(mechanism: Mechanism, closure: int, rows: Sequence[ClosureRow]) -> list[int]:
-    """What moves the gap, along the loop: the first side outward, the second inward."""
-    moved = {k for k, _ in (*rows[0].P, *rows[0].angles)}
-    if rows[0].line is not None:
-        moved.add(rows[0].line)
-    sides = mechanism.description.closures[closure]
-    found: dict[int, None] = {}
-    for k in (*mechanism.path(sides.first.link), *reversed(mechanism.path(sides.second.link))):
-        found |= dict.fromkeys(x for x in (mechanism.frames[k], k) if x in moved)
-    return list(found)
-
-
 def _unknown_in_loop(
     mechanism: Mechanism,
     turns_with: Sequence[int | None],
@@ -145,24 +129,25 @@ def _unknown_in_loop(
     closure: int,
     rows: Sequence[ClosureRow],
 ) -> list[int]:
-    """The unknown joints of a condition, in the order of its loop."""
+    """The unknown joints of a condition along its loop: the first side outward, then inward."""
+    moved = {k for k, _ in (*rows[0].P, *rows[0].angles)} | {rows[0].line}
+    sides = mechanism.description.closures[closure]
     found: dict[int, None] = {}
-    for k in _coordinates(mechanism, closure, rows):
-        turned = mechanism.frames[k]
-        if turned is not None and (root := turns_with[turned]) is not None:
-            found[root] = None
-        if k in mechanism.slides and k not in given:
-            found[k] = None
+    for joint in (*mechanism.path(sides.first.link), *reversed(mechanism.path(sides.second.link))):
+        for k in (mechanism.frames[joint], joint):
+            if k is None or k not in moved:
+                continue
+            if (root := root_of(mechanism, turns_with, k)) is not None:
+                found[root] = None
+            if k in mechanism.slides and k not in given:
+                found[k] = None
     return list(found)
 
 
-def _root(
-    mechanism: Mechanism, turns_with: Sequence[int | None], k: int, known: set[int]
-) -> int | None:
-    """The unknown joint that the direction of X_k turns with."""
+def root_of(mechanism: Mechanism, turns_with: Sequence[int | None], k: int) -> int | None:
+    """The unknown joint that the direction of X_k turns with, see `Plan`."""
     turned = mechanism.frames[k]
-    root = None if turned is None else turns_with[turned]
-    return None if root in known else root
+    return None if turned is None else turns_with[turned]
 
 
 def _ways(
@@ -171,7 +156,7 @@ def _ways(
     """In how many ways `solve_dyad` closes a condition; 0 where it does not serve."""
     row, slides = step.rows[0], mechanism.slides
     turning = [k for k in step.unknown if k not in slides]
-    roots = {k: _root(mechanism, turns_with, k, known) for k, _ in row.P}
+    roots = {root_of(mechanism, turns_with, k) for k, _ in row.P} - known
     if len(step.rows) == 2:
         if len(step.unknown) > 2:
             return 0
@@ -180,5 +165,5 @@ def _ways(
         return 0
     if not turning or row.arm:
         return 1
-    line = None if row.line is None else _root(mechanism, turns_with, row.line, known)
-    return 0 if line is not None and line in roots.values() else 2
+    line = None if row.line is None else root_of(mechanism, turns_with, row.line)
+    return 0 if line is not None and line in roots else 2

@@ -41,9 +41,9 @@ from robodyn.loops.closing import (
     singular_size,
     wrapped,
 )
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 # the nearest closed state, and how regular Psi is there: about (s/L)^2
 Closing = Callable[[Array], tuple[Array, float]]
 

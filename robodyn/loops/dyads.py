@@ -13,14 +13,11 @@ displacements; a line takes one part of it, and a line of an unknown link turns 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robodyn.loops.assembly_plan import Plan, Step
+from robodyn.loops.assembly_plan import Plan, Step, root_of
+from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Coupling
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet
@@ -83,7 +80,7 @@ def solve_dyad(
         arm = unit * (along + 1j * side * y)
         found[one], found[two] = np.angle(arm / first), np.angle((-K - arm) / second)
         sine = _ratio(np.abs(d * y), ra * rb)
-    elif turning and _turned(mechanism, plan, sliding[0]) == turning[0]:  # RPR
+    elif turning and root_of(mechanism, plan.turns_with, sliding[0]) == turning[0]:  # RPR
         (u,), (s,) = turning, sliding
         ahead = c[u] * c[s].conj()
         along, missing, sine = _second_side(np.abs(K), ahead.imag, side)
@@ -133,7 +130,7 @@ def _gap_of(
             continue
         if k in slides:
             term = term * x[..., k]
-        root = _turned(mechanism, plan, k)
+        root = root_of(mechanism, plan.turns_with, k)
         if root in c:
             assert root is not None
             c[root] = c[root] + term
@@ -164,12 +161,6 @@ def _second_side(length: Array, across: Array, side: float) -> tuple[Array, Arra
 
 def _ratio(a: Array, b: Array) -> Array:
     return np.asarray(a / np.where(b > 0.0, b, 1.0))
-
-
-def _turned(mechanism: Mechanism, plan: Plan, k: int) -> int | None:
-    """The unknown link that the direction of X_k turns with."""
-    d = mechanism.frames[k]
-    return None if d is None else plan.turns_with[d]
 
 
 def _line_root(plan: Plan, row: ClosureRow) -> int | None:

@@ -10,7 +10,7 @@ hold it); Psi itself loses rank at a **change point** (the mechanism gains a fre
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_bias, closure_gap, closure_rate, scaled_jacobian
 from robodyn.dynamics.placed import absolute_rates, as_states, matvec, placed
@@ -18,9 +18,8 @@ from robodyn.errors import InputError
 from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.loops.projection import state_led_across
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
 REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding

@@ -13,7 +13,6 @@ from operator import mul
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import Placed, placed
@@ -27,9 +26,9 @@ from robodyn.loops.change_points import (
     nearness,
 )
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 Value = Any  # a float, an array, or an expression
 Matrix = Sequence[Mapping[int, Value]]  # rows, with their columns that are not zero
 

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.engines import straightline
@@ -37,9 +36,9 @@ from robodyn.loops.closing import (
     singular_size,
 )
 from robodyn.loops.misses import Misses
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 
 CONVERGED = 1e-15  # a gap that a Newton step from here closes to rounding, and the rates too

@@ -30,6 +30,8 @@ from robodyn.scene.expressions import (
 from robodyn.tables.short_repr import short_repr
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from robodyn.mechanics.torque_times import Pieces
 
 
@@ -234,6 +236,21 @@ def values_given(given: Iterable[float], what: str) -> list[float]:
     except (TypeError, ValueError):
         limit = "must be a list of numbers, one an actuated joint"
         raise InputError(what, value=repr(given), limit=limit) from None
+
+
+def for_each_actuated(mechanism: Mechanism, given: ArrayLike, name: str) -> list[float]:
+    """One value for each actuated joint; InputError, naming the argument, for another number."""
+    import numpy as np
+
+    count = len(mechanism.actuated)
+    values = np.atleast_1d(np.asarray(given, float))
+    if values.shape not in ((1,), (count,)):
+        joints = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
+        limit = f"needs 1 value, or {count}, one an actuated joint ({joints})"
+        shown = "1 value" if values.size == 1 else f"{values.size} values"
+        raise InputError(name, value=shown, limit=limit)
+    each: list[float] = np.broadcast_to(values, count).tolist()
+    return each
 
 
 def _constant(code: str, text: str, where: str) -> float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from robodyn.mechanics.program import (
     Function,
@@ -23,26 +22,6 @@ from robodyn.mechanics.program import (
 from robodyn.scene.expressions import FUNCTIONS
 
 MOST_FACTORS = 64  # of a whole power that is written as products
-
-
-class Variables(Protocol):
-    """Rows that have the time and the joints among their slots."""
-
-    def t(self) -> Slot:
-        """The time."""
-
-    def q(self, j: int) -> Slot:
-        """The angle, or displacement, of joint j."""
-
-    def v(self, j: int) -> Slot:
-        """Its rate."""
-
-
-def variable(rows: Variables, name: str) -> Slot:
-    """The slot of t, q0.. or qd0..."""
-    if name == "t":
-        return rows.t()
-    return rows.v(int(name[2:])) if name.startswith("qd") else rows.q(int(name[1:]))
 
 
 class Slotted(int):

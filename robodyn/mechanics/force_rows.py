@@ -26,13 +26,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from robodyn.mechanics.link_rows import LinkRows as LinkRows
-from robodyn.mechanics.planar_model import (
-    Force,
-    PlanarPoint,
-    PointSpring,
-    conserves,
-)
+from robodyn.mechanics.link_rows import LinkRows
+from robodyn.mechanics.planar_model import Force, PlanarPoint, PointSpring, conserves
 from robodyn.mechanics.program import (
     Coefficient,
     Derivative,
@@ -91,28 +86,25 @@ class ForceRows(LinkRows):
         """What the springs hold."""
         program, number = self.program, self.program.number
         for spring in self.mechanism.springs:
+            d = self.point(spring.between)
+            square = program.add(Inner(d, d))
             if spring.law is not None and conserves(spring.law):
-                yield 1.0, self._stored(spring.law, self._longer(spring))
+                yield 1.0, self._stored(spring.law, self._longer(spring, square))
             if spring.stiffness:
-                d = self.point(spring.between)
-                square = program.add(Inner(d, d))
                 if spring.length:
-                    reach = program.add(Power(square, 0.5))
-                    longer = program.sum((1.0, reach), constant=number(-spring.length))
+                    longer = self._longer(spring, square)
                     square = program.add(Product(longer, longer))
                 yield number(0.5 * spring.stiffness), square
         for turned in self.mechanism.joint_springs:
             if turned.law is not None and conserves(turned.law):
                 yield 1.0, self._stored(turned.law, self._turned(turned))
-            if not turned.stiffness:
-                continue
-            way = program.sum((1.0, self.q(turned.joint)), constant=number(-turned.angle))
-            yield number(0.5 * turned.stiffness), program.add(Product(way, way))
+            if turned.stiffness:
+                way = self._turned(turned)
+                yield number(0.5 * turned.stiffness), program.add(Product(way, way))
 
-    def _longer(self, spring: PointSpring) -> Slot:
-        """Its length less the free one."""
-        d = self.point(spring.between)
-        reach = self.program.add(Power(self.program.add(Inner(d, d)), 0.5))
+    def _longer(self, spring: PointSpring, square: Slot) -> Slot:
+        """Its length, by the square of that, less the free one."""
+        reach = self.program.add(Power(square, 0.5))
         return self.program.sum((1.0, reach), constant=self.program.number(-spring.length))
 
     def _turned(self, spring: JointSpring) -> Slot:
@@ -128,10 +120,10 @@ class ForceRows(LinkRows):
 
     def _signal(self, signal: Signal, arm: float, x: Slot | None = None) -> Slot:
         """What a signal is, of a spring's extension x; `arm` makes a torque of it."""
-        from robodyn.mechanics.signal_rows import signal_rows, table_place
+        from robodyn.mechanics.signal_rows import signal_rows
 
         if isinstance(signal, Table):
-            self.tables.append((signal, table_place(self, signal) if x is None else x))
+            self.tables.append((signal, self.variable(signal.over) if x is None else x))
         own = {} if x is None else {"x": x, "v": self.program.add(Derivative(x))}
         slot, watched = signal_rows(self, signal, own)
         for each, scale in watched:
@@ -197,9 +189,10 @@ class ForceRows(LinkRows):
         d = self.point(place)
         pull: list[Term] = []
         if spring.law is not None:
-            longer = self._longer(spring)
+            square = program.add(Inner(d, d))
+            longer = self._longer(spring, square)
             tension = self._signal(spring.law, _reach(place), longer)
-            distance = program.add(Power(program.add(Inner(d, d)), 0.5))
+            distance = program.add(Power(square, 0.5))
             pull.append((-1.0, program.add(Quotient(tension, distance))))
             if work and place.terms and not conserves(spring.law):
                 rate = program.add(Derivative(longer))

@@ -23,11 +23,7 @@ def next_kink(kinks: Sequence[float], t: float, end: float, spacings: float = 0.
 
 
 def next_stop(
-    kinks: Sequence[float],
-    leaves: Sequence[float],
-    t: float,
-    end: float,
-    spacings: float = 0.0,
+    kinks: Sequence[float], leaves: Sequence[float], t: float, end: float, spacings: float = 0.0
 ) -> float:
     """Where a step from t towards `end` must end at the latest: at a kink, or by a leaf's length.
 

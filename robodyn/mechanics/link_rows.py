@@ -70,9 +70,11 @@ class LinkRows:
             return self.x[j]
         return self.program.add(Integral(self.v(j), f"q{j}"))
 
-    def t(self) -> Slot:
-        """The time."""
-        return self.program.add(Given("t"))
+    def variable(self, name: str) -> Slot:
+        """The slot of t, q0.. or qd0..."""
+        if name == "t":
+            return self.program.add(Given("t"))
+        return self.v(int(name[2:])) if name.startswith("qd") else self.q(int(name[1:]))
 
     def point(self, point: PlanarPoint) -> Slot:
         """A point of the mechanism."""

@@ -1,9 +1,13 @@
-"""The links of a scene as a tree: the paths to its points, and the loops that closures make."""
+"""The links of a scene as a tree: the paths to its points, the loops that closures make.
+
+And the links as bodies: what the equations of motion are linear in, and its sums along the tree.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 from robodyn.mechanics.planar_model import PlanarPoint
 from robodyn.scene.scene import Closure, Link, Point
@@ -18,7 +22,13 @@ class Tree:
     def __init__(self, links: Sequence[Link]) -> None:
         self.links = links
         self.parent = tuple(link.hangs_from.link for link in links)
-        self.order = _order(self.parent)
+        children: dict[int | None, list[int]] = {}
+        for k, j in enumerate(self.parent):
+            children.setdefault(j, []).append(k)
+        order = children.get(None, [])
+        for k in order:  # it grows: each link after the one it hangs from
+            order += children.get(k, [])
+        self.order = tuple(order)
         self.frames: list[int | None] = [None] * len(links)
         self.phases: list[complex] = [1.0 + 0j] * len(links)
         for k in self.order:
@@ -89,14 +99,9 @@ class Tree:
 
     def constant(self, first: Point, second: Point) -> complex:
         """What is constant of first less second."""
-        if not self._grounded:  # paths need not be walked
+        if None not in self.frames:  # all links turn: paths need not be walked
             return self.ground(first) - self.ground(second)
         return self.difference(first, second).constant
-
-    @cached_property
-    def _grounded(self) -> bool:
-        """Whether some link cannot turn."""
-        return None in self.frames
 
     @cached_property
     def lengths(self) -> dict[int, float]:
@@ -182,12 +187,53 @@ class Tree:
         return k
 
 
-def _order(parent: Sequence[int | None]) -> tuple[int, ...]:
-    """The links, each after the one it hangs from."""
-    children: dict[int | None, list[int]] = {}
-    for k, j in enumerate(parent):
-        children.setdefault(j, []).append(k)
-    order = list(children.get(None, []))
-    for k in order:
-        order += children.get(k, [])
-    return tuple(order)
+class Bodies(NamedTuple):
+    """Of each link with its payload: mass, kg, first moment, kg m, and J about its joint, kg m^2.
+
+    Both about the link's own origin, in its frame.
+    """
+
+    mass: list[float]
+    first: list[complex]
+    inertia: list[float]
+
+
+def bodies(links: Sequence[Link]) -> Bodies:
+    """What the links are to the equations of motion, which are linear in it."""
+    return Bodies(
+        [link.m + link.payload for link in links],
+        [link.r * link.m + link.l * link.payload for link in links],
+        [link.I + link.m * _square(link.r) + link.payload * link.l * link.l for link in links],
+    )
+
+
+def _square(z: complex) -> float:
+    return z.real * z.real + z.imag * z.imag
+
+
+def carried_by(
+    tree: Tree, own: Bodies | None = None
+) -> tuple[list[float], list[complex], list[float]]:
+    """Of all that each link carries: its mass, its first moment B_k, and A_kk."""
+    links = tree.links
+    given = own or bodies(links)
+    mass, B, inertia = list(given.mass), list(given.first), list(given.inertia)
+    for k in reversed(tree.order):  # what link k carries acts on its parent at k's own joint
+        p, j = links[k].hangs_from.at, tree.parent[k]
+        if j is not None:
+            mass[j] += mass[k]
+            B[j] += p * mass[k]
+            inertia[j] += mass[k] * _square(p)
+    return mass, B, inertia
+
+
+def largest(tree: Tree) -> Iterator[complex]:
+    """Numbers that are finite only where A is: the products' sizes, from below."""
+    _, B, inertia = carried_by(tree)
+    yield from map(complex, inertia)
+    most = [max(abs(b.real), abs(b.imag)) for b in B]
+    for k in reversed(tree.order):
+        p, j = tree.links[k].hangs_from.at, tree.parent[k]
+        if j is not None:
+            most[j] = max(most[j], most[k])
+            yield complex(max(abs(p.real), abs(p.imag)) * most[k] * 2.0)

@@ -1,4 +1,8 @@
-"""The equations of loops: of pins, of points on lines, of angles that are kept, of couplings."""
+"""The equations of loops: of pins, of points on lines, of angles that are kept, of couplings.
+
+And what kind of loop each closure makes (Grashof's classes of four-bars, slider-cranks, others),
+and the names of the columns of what acts in them.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,10 @@ from collections.abc import Iterator
 
 from robodyn.errors import InputError
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.planar_model import ClosureRow, OnDemand, Terms
+from robodyn.mechanics.planar_model import ClosureRow, Mechanism, OnDemand, Terms
 from robodyn.scene.scene import Closure, Description
+
+EQUAL = 1e-12  # lengths that differ by less than this part count as equal
 
 
 def closure_rows(description: Description, tree: Tree) -> list[ClosureRow]:
@@ -98,3 +104,61 @@ def _turned(
     for k, p in _gap(tree, closure):
         if line is None or tree.frames[k] != line:
             yield k, w * p
+
+
+def loop_columns(mechanism: Mechanism) -> list[str]:
+    """The columns of `dynamics.loop_forces`: of closures forces, then moments; of couplings."""
+    described = mechanism.description
+    pins = [f"f{axis}{c + 1}" for c in range(len(described.closures)) for axis in "xy"]
+    kept = [f"mz{c + 1}" for c, x in enumerate(described.closures) if x.aligned is not None]
+    return [*pins, *kept, *(f"tc{c + 1}" for c in range(len(described.couplings)))]
+
+
+def loop_class(mechanism: Mechanism, closure: int) -> str:
+    """The class of a closure's loop: `crank-rocker (Grashof)`, `slider-crank ...`, `6-link loop`.
+
+    A four-bar's class is told for the joints of its links as they stand in the scene: the links
+    that hang from the ground are its cranks or rockers.
+    """
+    row = next(row for row in mechanism.rows if row.closure == closure)
+    sliding = [k for k, _ in (*row.P, *row.angles) if k in mechanism.slides]
+    if sliding or row.line is not None:
+        turning = {k for k, _ in row.P if k not in mechanism.slides} | ({row.line} - {None})
+        joints = f"{len(turning)} turning" + f" and {len(sliding)} sliding" * bool(sliding)
+        return f"{'loop with a slot' if row.line is not None else 'loop'} of {joints} links"
+    each = [x.offset for x in mechanism.rows if x.closure == closure]
+    offset = float(sum(x**2 for x in each) ** 0.5)  # the length of the ground's side, m
+    links = [k for k, _ in row.P]
+    lengths = [abs(p) for _, p in row.P]
+    if mechanism.description.closures[closure].along is not None:
+        if len(links) != 2:
+            return f"slider loop of {len(links)} links"
+        crank, rod = lengths
+        turns = crank + abs(row.offset) <= rod * (1 + EQUAL)
+        return "slider-crank, crank " + ("turns fully" if turns else "rocks")
+    if len(links) != 3 or offset == 0.0:
+        return f"{len(links) + (offset > 0.0)}-link loop"
+    sides = mechanism.description.closures[closure]
+    pinned = (
+        {sides.first.link, sides.second.link}
+        if None in (sides.first.link, sides.second.link)
+        else set()
+    )
+    grounded = [mechanism.parent[k] is None or k in pinned for k in links]
+    if grounded.count(True) != 2:
+        return "4-link loop"
+    return _four_bar(lengths, grounded, offset)
+
+
+def _four_bar(lengths: list[float], grounded: list[bool], ground: float) -> str:
+    shortest, *middle, longest = sorted([*lengths, ground])
+    difference = shortest + longest - sum(middle)
+    if abs(difference) <= EQUAL * longest:
+        return "change point"
+    if difference > 0.0:
+        return "triple-rocker (not Grashof)"
+    if ground == shortest:
+        return "double-crank (Grashof)"
+    return (
+        "crank-rocker (Grashof)" if grounded[lengths.index(shortest)] else "double-rocker (Grashof)"
+    )

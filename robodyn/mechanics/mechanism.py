@@ -31,8 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from robodyn.errors import InputError
-from robodyn.mechanics.carried_bodies import Bodies, carried_by, largest
-from robodyn.mechanics.link_tree import Tree
+from robodyn.mechanics.link_tree import Bodies, Tree, carried_by, largest
 from robodyn.mechanics.loop_rows import closure_rows, coupling_rows
 from robodyn.mechanics.planar_model import ClosureRow as ClosureRow
 from robodyn.mechanics.planar_model import Force as Force
@@ -142,9 +141,9 @@ def constants(description: Description, bodies: Bodies | None = None) -> Mechani
         damping=joint_damping(description),
         rows=tuple(closure_rows(description, tree)),
         actuated=_actuated(description, tree),
-        pivots=OnDemand(_points, tree, [link.hangs_from for link in links]),
-        tips=OnDemand(_points, tree, [Point(k, x.l) for k, x in enumerate(links)]),
-        centres=OnDemand(_points, tree, [Point(k, x.r) for k, x in enumerate(links)]),
+        pivots=OnDemand(map, tree.point, [link.hangs_from for link in links]),
+        tips=OnDemand(map, tree.point, [Point(k, x.l) for k, x in enumerate(links)]),
+        centres=OnDemand(map, tree.point, [Point(k, x.r) for k, x in enumerate(links)]),
         weights=tuple(weights),
         moments=tuple(moments),
         springs=OnDemand(_springs, tree, springs),
@@ -248,10 +247,6 @@ def _fixed(tree: Tree, load: Load) -> Load:
     if not load.turns or k is None or tree.frames[k] is not None or load.varies:
         return load
     return load._replace(force=tree.turned(k, load.force), turns=False)
-
-
-def _points(tree: Tree, points: Sequence[Point]) -> Iterator[PlanarPoint]:
-    return map(tree.point, points)
 
 
 def _forces(tree: Tree, loads: Sequence[Load]) -> Iterator[Force]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar
 
 from robodyn.scene.scene import Signal
 
@@ -23,11 +23,7 @@ class OnDemand(Sequence[T]):
         make, arguments = self._recipe
         return tuple(make(*arguments))
 
-    @overload
-    def __getitem__(self, at: int) -> T: ...
-    @overload
-    def __getitem__(self, at: slice) -> tuple[T, ...]: ...
-    def __getitem__(self, at: int | slice) -> T | tuple[T, ...]:
+    def __getitem__(self, at: Any) -> Any:
         return self._made[at]
 
     def __len__(self) -> int:
@@ -123,9 +119,9 @@ class VaryingMoment(NamedTuple):
     signal: Signal
 
 
-def conserves(law: Signal) -> bool:
+def conserves(law: Signal | None) -> bool:
     """Whether what a spring gives depends on its extension alone, and has a potential."""
-    return law.names <= {"x"}
+    return law is None or law.names <= {"x"}
 
 
 class Rotor(NamedTuple):

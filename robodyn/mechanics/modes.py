@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robodyn.mechanics.loop_rows import coupling_rows
 from robodyn.mechanics.planar_model import Mechanism
@@ -20,10 +20,7 @@ from robodyn.scene.scene import Coupling, JointSpring, Limits
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-
 NEAR = 1e-12  # rad or m, or part of where it is: so near to an end a joint touches it
-
-T = TypeVar("T", float, Any)
 
 BELL = 6.0  # widths of a bell, beyond which it is zero to rounding
 
@@ -41,8 +38,8 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     """The mechanism in a mode; the rows of what is held follow its own."""
     dry, limits = dict(mechanism.dry), dict(mechanism.limits)
     description = mechanism.description
-    held = tuple(Coupling(joint, (), 0.0) for joint in mode.held)
-    rows = [row._replace(held=True) for row in coupling_rows(description._replace(couplings=held))]
+    held = description._replace(couplings=tuple(Coupling(k, (), 0.0) for k in mode.held))
+    rows = [row._replace(held=True) for row in (coupling_rows(held) if mode.held else ())]
     springs, damping = list(mechanism.joint_springs), list(mechanism.damping)
     for joint, side in mode.pressed:
         stop = limits[joint]
@@ -60,7 +57,7 @@ def in_mode(mechanism: Mechanism, mode: Mode) -> Mechanism:
     )
 
 
-def pushes(stop: Limits, side: int, q: T, qd: T) -> T:
+def pushes(stop: Limits, side: int, q: Any, qd: Any) -> Any:
     """The force of a compliant stop over its stiffness, away from its side, rad or m.
 
     As its spring and damper have it: below zero it would pull, and does not act.

@@ -6,6 +6,7 @@ Massless, weightless, without closures or dampers of joints.  Numbers may be sym
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from robodyn.errors import SingularError
 from robodyn.mechanics.planar_model import Mechanism, conserves
@@ -22,10 +23,8 @@ def bare(mechanism: Mechanism) -> Mechanism:
 
 def stored(mechanism: Mechanism) -> Mechanism:
     """The springs with a potential, whose torques are part of G."""
-    springs = tuple(
-        x._replace(damping=0.0) for x in mechanism.springs if x.law is None or conserves(x.law)
-    )
-    turned = tuple(x for x in mechanism.joint_springs if x.law is None or conserves(x.law))
+    springs = tuple(x._replace(damping=0.0) for x in mechanism.springs if conserves(x.law))
+    turned = tuple(x for x in mechanism.joint_springs if conserves(x.law))
     return replace(bare(mechanism), springs=springs, joint_springs=turned)
 
 
@@ -38,11 +37,9 @@ def loaded(mechanism: Mechanism) -> Mechanism:
 def spent(mechanism: Mechanism) -> Mechanism:
     """What makes Q: dampers of springs, forces that turn with a link or vary, friction."""
     springs = tuple(
-        x._replace(stiffness=0.0, law=None) if x.law is None or conserves(x.law) else x
-        for x in mechanism.springs
+        x._replace(stiffness=0.0, law=None) if conserves(x.law) else x for x in mechanism.springs
     )
-    laws = ((x, x.law) for x in mechanism.joint_springs)
-    turned = tuple(x for x, law in laws if law is not None and not conserves(law))
+    turned = tuple(x for x in mechanism.joint_springs if not conserves(x.law))
     rubs = replace(loaded(mechanism), friction=mechanism.friction, slips=mechanism.slips)
     return replace(rubs, springs=springs, joint_springs=turned)
 
@@ -51,18 +48,14 @@ def untimed(mechanism: Mechanism) -> Mechanism:
     """All but loads that depend on the time, which a model of a controller does not know."""
     if not mechanism.timed:
         return mechanism
-    forces = tuple(
-        x
-        if x.signals is None
-        else x._replace(signals=(_without_time(x.signals[0]), _without_time(x.signals[1])))
-        for x in mechanism.forces
-    )
+
+    def still(signals: tuple[Signal | float, ...]) -> Any:
+        timed = [isinstance(x, Signal) and "t" in x.names for x in signals]
+        return tuple(0.0 if t else x for x, t in zip(signals, timed, strict=True))
+
+    forces = tuple(x._replace(signals=x.signals and still(x.signals)) for x in mechanism.forces)
     moments = tuple(x for x in mechanism.varying_moments if "t" not in x.signal.names)
     return replace(mechanism, forces=forces, varying_moments=moments)
-
-
-def _without_time(signal: Signal | float) -> Signal | float:
-    return 0.0 if isinstance(signal, Signal) and "t" in signal.names else signal
 
 
 def acting(mechanism: Mechanism) -> Mechanism:

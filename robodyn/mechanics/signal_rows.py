@@ -15,27 +15,19 @@ import ast
 import math
 from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
-from typing import Protocol
 
 from robodyn.errors import InputError
-from robodyn.mechanics.expression_rows import ExpressionRows, Variables, variable
-from robodyn.mechanics.program import Product, Program, Slot, Step
+from robodyn.mechanics.expression_rows import ExpressionRows
+from robodyn.mechanics.link_rows import LinkRows
+from robodyn.mechanics.program import Product, Slot, Step
 from robodyn.scene.scene import Law, Signal, Table
 
 NODES = 40  # of the energy's rule, where F is no polynomial
 FLATTENED = 3  # u = s^3: what is not smooth where the spring is free is smooth in s
 
 
-class ProgramRows(Variables, Protocol):
-    """Rows that have their program besides."""
-
-    @property
-    def program(self) -> Program:
-        """The program."""
-
-
 def signal_rows(
-    rows: ProgramRows, signal: Signal, own: Mapping[str, Slot]
+    rows: LinkRows, signal: Signal, own: Mapping[str, Slot]
 ) -> tuple[Slot, list[tuple[Slot, float]]]:
     """The slot of a signal; and what may bend within a step, with what makes a signal of it.
 
@@ -49,12 +41,7 @@ def signal_rows(
     return slot, [] if smooth else [(slot, 1.0)]
 
 
-def table_place(rows: ProgramRows, table: Table) -> Slot:
-    """What a load's table is over."""
-    return variable(rows, table.over)
-
-
-def stored_energy(rows: ProgramRows, signal: Signal, x: Slot) -> Slot:
+def stored_energy(rows: LinkRows, signal: Signal, x: Slot) -> Slot:
     """The integral of a spring's pull from where it is free to its extension x."""
     if isinstance(signal, Table):
         return _Lines(rows, signal, {"x": x}).energy()
@@ -66,9 +53,9 @@ def stored_energy(rows: ProgramRows, signal: Signal, x: Slot) -> Slot:
     return program.add(Product(x, program.sum(*terms)))
 
 
-def _read(rows: ProgramRows, law: Law, own: Mapping[str, Slot]) -> Slot:
+def _read(rows: LinkRows, law: Law, own: Mapping[str, Slot]) -> Slot:
     def named(name: str) -> Slot:
-        return own[name] if name in own else variable(rows, name)
+        return own[name] if name in own else rows.variable(name)
 
     reader = ExpressionRows(rows.program, named, lambda what: InputError(f"{law.text}: {what}"))
     return reader.slot(reader.read(ast.parse(law.code, mode="eval").body))
@@ -113,9 +100,9 @@ def _rule(degree: int | None) -> list[tuple[float, float]]:
 class _Lines:
     """The rows of a table at the slot of its variable."""
 
-    def __init__(self, rows: ProgramRows, table: Table, own: Mapping[str, Slot]) -> None:
+    def __init__(self, rows: LinkRows, table: Table, own: Mapping[str, Slot]) -> None:
         self.program, self.table = rows.program, table
-        self.at = own[table.over] if table.over in own else variable(rows, table.over)
+        self.at = own[table.over] if table.over in own else rows.variable(table.over)
         self.x, self.F = table.x, table.F
         self.slopes = self._slopes(self.x, self.F)
         self.xi = self._beyond(self.x)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.mechanics.array_types import Array
+
 Names = Mapping[str, Any]
 
 SAMPLES = (1024, 16384)  # of a run: no fewer; no more but for a switch that is faster

@@ -9,12 +9,11 @@ from __future__ import annotations
 import ast
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
-from robodyn.mechanics.expression_rows import ExpressionRows, Slotted, variable
+from robodyn.mechanics.expression_rows import ExpressionRows, Slotted
 from robodyn.mechanics.program import Given, Slot
 
 
@@ -35,7 +34,7 @@ def torque_slots(
         return [add(Given(f"tau{j}")) if j in driven else None for j in range(n)]
     if actuation.control is not None:
         raise _refused("a controller that acts continuously")
-    reader = ExpressionRows(equations.program, partial(variable, equations), _refused, held)
+    reader = ExpressionRows(equations.program, equations.variable, _refused, held)
     slots: list[Slot | None] = [None] * n
     for line in actuation.lines:
         match ast.parse(line).body:

@@ -7,6 +7,9 @@ zero or an extreme, there a sample is added, so that the narrowest pulse shows a
   are found to the spacing of floats, steps land on them, and between two of them it stands still.
 - Between those, the torque is cut into *leaves*, on each of which a polynomial of degree 16 meets
   all samples.  No step may be longer than a leaf that it enters.
+
+Loads of a scene by expressions in t are looked at in the same way; rows of a table over t are
+kinks, as those of a table of torques are.
 """
 
 from __future__ import annotations
@@ -35,6 +38,8 @@ from robodyn.mechanics.time_samples import (
     values_of,
 )
 from robodyn.mechanics.torque_edges import WithLines, cut, lines_at_edges
+from robodyn.scene.expressions import SCOPE
+from robodyn.scene.scene import Law, Table, signal_place
 
 NEAR_END = 1e-15  # of the run: a switch nearer to its ends is none
 
@@ -95,6 +100,49 @@ def over_a_run(
     scope = {**actuation.scope, "_piece": pieces.at, "_int": int, "_pick": _pick}
     lines = ("_s = _piece(t)", *found.lines)
     return replace(actuation, lines=lines, scope=scope, kinks=found.kinks, pieces=pieces)
+
+
+def over_a_scene_run(
+    mechanism: Mechanism,
+    actuation: Actuation,
+    state: Sequence[float],
+    t_end: float,
+    small: float = 0.0,
+) -> Actuation:
+    """`over_a_run` of the torques, and of loads that depend on the time.
+
+    Raises InputError where the rows of a table do not cover the run.
+    """
+    if actuation.lines:
+        actuation = over_a_run(actuation, state, t_end, small)
+    if not mechanism.timed or not t_end:
+        return actuation
+    first, last = min(0.0, t_end), max(0.0, t_end)
+    times: set[float] = set()
+    lines: list[str] = []
+    for signal in mechanism.signals:
+        if isinstance(signal, Law) and "t" in signal.names:
+            lines.append(f"tau{len(lines)} = {signal.code}")
+        elif isinstance(signal, Table) and signal.over == "t":
+            if signal.x[0] > first or signal.x[-1] < last:
+                span = f"{signal.x[0]:g} to {signal.x[-1]:g} s"
+                limit = f"the rows of {signal.file} must cover the simulation, {first:g} to "
+                place = signal_place(mechanism.description, signal)
+                raise InputError(
+                    place, where=mechanism.source, value=span, limit=f"{limit}{last:g} s"
+                )
+            times.update(t for t in signal.x if first < t < last)
+    found = over_a_run(Actuation(None, tuple(lines), dict(SCOPE)), state, t_end, small)
+    leaves = {*actuation.leaves, *found.leaves}
+    if actuation.control is not None:  # it takes kinks for samples
+        leaves.update({abs(t) for t in times} | {0.0, abs(t_end)} if times else set())
+    else:
+        times.update(found.kinks)
+    kinks = actuation.kinks
+    if actuation.control is None and not times <= set(kinks):
+        kinks = tuple(sorted({*kinks, *times}))
+    enough = actuation.told_by_leaves and found.told_by_leaves
+    return replace(actuation, kinks=kinks, leaves=tuple(sorted(leaves)), told_by_leaves=enough)
 
 
 def _pick(k: float, *values: float) -> float:
@@ -188,8 +236,7 @@ class _TimeParts:
         if kind == 1:
             self.size += 1
             if not _linear(node, kinds):
-                decides = isinstance(node, ast.Call | ast.BinOp) and _switches(node)
-                (self.guards if decides else self.timely).extend(parts)
+                (self.guards if _switches(node) else self.timely).extend(parts)
             return self._held(node, parts, written), 1
         if kind == 2:
             for part, held, each in zip(parts, written, kinds, strict=True):
@@ -225,13 +272,11 @@ class _TimeParts:
         return ast.Subscript(ast.Name("_s"), ast.Constant(len(self.switches) - 1))
 
 
-def _switches(node: ast.Call | ast.BinOp) -> bool:
+def _switches(node: ast.expr) -> bool:
     """Whether a node jumps or bends where its parts pass some value."""
     match node:
-        case ast.BinOp(op=operator):
-            return isinstance(operator, ast.Mod)
-        case ast.Call(func=ast.Name(id=name)):
-            return name in ("_sign", "_floor", "_abs")
+        case ast.BinOp(op=ast.Mod()) | ast.Call(func=ast.Name(id="_sign" | "_floor" | "_abs")):
+            return True
     return False
 
 

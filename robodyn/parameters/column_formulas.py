@@ -16,7 +16,7 @@ from robodyn.errors import InputError
 from robodyn.kinematics.named_points import NamedPoint, named_points
 from robodyn.kinematics.transmission import ratio_named, transmission_loops, turn_between
 from robodyn.mechanics.link_tree import Tree
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.parameters.force_formulas import ForceFormulas

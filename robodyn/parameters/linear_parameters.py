@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from robodyn.engines.planar_numbers import Planar
-from robodyn.mechanics.carried_bodies import Bodies, bodies
+from robodyn.mechanics.link_tree import Bodies, bodies
 from robodyn.mechanics.mechanism import Mechanism, constants, joint_damping
 from robodyn.scene.scene import Description, DryFriction, JointSpring, Spring
 

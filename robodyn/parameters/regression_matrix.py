@@ -174,4 +174,4 @@ def _rows(mechanism: Mechanism, solved: bool) -> FormulaRows | None:
         return None
     count = len(mechanism.actuated) if solved else mechanism.n
     widths = (count * len(names), count)
-    return FormulaRows(formula, lambda _: formula, widths, PIVOT_CUT)
+    return FormulaRows(formula, lambda **_: formula, widths, PIVOT_CUT)

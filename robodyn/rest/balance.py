@@ -21,7 +21,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_bias, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import RANK_CUT
@@ -29,9 +29,8 @@ from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_de
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 
 class Balance(NamedTuple):

@@ -17,13 +17,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_bias, mass_matrix, scaled_jacobian
 from robodyn.dynamics.dense_dynamics import required_load
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_closed, check_way_on
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
@@ -35,8 +36,6 @@ from robodyn.rest.natural_modes import (
     stable_by,
 )
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no coordinate
 RESTS = 1e-6  # rad that a pose may be from rest, by its accelerations

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.linear_model import LinearModel
-
-Array = NDArray[np.float64]
 
 VISIBLE = 0.3  # rad, or lengths, that the joint which moves most goes each way
 SMALLEST = 1e-3  # of these, where loops do not close farther out

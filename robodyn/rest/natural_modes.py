@@ -10,12 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robodyn.mechanics.array_types import Array, Complex
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 ZERO = 1e-7  # part of the largest eigenvalue below which one is zero: a double zero errs by this
 GROWS = 1e-10  # part of the largest eigenvalue above which a real part grows

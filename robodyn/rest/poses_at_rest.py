@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.closed_form import closure_gap, potential_energy
 from robodyn.dynamics.sticking import held_forces
@@ -23,6 +23,7 @@ from robodyn.errors import AssemblyError, InputError, RobodynError, SingularErro
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
 from robodyn.loops.loop_rates import check_closed
+from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, single
@@ -30,8 +31,6 @@ from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 LONGEST = 0.3  # rad of a step
 PASSES = 100  # steps of one kind
@@ -220,7 +219,10 @@ def _steps(
     at, damping = balance(acting, q, tau), 0.0
     for _ in range(PASSES):
         size = _size(mechanism, at, tau)
-        step = _downhill(at, size) if downhill else _newton(at, size, damping)
+        if downhill:
+            step = _downhill(at, size)
+        else:  # K^-1 r where nothing is damped, and where K is singular the least such step
+            step = damped(at.stiffness, at.force, damping * damping, LEVEL * size)
         length = float(np.abs(step).max(initial=0.0))
         settled = length <= SETTLED and not damping
         left = np.abs(at.force - at.stiffness @ step).max(initial=0.0)
@@ -245,11 +247,6 @@ def _steps(
         elif (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
             return None
     return None
-
-
-def _newton(at: Balance, size: float, damping: float) -> Array:
-    """K^-1 r where nothing is damped, and where K is singular the least such step."""
-    return damped(at.stiffness, at.force, damping * damping, LEVEL * size)
 
 
 def _downhill(at: Balance, size: float) -> Array:

@@ -8,12 +8,11 @@ makes the integral of x^T X x + u^T U u the least, x = (dz, dz') and u = tau - t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.array_types import Array
 from robodyn.rest.linear_model import LinearModel
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-12  # part of the largest weight that an eigenvalue may be below zero
 

@@ -23,10 +23,10 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.loops.closing import NEAR_SINGULAR, exact_gap, loop_size, newton
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
-from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.mechanics.torque_times import over_a_scene_run
 from robodyn.taylor.run import reach
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
-from robodyn.mechanics.loop_columns import loop_columns
+from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]

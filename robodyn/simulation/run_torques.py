@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.torque_times import harmless_torque
+from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
 
 Array = NDArray[np.float64]
 
@@ -36,7 +35,7 @@ def as_actuation(
 def over_run(
     mechanism: Mechanism, actuation: Actuation, state: Array, t_end: float, atol: float
 ) -> Actuation:
-    """The torques of a run from `state` (2n) to t_end; see `load_times.over_a_scene_run`."""
+    """The torques of a run from `state` (2n) to t_end; see `torque_times.over_a_scene_run`."""
     if not actuation.lines and not mechanism.timed:
         return actuation
     small = harmless_torque(mechanism, atol, t_end)

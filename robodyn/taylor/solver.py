@@ -18,8 +18,8 @@ from scipy.integrate import DenseOutput, OdeSolver
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
-from robodyn.mechanics.load_times import over_a_scene_run
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.mechanics.torque_times import over_a_scene_run
 from robodyn.taylor import Chunk, Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.errors import InputError, RobodynError
+from robodyn.mechanics.actuation import for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, end_word
 from robodyn.mechanics.motors import rate_limits, torque_limits
-from robodyn.mechanics.per_joint import for_each_actuated
 from robodyn.tables.arrays import Array
 from robodyn.trajectories.joint_paths import Pieces
 from robodyn.trajectories.loop_path import least_along
