@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.events.signs import NODES
+from robodyn.events.single_zeros import Steps
 
 Array = NDArray[np.float64]
 
@@ -75,6 +76,23 @@ class KeptStep:
             for name, value in now.items():
                 setattr(solver, name, value)
             solver.K[:] = stages
+
+
+def as_steps(steps: Sequence[Any]) -> Steps:
+    """Steps as they are looked at together: by guesses, and then by the solver's own states."""
+    nodes, other = two_guesses(steps)
+    begin, end = (np.array([getattr(step, name) for step in steps]) for name in ("t_old", "t"))
+    made: dict[int, Any] = {}
+
+    def states(places: NDArray[np.int64], t: Array) -> Array:
+        rows = []
+        for j, at in zip(places.tolist(), t.tolist(), strict=True):
+            if j not in made:
+                made[j] = steps[j].dense_output()
+            rows.append(made[j](at))
+        return np.array(rows)
+
+    return Steps(begin, end, nodes, other, states)
 
 
 def two_guesses(steps: Sequence[Any]) -> Array:

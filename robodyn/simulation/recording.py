@@ -20,7 +20,8 @@ from robodyn.dynamics.placed import matvec
 from robodyn.events.explicit_steps import KeptStep
 from robodyn.events.functions import EventFunction
 from robodyn.events.pieces import Step
-from robodyn.events.watch import Event, EventWatch, Stop
+from robodyn.events.told import Event, Stop
+from robodyn.events.watch import EventWatch
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation

@@ -21,7 +21,8 @@ from robodyn.dynamics.placed import as_states
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, SingularError, printable
 from robodyn.events.functions import event_function, event_functions
-from robodyn.events.watch import Event, EventWatch
+from robodyn.events.told import Event
+from robodyn.events.watch import EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
 from robodyn.mechanics import parts

@@ -89,6 +89,10 @@ class Engine(Protocol):
         """The states (k, N) at times (k,) in a step from (t, y) to `end`, as a function."""
         ...
 
+    def closed(self, rows: Array) -> Array:
+        """States (k, 2n), where there are closures moved to the nearest that close."""
+        ...
+
 
 def best_order(rtol: float) -> int:
     """The order at which a second of motion costs the least with the generic loops."""

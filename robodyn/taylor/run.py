@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.watch import Stop
+from robodyn.events.told import Stop
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing, loop_terms

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
-from robodyn.events.kept_signs import MISSED
+from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 
 if TYPE_CHECKING:

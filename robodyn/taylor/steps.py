@@ -274,6 +274,10 @@ class SteppingEngine:
                 rows[:, 2 * n] += (powers[:, terms] * x[:, None] / (terms + 1.0)) @ power
             if self.actuation.constants is not None:
                 rows[:, 2 * n] += way @ np.array(self.actuation.constants)
+        return self.closed(rows)
+
+    def closed(self, rows: Array) -> Array:
+        """See `Engine`."""
         if self.closing is not None:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]
