@@ -147,7 +147,7 @@ def _located(
 
 
 class Single(NamedTuple):
-    """Where the function at a place passes zero, to which sign, and whether this way counts.
+    """Where the function at a place passes zero, and to which sign.
 
     Its time may be off by `apart`, s.
     """
@@ -157,7 +157,6 @@ class Single(NamedTuple):
     apart: float
     sign: int
     y: Any = None
-    counts: bool = True
 
 
 class Followed(NamedTuple):
@@ -193,7 +192,7 @@ def followed(
     passes = (zeros.first * zeros.last == -1) & ~slow[at]
     places, _, signs, times, states, apart = (x[passes] for x in (at, *zeros))
     singles = {
-        j: Single(i, t, off, sign, y, function.way in (0, sign))
+        j: Single(i, t, off, sign, y)
         for j, sign, t, y, off in zip(
             places.tolist(), signs.tolist(), times.tolist(), states, apart.tolist(), strict=True
         )

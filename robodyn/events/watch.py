@@ -15,43 +15,33 @@ from numpy.typing import NDArray
 from robodyn.events.explicit_steps import as_steps
 from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages
+from robodyn.events.linear_forms import forms_of
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket, node_times
 from robodyn.events.single_zeros import Single, Steps, followed
-from robodyn.events.told import Event, Stop, remarks
+from robodyn.events.told import EventRecord, Found, Stop
+from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
-MOST = 1_000_000  # events that are kept
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
 @dataclass
-class EventWatch:
+class EventWatch(EventRecord):
     """Watches functions; those of the places `stops` end the run.
 
     `signs` are those that functions have had; 0 where that is not yet known: what holds at the
-    start is no event.  `grazes` has, by name, the times at which a function touches zero as far as
-    rounding tells, without passing it; `hidden` from when to when it is zero so for long; `lost`
-    where it changes sign too often to be followed.
+    start is no event.
     """
 
-    functions: Sequence[EventFunction]
-    t_end: float
-    stops: frozenset[int] = frozenset()
-    found: list[Event] = field(default_factory=list)
-    grazes: dict[str, list[float]] = field(default_factory=dict)
-    hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    lost: dict[str, list[float]] = field(default_factory=dict)
     signs: list[int] = field(default_factory=list)
-    happened: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.signs = self.signs or [0] * len(self.functions)
-        self.happened = [0] * len(self.functions)
+        super().__post_init__()
         self.watched = list(self.functions)
         self._known: list[Signs] = []  # of the steps looked at together
         self._after: list[Signs] = []  # those at their ends
@@ -60,7 +50,6 @@ class EventWatch:
         self._along: list[int] = []  # of that one of them which is looked at by itself
         self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
         self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step looked at
-        self._cut: dict[int, float] = {}  # when a function's event came with the end of a phase
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
@@ -74,27 +63,22 @@ class EventWatch:
         """Whether an event may end the run, or a phase of it."""
         return bool(self.stops) or len(self.watched) > len(self.functions)
 
-    def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
-        """How often each event happened, and each of some others."""
-        pairs = zip(self.functions, self.happened, strict=True)
-        counts = {function.name: count for function, count in pairs}
-        for event in others:
-            counts[event.name] = counts.get(event.name, 0) + 1
-        return counts
-
     def remarks(self) -> list[str]:
-        """What is to be said of events that rounding hides, or whose times are not sharp."""
         for i, touched in enumerate(self._touched):
             self._hidden_until(i, touched[1] if touched else 0.0)
-        return remarks(self)
+        return super().remarks()
 
-    @property
-    def instant(self) -> float:
-        return APART * self._length
+    def forms(self, mechanism: Mechanism) -> Array | None:
+        """What machine code takes of the functions; None where it cannot watch for them all."""
+        linear = [function.linear for function in self.functions if function.linear is not None]
+        if self.may_end or len(linear) < len(self.functions) or any(self._touched):
+            return None
+        return forms_of(mechanism, linear, self.signs)
 
-    @property
-    def _length(self) -> float:
-        return abs(self.t_end)
+    def take(self, found: Found) -> None:
+        """Take what machine code found along some steps."""
+        self.packed.append(found)
+        self.signs = found.signs.astype(np.int64).tolist()
 
     def series(
         self,
@@ -208,16 +192,8 @@ class EventWatch:
             self._along = [int(signs[j]) for signs in self._known]
             return places
         for single in sorted(self._single, key=lambda each: abs(each.t)):
-            self._tell(single)
+            self.tell(single)
         return places
-
-    def _tell(self, one: Single) -> None:
-        """A function passes zero: an event, where this way counts and it is not known."""
-        i, t = one.place, one.t
-        if one.counts and abs(t - self._cut.get(i, np.inf)) > self.instant:
-            self.happened[i] += 1
-            if len(self.found) < MOST:
-                self.found.append(Event(self.functions[i].name, t, one.y, one.apart))
 
     def _goes_on(self, i: int, sign: int) -> bool:
         """Whether nothing happens where a function has a sign for certain."""
@@ -237,8 +213,7 @@ class EventWatch:
         self._signs_from.clear()
         for one in self._single:
             self._signs_from[one.place] = [(step.begin, -one.sign), (one.t, one.sign)]
-            if one.counts:
-                passed.append(one)
+            passed.append(one)
         self._single = []
         for i in range(len(self.watched)) if places is None else places:
             passed += self._crossings(i, step, states)
@@ -255,7 +230,7 @@ class EventWatch:
             ends = next((each for each in passed if each.place in self.stops), ends)
         for each in passed:
             if each.place < own:
-                self._tell(each if each.y is not None else each._replace(y=states.at(each.t)))
+                self.tell(each if each.y is not None else each._replace(y=states.at(each.t)))
         if ends is None:
             return None
         if ends.place >= own:
@@ -274,7 +249,7 @@ class EventWatch:
             self._hidden_until(i, t)
         for each in passed:
             if abs(each.t - t) <= self.instant:
-                self.signs[each.place], self._cut[each.place] = 0, t
+                self.signs[each.place], self.cut[each.place] = 0, t
 
     def _crossings(self, i: int, step: Step, states: States) -> list[Single]:
         """Where a function passes zero in the way that counts, the states not yet known."""
@@ -298,7 +273,7 @@ class EventWatch:
                     width = abs(touched[1] - touched[0]) if touched else 0.0
                     found.append(Single(i, t, max(stretch.blur, width), sign))
             elif touched and self.signs[i] and i < len(self.functions) and not told:
-                self._graze(function.name, touched[0])
+                self.graze(function.name, touched[0])
             self.signs[i], before = sign, stretch
             known.append((stretch.begin, sign))
         if budget.spent:
@@ -324,7 +299,7 @@ class EventWatch:
     def _hidden_until(self, i: int, t: float) -> bool:
         """Rounding hides a function no longer; tells whether that was long enough to be told."""
         touched, self._touched[i] = self._touched[i], None
-        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self._length:
+        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self.length:
             return False
         spans = self.hidden.setdefault(self.functions[i].name, [])
         if spans and abs(touched[0] - spans[-1][1]) <= self.instant:
@@ -344,8 +319,3 @@ class EventWatch:
             return values * sign > 0.0
 
         return bracket(f, met, before.sure, after.sure, after.begin)[2]
-
-    def _graze(self, name: str, t: float) -> None:
-        times = self.grazes.setdefault(name, [])
-        if not times or abs(t - times[-1]) > self.instant:
-            times.append(t)

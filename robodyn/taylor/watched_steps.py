@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from robodyn.dynamics.placed import states_along
 from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
-from robodyn.events.told import Stop
+from robodyn.events.told import Found, Stop
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Chunk, Engine, Status
@@ -25,6 +25,9 @@ def with_events(
     events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    if isinstance(chunk.kept, Found):
+        events.take(chunk.kept)
+        return chunk, engine.within, None
     assert chunk.kept is not None
     series = chunk.kept.series
     times = np.concatenate([[t], chunk.t])
