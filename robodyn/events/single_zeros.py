@@ -131,8 +131,10 @@ def _located(
     y = steps.states(at, t)
     value = function.values(t, y)
     hidden = 2.0 * noise + UNITS * np.abs(t * speed)
-    near = np.abs(value) <= NEAR * np.abs(2.0 * slope)
+    near, sharp = (np.abs(value) <= limit for limit in (NEAR * np.abs(2.0 * slope), hidden))
     for _ in range(ROUNDS):
+        if sharp.all():
+            break
         nearer = t - value / speed
         states = steps.states(at, nearer)
         found = function.values(nearer, states)
@@ -140,8 +142,6 @@ def _located(
         t, y = np.where(better, nearer, t), np.where(better[:, None], states, y)
         value = np.where(better, found, value)
         sharp = np.abs(value) <= hidden
-        if sharp.all():
-            break
     apart = np.minimum(np.abs(2.0 * noise / slope), 1.0) * 0.5 * np.abs(h)
     return t, y[:, : steps.nodes.shape[2]], apart, near & sharp
 

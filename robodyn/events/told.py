@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -78,10 +79,21 @@ class EventRecord:
     def unpack(self) -> None:
         """Make events of what machine code found: that takes as long as finding them."""
         packed, self.packed = self.packed, []
+        names = [function.name for function in self.functions]
         for zeros, _ in packed:
-            rows = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
-            for place, t, apart, sign, y in zip(*rows[:, :4].T.tolist(), rows[:, 4:], strict=True):
-                self.tell(Single(int(place), t, apart, int(sign), y))
+            place, sign = zeros[:, 0].astype(np.int64), zeros[:, 3]
+            if any(function.way for function in self.functions):
+                ways = np.array([function.way for function in self.functions])
+                counts = ways[place] * sign >= 0.0
+                zeros, place = zeros[counts], place[counts]
+            if len(self.functions) > 1:
+                order = np.argsort(np.abs(zeros[:, 1]), kind="stable")
+                zeros, place = zeros[order], place[order]
+            places, (t, apart) = place.tolist(), zeros[:, 1:3].T.tolist()
+            for i in range(len(self.functions)):
+                self.happened[i] += places.count(i)
+            told = zip(map(names.__getitem__, places), t, zeros[:, 4:], apart, strict=True)
+            self.kept += map(Event._make, islice(told, MOST - len(self.kept)))
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""

@@ -25,6 +25,7 @@ from robodyn.mechanics.mechanism import Mechanism
 Array = NDArray[np.float64]
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
+DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
@@ -42,6 +43,7 @@ class EventWatch(EventRecord):
     def __post_init__(self) -> None:
         self.signs = self.signs or [0] * len(self.functions)
         super().__post_init__()
+        self.doubts = 0  # calls of machine code that were unsure
         self.watched = list(self.functions)
         self._known: list[Signs] = []  # of the steps looked at together
         self._after: list[Signs] = []  # those at their ends
@@ -71,7 +73,9 @@ class EventWatch(EventRecord):
     def forms(self, mechanism: Mechanism) -> Array | None:
         """What machine code takes of the functions; None where it cannot watch for them all."""
         linear = [function.linear for function in self.functions if function.linear is not None]
-        if self.may_end or len(linear) < len(self.functions) or any(self._touched):
+        if self.doubts >= DOUBTS or self.may_end or any(self._touched):
+            return None
+        if len(linear) < len(self.functions):
             return None
         return forms_of(mechanism, linear, self.signs)
 

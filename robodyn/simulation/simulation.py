@@ -192,8 +192,11 @@ def simulate(
     n = mechanism.n
 
     def happened() -> list[Event]:
-        found = [] if watch is None else [x._replace(y=x.y[: 2 * n]) for x in watch.found]
-        return sorted([*found, *recorder.contacts], key=lambda event: abs(event.t))
+        found = [] if watch is None else watch.found
+        events = [x if len(x.y) == 2 * n else x._replace(y=x.y[: 2 * n]) for x in found]
+        if not recorder.contacts:
+            return events
+        return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
 
     rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
     t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))

@@ -171,6 +171,7 @@ class CompiledEngine:
         self.keeps, self.most = False, STEPS
         self.forms: Array | None = None
         self._watch = np.zeros(len(WATCH), np.int64)
+        self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
@@ -199,8 +200,10 @@ class CompiledEngine:
         return found
 
     @cached_property
-    def _zeros(self) -> Array:
-        return np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
+    def _zeros(self) -> tuple[Array, tuple[int, int]]:
+        """Where machine code leaves zeros, and the addresses of that and of its matrix."""
+        zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
+        return zeros, (zeros.ctypes.data, matrix(self.order).ctypes.data)
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -227,8 +230,8 @@ class CompiledEngine:
         self, forms: Array, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, zeros, table = self._watch, self._zeros, matrix(self.order)
-        watch[:] = forms.ctypes.data, zeros.ctypes.data, table.ctypes.data, len(forms), 0, 0
+        watch, (zeros, addresses) = self._watch, self._zeros
+        watch[:] = forms.ctypes.data, *addresses, len(forms), 0, 0
         chunk = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
         watch[:] = 0
@@ -310,7 +313,7 @@ class CompiledEngine:
         room = self._room
         table, told = room[:a].view(np.int64), room.ctypes.data
         places = (told + 8 * x for x in (a, b, c, d, e, f))
-        table[:] = *places, self._watch.ctypes.data, wanted, 0, keeps, watches
+        table[:] = *places, self._at_watch, wanted, 0, keeps, watches
         room[a:b] = times
         code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])

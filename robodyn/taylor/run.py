@@ -237,7 +237,8 @@ def taylor_run(
             if runner.keeps is not watched:
                 runner.keeps = watched
             steps = min(steps, ahead) if watched else steps
-            runner.forms = recorder.events.forms(mechanism) if recorder.events else None
+            if not isinstance(runner, SteppingEngine):
+                runner.forms = recorder.events.forms(mechanism) if recorder.events else None
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start

@@ -229,6 +229,9 @@ class Watch:
         noise = k.add(noise, k.multiply(k.number(ROUNDING), size))
         missed = k.multiply(k.number(MISSED), k.intrinsic("fabs", k.subtract(total, last)))
         error = k.add(k.add(noise, missed), k.multiply(k.number(MARGIN), changes))
+        for order in range(scene.order - 1, scene.order + 2):  # what the series leaves out
+            tail = k.intrinsic("fabs", k.load(k.at(series, order)))
+            error = k.add(error, k.multiply(k.number(2.0), tail))
         old_place = k.at(form, self.sign)
         old = k.load(old_place)
 

@@ -29,6 +29,7 @@ def with_events(
         events.take(chunk.kept)
         return chunk, engine.within, None
     assert chunk.kept is not None
+    events.doubts += engine.forms is not None
     series = chunk.kept.series
     times = np.concatenate([[t], chunk.t])
     forward = 1.0 if times[1] > times[0] else -1.0
