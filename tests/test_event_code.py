@@ -16,8 +16,8 @@ from robodyn.events.functions import event_functions
 from robodyn.events.signs import BENDS, SLOPES
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.compiled import CompiledEngine
-from robodyn.taylor.watched_code import matrix
 
 Array = NDArray[np.float64]
 

@@ -23,8 +23,9 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
+from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.step_boxes import Kept, write_box
-from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch, matrix
+from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
 
 Array = NDArray[np.float64]
 

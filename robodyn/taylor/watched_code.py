@@ -8,18 +8,12 @@ is `unsure`, and so is the whole call: the steps are made once more, and looked 
 
 from __future__ import annotations
 
-from functools import lru_cache
-
-import numpy as np
-from numpy.typing import NDArray
-
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
 from robodyn.events.signs import BENDS, DEGREE, MISSED, ROUNDING, SLOPES
+from robodyn.taylor.chebyshev_code import write_bounds
 from robodyn.taylor.step_boxes import write_box
-
-Array = NDArray[np.float64]
 
 PASSES = 60  # of Newton's method on a series, kept in the bracket
 ROUNDS = 5  # of Newton's method on the states
@@ -29,32 +23,6 @@ ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
 WATCH = ("forms", "zeros", "matrix", "functions", "found", "unsure")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
-
-
-def wide(order: int) -> int:
-    """How many coefficients stand side by side, of order + 2."""
-    return 8 * -(-(order + 2) // 8)
-
-
-@lru_cache(maxsize=16)
-def matrix(order: int) -> Array:
-    """Chebyshev's coefficients of the powers on [0, 1] (rows); then weights that bound them.
-
-    Those of all but the first, and of what the slope and the bend have besides their own.
-    """
-    size = wide(order)
-    found = np.zeros((order + 5, size))
-    found[0, 0] = 1.0
-    for m in range(order + 1):  # x T_k = T_k / 2 + (T_{k-1} + T_{k+1}) / 4 on [0, 1]
-        row = found[m]
-        found[m + 1] = 0.5 * row
-        found[m + 1, 1:] += 0.25 * row[:-1]
-        found[m + 1, :-1] += 0.25 * row[1:]
-        found[m + 1, 1] += 0.25 * row[0]
-    k = np.arange(size, dtype=float)
-    weights = (k > 0) * 1.0, (k > 1) * k**2, (k > 2) * k**2 * (k**2 - 1.0) / 3.0
-    found[order + 2 :] = weights
-    return found
 
 
 class Watch:
@@ -67,7 +35,7 @@ class Watch:
 
     def declare(self, module: Module) -> None:
         """All of them."""
-        self._write_bounds(module)
+        write_bounds(module, self.scene.order)
         self._write_value(module)
         self._write_series(module)
         self._write_nearest(module)
@@ -75,30 +43,6 @@ class Watch:
         self._write_step(module)
 
     # -- one function ------------------------------------------------------------------------------
-
-    def _write_bounds(self, module: Module) -> None:
-        """bounds(series, matrix, out): |c_0|, then the sum of the |c_k|, weighed as matrix says."""
-        size, orders = wide(self.scene.order), self.scene.order + 2
-        inner = Module(size)
-        inner.functions = module.functions
-        k = Kernel(inner, "event_bounds", (ADDRESS, ADDRESS, ADDRESS), "void")
-        series, table, out = k.arguments
-        with k.loop(k.whole(orders)) as m:
-            total = k.carried(k.number(0.0))
-            row = k.load(k.at(table, k.multiply(m, k.whole(size))))
-            power = k.spread(k.load(k.at(series, m), SCALAR))
-            k.becomes(total, k.add(total, k.multiply(power, row)))
-        for i in range(3):
-            k.store(k.lane(total, i), k.at(out, i))
-        sizes = k.intrinsic("fabs", total)
-        name = f"llvm.vector.reduce.fadd.v{size}f64"
-        module.declare(name, SCALAR, SCALAR, k.numbers)
-        for i in range(3):
-            row = k.load(k.at(table, (orders + i) * size))
-            weighed = k.multiply(sizes, row)
-            total = k.op(SCALAR, f"call reassoc double @{name}({k.scalar(0.0)}, {weighed})")
-            k.store(total, k.at(out, 3 + i))
-        k.done()
 
     def _write_value(self, module: Module) -> None:
         """event_value(form, state, t): of a function."""
