@@ -30,7 +30,7 @@ from robodyn.cli.simulate_options import (
 from robodyn.cli.states import Quantity, assembled_state, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.errors import RobodynError
-from robodyn.events.watch import Event
+from robodyn.events.told import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units

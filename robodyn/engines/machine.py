@@ -237,7 +237,7 @@ def generator() -> str:
     """What tells these sources, and those of the program, from other versions of them."""
     digest = hashlib.sha256()
     here = Path(__file__).parent
-    for room in (here, here.parent / "loops", here.parent / "mechanics"):
+    for room in (here, *(here.parent / name for name in ("loops", "mechanics", "taylor"))):
         for path in sorted(room.glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

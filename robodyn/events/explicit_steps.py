@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.events.signs import NODES
+from robodyn.events.single_zeros import Steps
 
 Array = NDArray[np.float64]
 
@@ -75,6 +76,29 @@ class KeptStep:
             for name, value in now.items():
                 setattr(solver, name, value)
             solver.K[:] = stages
+
+
+def as_steps(steps: Sequence[Any]) -> Steps:
+    """Steps as they are looked at together: by guesses, and then by the solver's own states."""
+    nodes, other = two_guesses(steps)
+    begin, end = (np.array([getattr(step, name) for step in steps]) for name in ("t_old", "t"))
+    made: dict[int, Any] = {}
+
+    def states(places: NDArray[np.int64], t: Array) -> Array:
+        for j in places.tolist():
+            if j not in made:
+                made[j] = steps[j].dense_output()
+        dense = [made[j] for j in places.tolist()]
+        if any(type(each).__name__ != "Dop853DenseOutput" for each in dense):
+            return np.array([each(at) for each, at in zip(dense, t, strict=True)])
+        x = ((t - begin[places]) / (end - begin)[places])[:, None]
+        powers = np.array([each.F for each in dense])
+        found = powers[:, -1] * x
+        for i in range(1, powers.shape[1]):  # as each of them does by itself
+            found = (found + powers[:, -1 - i]) * (1.0 - x if i % 2 else x)
+        return np.asarray(found + np.array([each.y_old for each in dense]))
+
+    return Steps(begin, end, nodes, other, states)
 
 
 def two_guesses(steps: Sequence[Any]) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.errors import InputError
+from robodyn.events.linear_forms import linear_form
 from robodyn.events.rounding import Bounded, around_of, bound_of
 from robodyn.events.smooth_parts import switches
 from robodyn.mechanics.mechanism import Mechanism
@@ -62,13 +63,15 @@ class EventFunction(Part):
 
     `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
-    are smooth between zeros of those before them, passes zero.
+    are smooth between zeros of those before them, passes zero.  `linear` are its coefficients
+    (2 + 2n) of 1, t, q and qd, where it is a sum of these.
     """
 
     name: str
     way: int
     strict: bool
     switches: tuple[Part, ...]
+    linear: Array | None = field(default=None, compare=False)
 
 
 @lru_cache(maxsize=256)
@@ -99,7 +102,8 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
     )
     made = _vectorised(tree, n), bound_of(tree, n)
-    return EventFunction(*made, name, way, strict, cuts, around=around_of(tree, n))
+    linear = linear_form(tree, n)
+    return EventFunction(*made, name, way, strict, cuts, linear, around=around_of(tree, n))
 
 
 def event_functions(mechanism: Mechanism, given: Mapping[str, str]) -> list[EventFunction]:

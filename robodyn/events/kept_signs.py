@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
-from robodyn.events.signs import NODES, certain
+from robodyn.events.signs import MISSED, certain, node_times
 
 Array = NDArray[np.float64]
 Signs = NDArray[np.int64]
 
-# What a look at many steps asks of a function beyond its rounding: of its size along a step, and of
-# what it misses at the step's end, where the state is brought back onto closures.
-MARGIN, MISSED = 1e-9, 4.0
+# of a function's size along a step, what a look at many steps asks of it beyond its rounding
+MARGIN = 1e-9
 
 
 def by_boxes(function: EventFunction, *box: Array) -> Signs:
@@ -36,12 +35,6 @@ def by_boxes(function: EventFunction, *box: Array) -> Signs:
         found = signs if found is None else signs * np.abs(found)
     assert found is not None
     return found
-
-
-def node_times(begin: Array, end: Array) -> Array:
-    """The times (m * nodes) of Chebyshev's points of m steps."""
-    at: Array = begin[:, None] + (end - begin)[:, None] * NODES
-    return at.ravel()
 
 
 def by_samples(function: EventFunction, at: Array, y: Array, m: int) -> Signs:

@@ -44,14 +44,18 @@ def _positive(x: Any) -> Any:
 
 
 def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
-    """The bound (k,) on the rounding of an expression's values at times (k,), states (k, 2n..)."""
+    """The bound (..., k) on the rounding of an expression's values along a step.
+
+    Those are at its times (..., k), of its states (..., k, 2n or more).
+    """
 
     def bound(t: Array, y: Array) -> Array:
         with np.errstate(all="ignore"):
-            largest = [float(np.abs(part).max()) for part in (y[:, :n], y[:, n : 2 * n])]
-            off = np.repeat(STATE * np.array([largest]), n)
-            found = _bounded(tree, _known(t, t, y, off[None], n))[1]
-            return np.asarray(found + np.zeros(len(t)))
+            parts = y[..., :n], y[..., n : 2 * n]
+            largest = np.stack([np.abs(part).max(axis=(-2, -1)) for part in parts], axis=-1)
+            off = np.repeat(STATE * largest, n, axis=-1)[..., None, :]
+            found = _bounded(tree, _known(t, t, y, off, n))[1]
+            return np.asarray(found + np.zeros(t.shape))
 
     return bound
 
@@ -76,7 +80,7 @@ def _known(begin: Array, end: Array, y: Array, dy: Array, n: int) -> Callable[[s
             t = begin + half
             return t, np.abs(half) + EPS * np.abs(t)
         column = int(name.lstrip("qd")) + n * name.startswith("qd")
-        return y[:, column], dy[:, column]
+        return y[..., column], dy[..., column]
 
     return known
 

@@ -30,6 +30,7 @@ DEGREE = 16
 ROUNDING = 16.0 * float(np.finfo(float).eps)  # of the sum of |c_k|
 SPREAD = np.array([0.0, 1e-14, 1e-12, 1e-9, 1e-5])  # of a bracket, about a guess of the root
 CLOSE = np.array([-1.0, 0.0, 1.0])  # mostly a guess is right to rounding
+MISSED = 4.0  # of what a step misses at its end, where it is brought back onto closures
 MOST_BOXES = 20_000  # of one look at a function along a step
 
 _k = np.arange(DEGREE + 1.0)
@@ -85,6 +86,12 @@ class Budget:
     least: float
     left: int = MOST_BOXES
     spent: bool = False
+
+
+def node_times(begin: Array, end: Array) -> Array:
+    """The times (m * nodes) of Chebyshev's points of m steps."""
+    at: Array = begin[:, None] + (end - begin)[:, None] * NODES
+    return at.ravel()
 
 
 def certain(values: Array, noise: Array) -> NDArray[np.int64]:

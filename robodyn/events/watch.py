@@ -7,74 +7,51 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.events.explicit_steps import as_steps
 from robodyn.events.functions import EventFunction
-from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages, node_times
+from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages
+from robodyn.events.linear_forms import forms_of
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
-from robodyn.events.signs import Budget, Stretch, bracket
-from robodyn.tables.short_repr import short_repr
+from robodyn.events.signs import Budget, Stretch, bracket, node_times
+from robodyn.events.single_zeros import Single, Steps, followed
+from robodyn.events.told import EventRecord, Found, Stop
+from robodyn.mechanics.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 
-APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
-TOLD = 5  # times that a remark names
-MOST = 1_000_000  # events that are kept
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
+DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked
 LESS = 7  # times at most that the work on a function is halved which cannot be followed
 LEAST = 1e-17  # of a step: no times within it are told apart further
 
 
-@short_repr
-class Event(NamedTuple):
-    """What happened when, and the state y = (q, qd) there; its time may be off by `apart`, s."""
-
-    name: str
-    t: float
-    y: Array
-    apart: float = 0.0
-
-
-class Stop(NamedTuple):
-    """The event that ends a run, of which function, and the whole state (N,) there."""
-
-    place: int
-    t: float
-    y: Array
-
-
 @dataclass
-class EventWatch:
+class EventWatch(EventRecord):
     """Watches functions; those of the places `stops` end the run.
 
     `signs` are those that functions have had; 0 where that is not yet known: what holds at the
-    start is no event.  `grazes` has, by name, the times at which a function touches zero as far as
-    rounding tells, without passing it; `hidden` from when to when it is zero so for long; `lost`
-    where it changes sign too often to be followed.
+    start is no event.
     """
 
-    functions: Sequence[EventFunction]
-    t_end: float
-    stops: frozenset[int] = frozenset()
-    found: list[Event] = field(default_factory=list)
-    grazes: dict[str, list[float]] = field(default_factory=dict)
-    hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    lost: dict[str, list[float]] = field(default_factory=dict)
     signs: list[int] = field(default_factory=list)
-    happened: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.signs = self.signs or [0] * len(self.functions)
-        self.happened = [0] * len(self.functions)
+        super().__post_init__()
+        self.doubts = 0  # calls of machine code that were unsure
         self.watched = list(self.functions)
         self._known: list[Signs] = []  # of the steps looked at together
+        self._after: list[Signs] = []  # those at their ends
+        self._found_in: dict[int, list[Single]] = {}  # by step, what needs no look at it by itself
+        self._single: list[Single] = []  # those in the step looked at
         self._along: list[int] = []  # of that one of them which is looked at by itself
         self._touched: list[tuple[float, float] | None] = [None] * len(self.functions)
         self._signs_from: dict[int, list[tuple[float, int]]] = {}  # along the step looked at
-        self._cut: dict[int, float] = {}  # when a function's event came with the end of a phase
 
     def guard(self, guards: Sequence[EventFunction]) -> None:
         """Watch these besides, which are positive now: what changes their signs ends the run."""
@@ -88,46 +65,24 @@ class EventWatch:
         """Whether an event may end the run, or a phase of it."""
         return bool(self.stops) or len(self.watched) > len(self.functions)
 
-    def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
-        """How often each event happened, and each of some others."""
-        pairs = zip(self.functions, self.happened, strict=True)
-        counts = {function.name: count for function, count in pairs}
-        for event in others:
-            counts[event.name] = counts.get(event.name, 0) + 1
-        return counts
-
     def remarks(self) -> list[str]:
-        """What is to be said of events that rounding hides, or whose times are not sharp."""
-        found = []
-        for name, times in self.grazes.items():
-            limit = "rounding hides whether it passes"
-            found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
         for i, touched in enumerate(self._touched):
             self._hidden_until(i, touched[1] if touched else 0.0)
-        for name, spans in self.hidden.items():
-            told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
-            found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
-        for name, times in self.lost.items():
-            found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
-        blurred = [event for event in self.found if event.apart > self._instant]
-        if blurred:
-            worst = max(blurred, key=lambda event: event.apart)
-            found.append(
-                f"{worst.name} at t = {worst.t:.9g} s passes zero so slowly that rounding leaves "
-                f"{worst.apart:.1g} s open"
-                + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
-            )
-        if sum(self.happened) > len(self.found):
-            found.append(f"the first {len(self.found)} events are kept")
-        return found
+        return super().remarks()
 
-    @property
-    def _instant(self) -> float:
-        return APART * self._length
+    def forms(self, mechanism: Mechanism) -> Array | None:
+        """What machine code takes of the functions; None where it cannot watch for them all."""
+        linear = [function.linear for function in self.functions if function.linear is not None]
+        if self.doubts >= DOUBTS or self.may_end or any(self._touched):
+            return None
+        if len(linear) < len(self.functions):
+            return None
+        return forms_of(mechanism, linear, self.signs)
 
-    @property
-    def _length(self) -> float:
-        return abs(self.t_end)
+    def take(self, found: Found) -> None:
+        """Take what machine code found along some steps."""
+        self.packed.append(found)
+        self.signs = found.signs.astype(np.int64).tolist()
 
     def series(
         self,
@@ -137,13 +92,15 @@ class EventWatch:
         ends: Array,
         step: Callable[[int], Step],
         exact: bool = False,
+        within: Callable[[Signs, Array], Array] | None = None,
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
         Those are their middles and how far they reach.  `sampled` has, of steps by their places,
         the states (k, nodes, N) at Chebyshev's points, `ends` (m, N) are those at their ends,
         brought back onto closures; `step(j)` has one whole, which has the same states where they
-        are `exact`.  Tells in which of them the run ends, and how.
+        are `exact`, and `within` the states (k, 2n or more) at a time within each of some steps.
+        Tells in which of them the run ends, and how.
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
@@ -152,8 +109,15 @@ class EventWatch:
             nodes = sampled(left)
             self._look(known, left, times, nodes, ends[left])
         doubtful = self._doubtful(known)
-        for j, places in sorted(doubtful.items()):
-            places = self.begin(j, places)
+        if doubtful and within is not None:
+
+            def steps(at: Signs) -> Steps:
+                known = nodes[np.searchsorted(left, at)], ends[at, None]
+                return Steps(times[at], times[at + 1], *known, lambda i, t: within(at[i], t))
+
+            doubtful = self._singly(doubtful, steps)
+        for j in sorted({*doubtful, *self._found_in}):
+            places = self.begin(j, doubtful.get(j, ()))
             if not places:
                 continue
             whole = step(j)
@@ -180,7 +144,7 @@ class EventWatch:
 
     def _doubtful(self, known: list[Signs]) -> dict[int, list[int]]:
         """In which steps which functions may pass zero, as their known signs (m,) tell."""
-        self._known = known
+        self._known, self._after, self._found_in = known, list(known), {}
         doubtful: dict[int, list[int]] = {}
         for i, signs in enumerate(known):
             first = int(signs[0])
@@ -193,8 +157,29 @@ class EventWatch:
         return doubtful
 
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
-        """For steps of an explicit method, which functions may pass zero in each, by its stages."""
-        return self._doubtful(by_stages(self.watched, steps))
+        """For steps of an explicit method, which functions are to be looked at in each of them."""
+        doubtful = self._doubtful(by_stages(self.watched, steps))
+        return self._singly(doubtful, lambda at: as_steps([steps[j] for j in at]))
+
+    def _singly(
+        self, doubtful: dict[int, list[int]], steps: Callable[[Signs], Steps]
+    ) -> dict[int, list[int]]:
+        """Find what passes zero once along steps; what is left to be looked at."""
+        left: dict[int, list[int]] = {}
+        for i in sorted({i for some in doubtful.values() for i in some}):
+            slow = [j for j, some in doubtful.items() if i in some]
+            if not (i in self.stops or i >= len(self.functions) or self._known[i].all()):
+                way = followed(i, self.functions[i], self._known[i], self.signs[i], steps)
+                self._after[i], found = way.last, way.singles
+                slow = way.slow.nonzero()[0].tolist()
+                if self._touched[i] is not None and slow[:1] != [0]:
+                    slow = [0, *slow]
+                    found.pop(0, None)
+                for j, single in found.items():
+                    self._found_in.setdefault(j, []).append(single)
+            for j in slow:
+                left.setdefault(j, []).append(i)
+        return left
 
     def begin(self, j: int, places: Sequence[int]) -> list[int]:
         """Know the signs at the start of step j of those looked at together.
@@ -203,10 +188,16 @@ class EventWatch:
         that of before.
         """
         for i in places:
-            if j and self._known[i][j - 1]:
-                self.signs[i] = int(self._known[i][j - 1])
-        self._along = [int(signs[j]) for signs in self._known]
-        return [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
+            if j and self._after[i][j - 1]:
+                self.signs[i] = int(self._after[i][j - 1])
+        places = [i for i in places if not self._goes_on(i, int(self._known[i][j]))]
+        self._single = self._found_in.pop(j, [])
+        if places:
+            self._along = [int(signs[j]) for signs in self._known]
+            return places
+        for single in sorted(self._single, key=lambda each: abs(each.t)):
+            self.tell(single)
+        return places
 
     def _goes_on(self, i: int, sign: int) -> bool:
         """Whether nothing happens where a function has a sign for certain."""
@@ -214,43 +205,43 @@ class EventWatch:
 
     def seen(self) -> None:
         """Know the signs at the end of the steps looked at together."""
-        for i, known in enumerate(self._known):
-            if known[-1]:
-                self.signs[i] = int(known[-1])
+        for i, signs in enumerate(self._after):
+            if signs[-1]:
+                self.signs[i] = int(signs[-1])
 
     @np.errstate(all="ignore")  # values may be huge, or none
     def step(self, step: Step, places: Sequence[int] | None = None) -> Stop | None:
         """Look at one step, for the functions at `places`."""
-        passed: list[tuple[float, float, int]] = []
+        passed: list[Single] = []
         states = Remembered(step)
         self._signs_from.clear()
+        for one in self._single:
+            self._signs_from[one.place] = [(step.begin, -one.sign), (one.t, one.sign)]
+            passed.append(one)
+        self._single = []
         for i in range(len(self.watched)) if places is None else places:
-            passed += [(t, apart, i) for t, apart in self._crossings(i, step, states)]
+            passed += self._crossings(i, step, states)
         if not passed:
             return None
         forward = 1.0 if step.end > step.begin else -1.0
-        passed.sort(key=lambda each: each[0] * forward)
+        passed.sort(key=lambda each: each.t * forward)
         own = len(self.functions)
-        ends = next((each for each in passed if each[2] in self.stops or each[2] >= own), None)
+        may = (each for each in passed if each.place in self.stops or each.place >= own)
+        ends = next(may, None)
         if ends is not None:
-            passed = [each for each in passed if (each[0] - ends[0]) * forward <= self._instant]
+            passed = [each for each in passed if (each.t - ends.t) * forward <= self.instant]
             # of what happens at one instant the end of the run comes first
-            ends = next((each for each in passed if each[2] in self.stops), ends)
-        for t, apart, i in passed:
-            if i >= own or abs(t - self._cut.get(i, np.inf)) <= self._instant:
-                continue
-            self.happened[i] += 1
-            if len(self.found) < MOST:
-                self.found.append(Event(self.functions[i].name, t, states.at(t), apart))
+            ends = next((each for each in passed if each.place in self.stops), ends)
+        for each in passed:
+            if each.place < own:
+                self.tell(each if each.y is not None else each._replace(y=states.at(each.t)))
         if ends is None:
             return None
-        if ends[2] >= own:
-            self._end_phase(ends[0], passed, forward)
-        return Stop(ends[2], ends[0], states.at(ends[0]))
+        if ends.place >= own:
+            self._end_phase(ends.t, passed, forward)
+        return Stop(ends.place, ends.t, states.at(ends.t))
 
-    def _end_phase(
-        self, t: float, passed: Sequence[tuple[float, float, int]], forward: float
-    ) -> None:
+    def _end_phase(self, t: float, passed: Sequence[Single], forward: float) -> None:
         """Know the signs at t, where the motion goes on in another way than the step has it.
 
         What passes zero at this instant is told; it has any sign from then on.
@@ -260,15 +251,15 @@ class EventWatch:
         for i, signs in self._signs_from.items():
             self.signs[i] = [x for at, x in signs if (t - at) * forward >= 0.0][-1]
             self._hidden_until(i, t)
-        for at, _, i in passed:
-            if abs(at - t) <= self._instant:
-                self.signs[i], self._cut[i] = 0, t
+        for each in passed:
+            if abs(each.t - t) <= self.instant:
+                self.signs[each.place], self.cut[each.place] = 0, t
 
-    def _crossings(self, i: int, step: Step, states: States) -> list[tuple[float, float]]:
-        """When a function passes zero in the way that counts, and how far that may be off."""
+    def _crossings(self, i: int, step: Step, states: States) -> list[Single]:
+        """Where a function passes zero in the way that counts, the states not yet known."""
         function, budget = self.watched[i], Budget(LEAST * abs(step.end - step.begin))
         budget.left >>= min(len(self.lost.get(function.name, ())), LESS)
-        found: list[tuple[float, float]] = []
+        found: list[Single] = []
         before: Stretch | None = None
         known = self._signs_from[i] = [(step.begin, self.signs[i])]
         for stretch in signs_along(function, step.begin, step.end, states, budget):
@@ -284,9 +275,9 @@ class EventWatch:
                     if before is not None:
                         t = self._passed(function, sign, before, stretch, states)
                     width = abs(touched[1] - touched[0]) if touched else 0.0
-                    found.append((t, max(stretch.blur, width)))
+                    found.append(Single(i, t, max(stretch.blur, width), sign))
             elif touched and self.signs[i] and i < len(self.functions) and not told:
-                self._graze(function.name, touched[0])
+                self.graze(function.name, touched[0])
             self.signs[i], before = sign, stretch
             known.append((stretch.begin, sign))
         if budget.spent:
@@ -300,7 +291,7 @@ class EventWatch:
         return -function.way if function.strict or not stretch.defined else function.way
 
     def _lasts(self, stretch: Stretch) -> bool:
-        return stretch.stays and abs(stretch.end - stretch.begin) > self._instant
+        return stretch.stays and abs(stretch.end - stretch.begin) > self.instant
 
     def _hidden(self, i: int, stretch: Stretch) -> None:
         if not stretch.defined and self._lasts(stretch):
@@ -312,10 +303,10 @@ class EventWatch:
     def _hidden_until(self, i: int, t: float) -> bool:
         """Rounding hides a function no longer; tells whether that was long enough to be told."""
         touched, self._touched[i] = self._touched[i], None
-        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self._length:
+        if not touched or i >= len(self.functions) or abs(t - touched[0]) <= LONG * self.length:
             return False
         spans = self.hidden.setdefault(self.functions[i].name, [])
-        if spans and abs(touched[0] - spans[-1][1]) <= self._instant:
+        if spans and abs(touched[0] - spans[-1][1]) <= self.instant:
             touched = spans.pop()
         spans.append((touched[0], t))
         return True
@@ -332,13 +323,3 @@ class EventWatch:
             return values * sign > 0.0
 
         return bracket(f, met, before.sure, after.sure, after.begin)[2]
-
-    def _graze(self, name: str, t: float) -> None:
-        times = self.grazes.setdefault(name, [])
-        if not times or abs(t - times[-1]) > self._instant:
-            times.append(t)
-
-
-def _listed(times: Sequence[float | str]) -> str:
-    told = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
-    return ", ".join(told) + (", ..." if times[TOLD:] else "")

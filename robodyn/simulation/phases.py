@@ -33,7 +33,7 @@ from robodyn.dynamics.sticking import (
 from robodyn.errors import InputError
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import ROUNDING
-from robodyn.events.watch import Event
+from robodyn.events.told import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism

@@ -20,7 +20,8 @@ from robodyn.dynamics.placed import matvec
 from robodyn.events.explicit_steps import KeptStep
 from robodyn.events.functions import EventFunction
 from robodyn.events.pieces import Step
-from robodyn.events.watch import Event, EventWatch, Stop
+from robodyn.events.told import Event, Stop
+from robodyn.events.watch import EventWatch
 from robodyn.loops.change_points import miss_remark
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics.actuation import Actuation
@@ -38,7 +39,7 @@ Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or mor
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go
 ROWS_AT_ONCE = 512
-KEPT = 512  # joints of steps that are looked at together for events
+KEPT, MOST_KEPT = 512, 192  # joints of steps, and steps, looked at together for events
 KEPT_AT_FIRST = 8  # steps, where an event ends the run: those beyond the end are lost
 MOST_STEPS = 1e13  # that take months
 FAR_END = 1e9  # s; where the end is nearer it is a force that makes the steps too short
@@ -98,7 +99,7 @@ class Recorder:
             self._together([solver])
         else:
             self.kept.append(KeptStep(solver))
-            most = max(1, min(64, KEPT // self.mechanism.n))
+            most = max(1, min(MOST_KEPT, KEPT // self.mechanism.n))
             if self.events.stops:
                 most = min(most, max(KEPT_AT_FIRST, self.report.steps))
             if len(self.kept) >= most or solver.status != "running":

@@ -21,7 +21,8 @@ from robodyn.dynamics.placed import as_states
 from robodyn.engines.row_values import near_table_end, rows_of
 from robodyn.errors import InputError, SingularError, printable
 from robodyn.events.functions import event_function, event_functions
-from robodyn.events.watch import Event, EventWatch
+from robodyn.events.told import Event
+from robodyn.events.watch import EventWatch
 from robodyn.loops import loop_rates
 from robodyn.loops.projection import Projection, best_closing
 from robodyn.mechanics import parts
@@ -55,12 +56,17 @@ class Motion:
     tau: Array
     outcome: Outcome
     mechanism: Mechanism
-    events: list[Event]
     phases: list[tuple[int, Mechanism]] = field(repr=False, compare=False)  # rows, and what moves
+    _events: Callable[[], list[Event]] = field(repr=False, compare=False)
     _settle: Callable[[], Report] = field(repr=False, compare=False)
     sensitivity: Array | None = None
     errors: Array | None = None
     _further: Columns = field(default_factory=Columns, repr=False, compare=False)
+
+    @cached_property
+    def events(self) -> list[Event]:
+        """The events in the order of time, made of what was found when they are asked for."""
+        return self._events()
 
     @cached_property
     def report(self) -> Report:
@@ -68,7 +74,13 @@ class Motion:
         return self._settle()
 
     def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "report": self.report, "_settle": None}
+        return {
+            **vars(self),
+            "report": self.report,
+            "events": self.events,
+            "_settle": None,
+            "_events": None,
+        }
 
     @cached_property
     def qdd(self) -> Array:
@@ -177,20 +189,25 @@ def simulate(
         times,
         events=watch,
     )
-    found = [] if watch is None else [x._replace(y=x.y[: 2 * mechanism.n]) for x in watch.found]
     n = mechanism.n
+
+    def happened() -> list[Event]:
+        found = [] if watch is None else watch.found
+        events = [x if len(x.y) == 2 * n else x._replace(y=x.y[: 2 * n]) for x in found]
+        if not recorder.contacts:
+            return events
+        return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
+
     rows = rows or [(np.zeros(0), np.zeros((0, 2 * n * (1 + len(sensitivity)))))]
     t, y = rows[0] if len(rows) == 1 else map(np.concatenate, zip(*rows, strict=True))
     torques = applied_torques(mechanism, actuation, t, y)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    found += recorder.contacts
-    found.sort(key=lambda event: abs(event.t))
     by, further = None, Columns()
     if carried is not None:
         by = carried.of(y)
         further = Columns(zip(carried.columns, carried.flat(by).T, strict=True))
     errors = None if actuation.control is None else actuation.control.errors(t, y)
-    facts = outcome, mechanism, found, phases, recorder.settle, by, errors, further
+    facts = outcome, mechanism, phases, happened, recorder.settle, by, errors, further
     return Motion(t, q, qd, torques, *facts)
 
 

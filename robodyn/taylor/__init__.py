@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from robodyn.errors import RobodynError
 
 if TYPE_CHECKING:
+    from robodyn.events.told import Found
     from robodyn.taylor.step_boxes import Kept
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ class Chunk(NamedTuple):
     row_t: Array
     row_y: Array
     status: Status
-    kept: Kept | None = None
+    kept: Kept | Found | None = None
 
     def first(self, steps: int, direction: float) -> Chunk:
         """The first steps, and the rows within them."""
@@ -66,11 +67,12 @@ class Chunk(NamedTuple):
 class Engine(Protocol):
     """What advances a state by steps of the Taylor series; it `keeps` more where asked to.
 
-    `most` are the steps that it takes at a time.
+    `most` are the steps that it takes at a time.  Where it has `forms` it may find their events.
     """
 
     order: int
     keeps: bool
+    forms: Array | None
     most: int
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
@@ -87,6 +89,10 @@ class Engine(Protocol):
 
     def dense(self, t: float, y: Array, end: float) -> Callable[[Array], Array]:
         """The states (k, N) at times (k,) in a step from (t, y) to `end`, as a function."""
+        ...
+
+    def closed(self, rows: Array) -> Array:
+        """States (k, 2n), where there are closures moved to the nearest that close."""
         ...
 
 

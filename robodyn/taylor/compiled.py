@@ -12,25 +12,31 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
-from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Word
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
+from robodyn.events.told import Found
 from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
+from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.step_boxes import Kept, write_box
+from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
 
 Array = NDArray[np.float64]
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more
 # what the observer is told: addresses of times, rows, ends, states, boxes and series, how many
-# times, rows so far, whether boxes and series are kept
-TABLE = ("times", "rows", "ends", "states", "boxes", "series", "count", "given", "keeps")
+# times, rows so far, whether boxes and series are kept, whether functions are watched
+TABLE = (
+    "times", "rows", "ends", "states", "boxes", "series", "watch",
+    "count", "given", "keeps", "watches",
+)  # fmt: skip
 
 
 class Rows(Observer):
@@ -41,7 +47,12 @@ class Rows(Observer):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
+    def declare(self, scene: Scene, module: Module) -> None:
+        Watch(scene).declare(module)
+
     def begin(self, k: Kernel, block: Word, own: Word, leave: Callable[[Word], None]) -> None:
+        watch = self._told(k, own, "watch")
+        leave(k.compare("sge", k.load(k.at(watch, WATCH.index("unsure")), WHOLE), k.whole(1)))
         given, count = self._told(k, own, "given"), self._told(k, own, "count")
         leave(k.compare("sge", given, k.whole(ROWS)))
         wanted = k.compare("sge", count, k.whole(1))
@@ -71,6 +82,9 @@ class Rows(Observer):
                 k.each(turns, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
             box = k.at(self._told(k, own, "boxes"), k.multiply(taken, k.whole(2 * turns)))
             write_box(scene, k, block, end, there, box)
+        with k.when(k.compare("sge", self._told(k, own, "watches"), k.whole(1))):
+            watch = self._told(k, own, "watch")
+            k.line(f"call void @event_step({block}, {watch}, {there}, {end})")
         state = k.at(self._told(k, own, "states"), k.multiply(taken, wide))
         k.store(end, k.at(self._told(k, own, "ends"), taken))
         k.each(count, lambda i: k.store(k.load(k.at(there, i)), k.at(state, i)))
@@ -156,6 +170,9 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
+        self.forms: Array | None = None
+        self._watch = np.zeros(len(WATCH), np.int64)
+        self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
             raise NoCodeError("the mechanism is too large, or its M or Psi singular everywhere")
         if not machine.available():
@@ -184,6 +201,12 @@ class CompiledEngine:
         return found
 
     @cached_property
+    def _zeros(self) -> tuple[Array, tuple[int, int]]:
+        """Where machine code leaves zeros, and the addresses of that and of its matrix."""
+        zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
+        return zeros, (zeros.ctypes.data, matrix(self.order).ctypes.data)
+
+    @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
         return self.actuation.function(self.mechanism.n)
 
@@ -194,11 +217,28 @@ class CompiledEngine:
         `times` lie strictly after t in the direction of `bound`, in that order, up to `bound`.
         The step in which they run out is the last.
         """
-        chunk = self._advance(t, y, bound, times, steps)
+        chunk = None
+        if self.keeps and self.forms is not None:
+            chunk = self._watched(self.forms, t, y, bound, times, steps)
+        if chunk is None:
+            chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
             begun = (float(chunk.t[-2]), chunk.y[-2]) if count > 1 else (t, y)
             self._last = *begun, float(chunk.t[-1])
         return chunk
+
+    def _watched(
+        self, forms: Array, t: float, y: Array, bound: float, times: Array, steps: int
+    ) -> Chunk | None:
+        """The same, in which the code finds events itself; None where it is unsure of one."""
+        watch, (zeros, addresses) = self._watch, self._zeros
+        watch[:] = forms.ctypes.data, *addresses, len(forms), 0, 0
+        chunk = self._advance(t, y, bound, times, steps, watches=True)
+        found, unsure = watch[WATCH.index("found") :].tolist()
+        watch[:] = 0
+        if unsure:
+            return None
+        return chunk._replace(kept=Found(zeros[:found].copy(), forms[:, -1]))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""
@@ -217,7 +257,28 @@ class CompiledEngine:
 
         return states
 
-    def _advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:
+    def closed(self, rows: Array) -> Array:
+        """See `Engine`."""
+        scene, code, block, address = next(iter(self._blocks.values()))  # they close alike
+        if code.close is not None:
+            first = scene.place["to_q0"]
+            there = block[first : first + rows.shape[1]]
+            for row in rows:
+                there[:] = row
+                code.close(address)
+                row[:] = there
+        return rows
+
+    def _advance(
+        self,
+        t: float,
+        y: Array,
+        bound: float,
+        times: Array,
+        steps: int,
+        keeps: bool = False,
+        watches: bool = False,
+    ) -> Chunk:
         pieces = self.actuation.pieces
         scene, code, block, address = self._made(None if pieces is None else pieces.at(t))
         N, place = len(y), scene.place
@@ -237,7 +298,7 @@ class CompiledEngine:
             if not block[place["quality"]] >= block[place["suspect"]]:
                 block[place["status"]] = Status.SINGULAR
         wanted = len(times)
-        turns = steps * 2 * self.mechanism.n * self.keeps
+        turns = steps * 2 * self.mechanism.n * keeps
         sizes = (
             len(TABLE),
             wanted,
@@ -252,7 +313,8 @@ class CompiledEngine:
             self._room = np.empty(end)
         room = self._room
         table, told = room[:a].view(np.int64), room.ctypes.data
-        table[:] = *(told + 8 * x for x in (a, b, c, d, e, f)), wanted, 0, self.keeps
+        places = (told + 8 * x for x in (a, b, c, d, e, f))
+        table[:] = *places, self._at_watch, wanted, 0, keeps, watches
         room[a:b] = times
         code.advance(address, steps, told)
         taken, given = int(block[place["steps"]]), int(table[TABLE.index("given")])
@@ -261,7 +323,7 @@ class CompiledEngine:
         rows = room[b : b + given * N].reshape(given, N)
         ends, states = room[c : c + taken].copy(), room[d : d + taken * N].reshape(taken, N)
         kept = None
-        if self.keeps:
+        if keeps:
             series = room[f:end].reshape(steps, self.order + 2, 2 * self.mechanism.n)
             boxes = room[e:f].reshape(steps, 2, 2 * self.mechanism.n)[:taken]
             kept = Kept(boxes, series.view(np.complex128).__getitem__)

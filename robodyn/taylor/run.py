@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
-from robodyn.events.watch import Stop
+from robodyn.events.told import Stop
 from robodyn.loops.change_points import suspect_quality
 from robodyn.loops.misses import FAR, Misses
 from robodyn.loops.projection import float_closing, loop_terms
@@ -237,6 +237,8 @@ def taylor_run(
             if runner.keeps is not watched:
                 runner.keeps = watched
             steps = min(steps, ahead) if watched else steps
+            if not isinstance(runner, SteppingEngine):
+                runner.forms = recorder.events.forms(mechanism) if recorder.events else None
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
-from robodyn.events.kept_signs import MISSED
+from robodyn.engines.assembler import ADDRESS, SCALAR, Kernel, Module, Word
+from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 
 if TYPE_CHECKING:
-    from robodyn.engines.assembler import Kernel, Word
     from robodyn.engines.machine_steps import Scene
 
 Array = NDArray[np.float64]
@@ -81,6 +81,45 @@ def as_complex(parts: Array) -> Complex:
     return series
 
 
+def _write_sums(scene: Scene, module: Module) -> None:
+    """box_sums(row, h, about, out): of the series from the row of order 1 on, all side by side.
+
+    The sums of |(m + 1) z_{m+1} - i w z_m| h^m and of |z_m| h^m; `about` are w and -w in turns.
+    Last of all comes the power of h that follows.
+    """
+    n, width = scene.mechanism.n, len(scene.loop.columns)
+    wide = Module(2 * n)
+    wide.functions = module.functions
+    k = Kernel(wide, "box_sums", (ADDRESS, SCALAR, ADDRESS, ADDRESS), "void")
+    first, h, about, out = k.arguments
+    w, step = k.load(about), k.spread(h)
+    other = ", ".join(f"i32 {i ^ 1}" for i in range(2 * n))
+    start = k.load(first)
+    with k.loop(k.whole(scene.order)):
+        row, now, power = k.carried(first), k.carried(start), k.carried(step)
+        level = k.carried(k.number(2.0))
+        far, away = k.carried(k.number(0.0)), k.carried(k.number(0.0))
+        after = k.at(row, width)
+        later = k.load(after)
+        turned = k.op(
+            k.numbers, f"shufflevector {now}, {k.numbers} poison, <{2 * n} x i32> <{other}>"
+        )
+        stray = k.add(k.multiply(level, later), k.multiply(w, turned))
+        for total, part in ((far, stray), (away, now)):
+            k.becomes(total, k.add(total, k.multiply(k.intrinsic("fabs", part), power)))
+        for carried, new in (
+            (row, after),
+            (now, later),
+            (power, k.multiply(power, step)),
+            (level, k.add(level, k.number(1.0))),
+        ):
+            k.becomes(carried, new)
+    k.store(far, out)
+    k.store(away, k.at(out, 2 * n))
+    k.store(k.lane(power, 0), k.at(out, 4 * n))
+    k.done()
+
+
 def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box: Word) -> None:
     """The same of the step from the block's state to the time `end` and the state `there`."""
     mechanism, n = scene.mechanism, scene.mechanism.n
@@ -99,19 +138,15 @@ def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box:
         theta if turn else zero
         for (_, theta), turn in zip(pairs(scene.row(k, block, 1)), turns, strict=True)
     ]
-    with k.loop(k.whole(last), k.whole(1)) as m:
-        power, level = k.carried(h), k.carried(k.number(2.0))
-        now, later = pairs(scene.row(k, block, m)), pairs(scene.row(k, block, k.add(m, k.whole(1))))
-        far: list[Word] = []
-        away: list[Word] = []
-        for (rho, theta), (re, im), w in zip(now, later, rates, strict=True):
-            re = k.add(k.multiply(level, re), k.multiply(w, theta))
-            im = k.subtract(k.multiply(level, im), k.multiply(w, rho))
-            for sums, parts in ((far, (re, im)), (away, (rho, theta))):
-                sums.append(k.carried(zero))
-                k.becomes(sums[-1], k.add(sums[-1], k.multiply(size(*parts), power)))
-        k.becomes(power, k.multiply(power, h))
-        k.becomes(level, k.add(level, one))
+    if "box_sums" not in k.module.functions:
+        _write_sums(scene, k.module)
+    about, sums = k.room(k.numbers, 2 * n), k.room(k.numbers, 4 * n + 1)
+    for j, w in enumerate(rates):
+        k.store(w, k.at(about, 2 * j))
+        k.store(k.negate(w), k.at(about, 2 * j + 1))
+    k.line(f"call void @box_sums({scene.row(k, block, 1)}, {h}, {about}, {sums})")
+    far, away = ([k.add(*pair) for pair in pairs(k.at(sums, i))] for i in (0, 2 * n))
+    power = k.load(k.at(sums, 4 * n))
     apart = []
     for j, pair in enumerate(pairs(scene.row(k, block, last))):
         tail, w = k.multiply(size(*pair), power), k.intrinsic("fabs", rates[j])

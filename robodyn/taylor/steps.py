@@ -67,6 +67,7 @@ class SteppingEngine:
         self.last: tuple[float, list[float], Any] = (0.0, [], ())  # t, y and series of a step
         self.halts: Callable[[float], bool] | None = None  # asked after each step
         self.keeps, self.most = False, STEPS
+        self.forms: Array | None = None  # not looked at
         self._held: tuple[float, ...] | None = None
         self._made: dict[tuple[float, ...] | None, Steps] = {}
         self._torques = actuation.function(mechanism.n)
@@ -274,6 +275,10 @@ class SteppingEngine:
                 rows[:, 2 * n] += (powers[:, terms] * x[:, None] / (terms + 1.0)) @ power
             if self.actuation.constants is not None:
                 rows[:, 2 * n] += way @ np.array(self.actuation.constants)
+        return self.closed(rows)
+
+    def closed(self, rows: Array) -> Array:
+        """See `Engine`."""
         if self.closing is not None:
             for k, row in enumerate(rows):
                 rows[k] = self.closing(row.tolist())[0]

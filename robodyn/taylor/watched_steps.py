@@ -10,18 +10,26 @@ from numpy.typing import NDArray
 from robodyn.dynamics.placed import states_along
 from robodyn.events.pieces import Step
 from robodyn.events.signs import NODES
-from robodyn.events.watch import EventWatch, Stop
+from robodyn.events.told import Found, Stop
+from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.taylor import Chunk, Engine, Status
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+WHOLE = np.ones(1)
 
 
 def with_events(
     events: EventWatch, mechanism: Mechanism, chunk: Chunk, t: float, y: Array, engine: Engine
 ) -> tuple[Chunk, Callable[[Array], Array], Stop | None]:
     """A chunk from (t, y) up to the event that ends it, and the states in its last step."""
+    if isinstance(chunk.kept, Found):
+        events.take(chunk.kept)
+        return chunk, engine.within, None
     assert chunk.kept is not None
+    events.doubts += engine.forms is not None
     series = chunk.kept.series
     times = np.concatenate([[t], chunk.t])
     forward = 1.0 if times[1] > times[0] else -1.0
@@ -30,13 +38,20 @@ def with_events(
         begin, end = float(times[j]), float(times[j + 1])
         return Step(begin, end, chunk.y[j], engine.dense(begin, chunk.y[j - 1] if j else y, end))
 
-    def sampled(places: NDArray[np.int64]) -> Array:
+    def starts(places: Places) -> Array:
+        return np.where(places[:, None] > 0, chunk.y[places - 1], y)
+
+    def sampled(places: Places) -> Array:
         h = times[places + 1] - times[places]
-        starts = np.where(places[:, None] > 0, chunk.y[places - 1], y)
-        return states_along(mechanism, starts, series(places), h, NODES)
+        return states_along(mechanism, starts(places), series(places), h, NODES)
+
+    def within(places: Places, t: Array) -> Array:
+        h = t - times[places]
+        found = states_along(mechanism, starts(places), series(places), h, WHOLE)[:, 0]
+        return engine.closed(found) if mechanism.rows else found
 
     ends, exact = chunk.y[:, : 2 * mechanism.n], not mechanism.rows
-    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact)
+    found = events.series(times, chunk.kept.boxes, sampled, ends, step, exact, within)
     if found is None:
         return chunk, engine.within, None
     j, stop = found

@@ -1,0 +1,151 @@
+"""Events of a run, and what is to be said of those that rounding hides or blurs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robodyn.events.functions import EventFunction
+from robodyn.events.single_zeros import Single
+from robodyn.tables.short_repr import short_repr
+
+Array = NDArray[np.float64]
+
+APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
+MOST = 1_000_000  # events that are kept
+TOLD = 5  # times that a remark names
+
+
+@short_repr
+class Event(NamedTuple):
+    """What happened when, and the state y = (q, qd) there; its time may be off by `apart`, s."""
+
+    name: str
+    t: float
+    y: Array
+    apart: float = 0.0
+
+
+class Stop(NamedTuple):
+    """The event that ends a run, of which function, and the whole state (N,) there."""
+
+    place: int
+    t: float
+    y: Array
+
+
+class Found(NamedTuple):
+    """What machine code found: rows of function, time, apart, sign, state; signs at the end."""
+
+    zeros: Array
+    signs: Array
+
+
+@dataclass
+class EventRecord:
+    """The events of functions; those of the places `stops` end the run.
+
+    `grazes` has, by name, the times at which a function touches zero as far as rounding tells,
+    without passing it; `hidden` from when to when it is zero so for long; `lost` where it changes
+    sign too often to be followed.
+    """
+
+    functions: Sequence[EventFunction]
+    t_end: float
+    stops: frozenset[int] = frozenset()
+    kept: list[Event] = field(default_factory=list)
+    grazes: dict[str, list[float]] = field(default_factory=dict)
+    hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    lost: dict[str, list[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.happened = [0] * len(self.functions)
+        self.packed: list[Found] = []  # not yet among those kept
+        self.cut: dict[int, float] = {}  # when a function's event came with the end of a phase
+        self.length = abs(self.t_end)
+        self.instant = APART * self.length
+
+    @property
+    def found(self) -> list[Event]:
+        """The events in their order, the first MOST of them."""
+        self.unpack()
+        return self.kept
+
+    def unpack(self) -> None:
+        """Make events of what machine code found: that takes as long as finding them."""
+        packed, self.packed = self.packed, []
+        names = [function.name for function in self.functions]
+        for zeros, _ in packed:
+            place, sign = zeros[:, 0].astype(np.int64), zeros[:, 3]
+            if any(function.way for function in self.functions):
+                ways = np.array([function.way for function in self.functions])
+                counts = ways[place] * sign >= 0.0
+                zeros, place = zeros[counts], place[counts]
+            if len(self.functions) > 1:
+                order = np.argsort(np.abs(zeros[:, 1]), kind="stable")
+                zeros, place = zeros[order], place[order]
+            places, (t, apart) = place.tolist(), zeros[:, 1:3].T.tolist()
+            for i in range(len(self.functions)):
+                self.happened[i] += places.count(i)
+            told = zip(map(names.__getitem__, places), t, zeros[:, 4:], apart, strict=True)
+            self.kept += map(Event._make, islice(told, MOST - len(self.kept)))
+
+    def tell(self, one: Single) -> None:
+        """A function passes zero: an event, where this way counts and it is not known."""
+        if self.packed:
+            self.unpack()
+        i, t = one.place, one.t
+        if self.functions[i].way in (0, one.sign) and (
+            abs(t - self.cut.get(i, np.inf)) > self.instant
+        ):
+            self.happened[i] += 1
+            if len(self.kept) < MOST:
+                self.kept.append(Event(self.functions[i].name, t, one.y, one.apart))
+
+    def graze(self, name: str, t: float) -> None:
+        """A function touches zero."""
+        times = self.grazes.setdefault(name, [])
+        if not times or abs(t - times[-1]) > self.instant:
+            times.append(t)
+
+    def counts(self, others: Sequence[Event] = ()) -> dict[str, int]:
+        """How often each event happened, and each of some others."""
+        self.unpack()
+        pairs = zip(self.functions, self.happened, strict=True)
+        counts = {function.name: count for function, count in pairs}
+        for event in others:
+            counts[event.name] = counts.get(event.name, 0) + 1
+        return counts
+
+    def remarks(self) -> list[str]:
+        """What is to be said of events that rounding hides, or whose times are not sharp."""
+        found = []
+        for name, times in self.grazes.items():
+            limit = "rounding hides whether it passes"
+            found.append(f"{name} touches zero at t = {_listed(times)} s: {limit}")
+        for name, spans in self.hidden.items():
+            told = [f"{begin:.9g} to {end:.9g}" for begin, end in spans]
+            found.append(f"{name} is zero to rounding from t = {_listed(told)} s")
+        for name, times in self.lost.items():
+            found.append(f"{name} passes zero too often to be followed, from t = {_listed(times)}")
+        blurred = [event for event in self.found if event.apart > self.instant]
+        if blurred:
+            worst = max(blurred, key=lambda event: event.apart)
+            found.append(
+                f"{worst.name} at t = {worst.t:.9g} s passes zero so slowly that rounding leaves "
+                f"{worst.apart:.1g} s open"
+                + (f", and {len(blurred) - 1} more" * (len(blurred) > 1))
+            )
+        if sum(self.happened) > len(self.found):
+            found.append(f"the first {len(self.found)} events are kept")
+        return found
+
+
+def _listed(times: Sequence[float | str]) -> str:
+    told = [t if isinstance(t, str) else f"{t:.9g}" for t in times[:TOLD]]
+    return ", ".join(told) + (", ..." if times[TOLD:] else "")

@@ -1,0 +1,156 @@
+"""Events found in machine code: the same as those found from Python, and where it hands over."""
+
+from collections import Counter
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from test_event_boxes import start
+
+import robodyn
+from robodyn.dynamics.placed import relative_matrix
+from robodyn.engines import machine
+from robodyn.events.functions import event_functions
+from robodyn.events.signs import BENDS, SLOPES
+from robodyn.events.watch import EventWatch
+from robodyn.mechanics.mechanism import Mechanism
+from robodyn.taylor.chebyshev_code import matrix
+from robodyn.taylor.compiled import CompiledEngine
+
+Array = NDArray[np.float64]
+
+pytestmark = pytest.mark.skipif(not machine.available(), reason="needs llvmlite")
+SCENES = ("2r", "cart-pole", "four-bar", "rp-arm", "whitworth", "pendulum", "3r")
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[bool]:
+    """How often machine code was asked for events, by whether it was sure of them."""
+    counted: Counter[bool] = Counter()
+    watched = CompiledEngine._watched
+
+    def watch(self: CompiledEngine, *given: Any) -> Any:
+        chunk = watched(self, *given)
+        counted[chunk is not None] += 1
+        return chunk
+
+    monkeypatch.setattr(CompiledEngine, "_watched", watch)
+    return counted
+
+
+def from_python(monkeypatch: pytest.MonkeyPatch, *given: Any, **named: Any) -> robodyn.Motion:
+    with monkeypatch.context() as patch:
+        patch.setattr(EventWatch, "forms", lambda *_: None)
+        return robodyn.simulate(*given, **named)
+
+
+def random_forms(rng: np.random.Generator, mechanism: Mechanism, motion: Any) -> dict[str, str]:
+    """Linear functions with levels that the motion comes by."""
+    given = {}
+    for i in range(8):
+        names = [f"{name}{j + 1}" for name in ("q", "qd") for j in range(mechanism.n)] + ["t"]
+        chosen = rng.choice(len(names), rng.integers(1, 3), replace=False)
+        weights = rng.uniform(-2.0, 2.0, len(chosen))
+        columns = np.column_stack([motion.q, motion.qd, motion.t])[:, chosen] @ weights
+        level = rng.uniform(columns.min(), columns.max())
+        terms = " + ".join(
+            f"{w!r}*{names[k]}" for k, w in zip(chosen, weights.tolist(), strict=True)
+        )
+        given[f"e{i}"] = f"{terms} {rng.choice(['-', '>', '<'])} {float(level)!r}"
+    return given
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_same_events(scene: str, calls: Counter[bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random linear functions, against the signs that Python finds; forwards and backwards."""
+    rng = np.random.default_rng(SCENES.index(scene))
+    found = 0
+    for rate, end, rtol in ((0.0, 3.0, 1e-9), (2.5, -3.0, 1e-9), (-4.0, 2.0, 1e-6)):
+        given = *start(scene, rate), end
+        how = {"method": "taylor", "engine": "compiled", "rtol": rtol, "atol": rtol}
+        events = random_forms(rng, given[0], robodyn.simulate(*given, **how))
+        motion = robodyn.simulate(*given, **how, events=events)
+        other = from_python(monkeypatch, *given, **how, events=events)
+        assert motion.report.events == other.report.events
+        for one, same in zip(motion.events, other.events, strict=True):
+            assert one.name == same.name
+            assert abs(one.t - same.t) <= 1e-12 * abs(end) + same.apart
+            assert one.apart <= 4.0 * same.apart + 1e-15
+            scale = 1.0 + np.abs(same.y).max()
+            moved = np.abs(one.t - same.t) * 1e3 + 1e-11
+            np.testing.assert_allclose(one.y, same.y, rtol=0.0, atol=moved * scale)
+        found += len(motion.events)
+    assert found >= 15
+    assert calls[True] > calls[False]  # those where it was sure
+
+
+def test_a_pendulum_by_elliptic_integrals(calls: Counter[bool]) -> None:
+    """Turning points and passages of the lowest point, found in machine code alone."""
+    pendulum, *_ = start("pendulum", 0.0)
+    link = 0.4, 0.26, 0.0088
+    frequency = mpmath.sqrt(link[0] * 9.81 * link[1] / (link[2] + link[0] * link[1] ** 2))
+    amplitude = 2.0
+    quarter = mpmath.ellipk(mpmath.sin(amplitude / 2) ** 2) / frequency
+    low = -float(mpmath.pi / 2)
+    motion = robodyn.simulate(
+        pendulum, [low + amplitude], [0.0], 20.0, method="taylor", engine="compiled",
+        rtol=1e-14, atol=1e-14, events={"turns": "qd1", "low": "q1 + 90deg"},
+    )  # fmt: skip
+    assert calls == {True: calls[True]}
+    assert len(motion.events) == int(20.0 / quarter) > 50
+    for k, event in enumerate(motion.events, 1):
+        assert event.name == ("turns", "low")[k % 2]
+        assert abs(event.t - float(k * quarter)) < 1e-11
+
+
+def test_what_it_is_not_sure_of(calls: Counter[bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A height that the pendulum comes back to and touches: Python looks, and tells the same."""
+    pendulum, *_ = start("pendulum", 0.0)
+    given = pendulum, [0.3], [0.0], 8.0
+    how = {"method": "taylor", "engine": "compiled", "rtol": 1e-13, "atol": 1e-13}
+    events = {"top": "q1 - 0.3", "turns": "qd1", "low": "q1 < -90deg"}
+    motion = robodyn.simulate(*given, **how, events=events)
+    other = from_python(monkeypatch, *given, **how, events=events)
+    assert calls[False] > 0
+    assert motion.report.events == other.report.events
+    assert motion.report.remarks == other.report.remarks
+    for one, same in zip(motion.events, other.events, strict=True):
+        assert one.name == same.name
+        assert abs(one.t - same.t) <= 1e-12 + same.apart
+
+
+def test_what_is_not_linear_goes_to_python(calls: Counter[bool]) -> None:
+    """Forms of expressions: their coefficients, and of what is no sum there is none."""
+    mechanism, q, qd = start("2r", 0.0)
+    texts = {
+        "-q1 + 2*(qd2 - t)/4 > 90deg": [-np.pi / 2, -0.5, -1.0, 0.0, 0.0, 0.5],
+        "(3 - 1)*q2": [0.0, 0.0, 0.0, 2.0, 0.0, 0.0],
+        "q1*qd1": None, "sin(q1)": None, "abs(q1) - 1": None, "1/q1": None, "q1 % 2": None,
+    }  # fmt: skip
+    for text, expected in texts.items():
+        (function,) = event_functions(mechanism, {"e": text})
+        if expected is None:
+            assert function.linear is None
+        else:
+            np.testing.assert_allclose(function.linear, expected, rtol=1e-15)
+    named = {"method": "taylor", "engine": "compiled", "events": {"e": "q1*qd1"}}
+    assert robodyn.simulate(mechanism, q, qd, 2.0, **named).events
+    assert not calls
+
+
+def test_the_matrix_of_chebyshev_coefficients() -> None:
+    """Against numpy's own conversion, and the weights against those of `signs`."""
+    for order in (6, 14, 22):
+        table = matrix(order)
+        for m in range(order + 2):
+            power = np.polynomial.Polynomial([0.5, 0.5]) ** m  # x = (1 + v) / 2
+            np.testing.assert_allclose(
+                table[m, : m + 1], np.polynomial.chebyshev.poly2cheb(power.coef), atol=1e-14
+            )
+            assert not table[m, m + 1 :].any()
+        top = min(table.shape[1], len(SLOPES))
+        np.testing.assert_array_equal(table[order + 3, 2:top], SLOPES[2:top])
+        np.testing.assert_array_equal(table[order + 4, 3:top], BENDS[3:top])
+    assert relative_matrix(start("2r", 0.0)[0]).tolist() == [[1.0, 0.0], [-1.0, 1.0]]
