@@ -228,9 +228,9 @@ def test_torque_of_the_motion_is_the_torque_applied(
     assert numbers(again, "energy") == pytest.approx(numbers(given, "energy"), rel=1e-12)
 
 
-def test_in_a_pipe(shell: Run) -> None:
+def test_in_a_pipe(quick_shell: Run) -> None:
     """What simulate writes torque reads, as a shell runs it."""
-    given = shell(
+    given = quick_shell(
         "robodyn simulate robots/2r.yaml --q 30deg,45deg --time 1 --every 0.25 --tau 1,0 --quiet "
         "| robodyn torque robots/2r.yaml -"
     ).succeeds()
@@ -515,14 +515,14 @@ def test_report_and_rows_go_to_different_files(
 
 
 @pytest.mark.parametrize("options", ["> /dev/full", "--out /dev/full", "--report /dev/full"])
-def test_a_full_disk_is_told(shell: Run, options: str) -> None:
-    given = shell(f"robodyn simulate robots/2r.yaml --q 1,2 --time 1 --quiet {options}")
+def test_a_full_disk_is_told(quick_shell: Run, options: str) -> None:
+    given = quick_shell(f"robodyn simulate robots/2r.yaml --q 1,2 --time 1 --quiet {options}")
     given.fails(1, "No space left on device")
 
 
-def test_a_closed_pipe_ends_quietly(shell: Run) -> None:
+def test_a_closed_pipe_ends_quietly(quick_shell: Run) -> None:
     """Long before the end, and without a word."""
-    given = shell(
+    given = quick_shell(
         "robodyn simulate robots/2r.yaml --q 1,2 --time 1e4 --every 0.1 --quiet | head -2; "
         "echo ${PIPESTATUS[0]}"
     )

@@ -643,22 +643,23 @@ class TestBatch:
         mech, states = scene.mechanism, neighbours(scene, dyn.BATCH + 50)
         for function in (dyn.inverse_dynamics_and_forces, dyn.forward_dynamics_and_forces):
             together = function(mech, *states)[:2]
-            for found, alone in zip(together, one_by_one(function, mech, states), strict=True):
+            some = one_by_one(function, mech, [part[::6] for part in states])
+            for found, alone in zip(together, some, strict=True):
                 size = np.abs(alone).max(axis=-1, keepdims=True)
-                assert_close(found / size, alone / size, 1.0, 1e-12)
+                assert_close(found[::6] / size, alone / size, 1.0, 1e-12)
 
     @settings(deadline=None, max_examples=25)
     @given(trees(most=7))
     def test_trees(self, scene):
         mech, (q, qd, qdd) = scene.mechanism, neighbours(scene, dyn.BATCH)
         size = sizes(mech.description).torque(np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0))
-        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
-        alone, _ = one_by_one(dyn.inverse_dynamics_and_forces, mech, (q, qd, qdd))
-        assert_close(tau, alone, size)
+        tau, some = dyn.inverse_dynamics(mech, q, qd, qdd), slice(None, None, 6)
+        alone, _ = one_by_one(dyn.inverse_dynamics_and_forces, mech, (q[some], qd[some], qdd[some]))
+        assert_close(tau[some], alone, size)
         least = np.linalg.eigvalsh(cf.mass_matrix(mech, q))[:, 0].min()
         found = dyn.forward_dynamics(mech, q, qd, tau)
-        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q, qd, tau))
-        assert_close(found, alone, size / least)
+        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q[some], qd[some], tau[some]))
+        assert_close(found[some], alone, size / least)
 
     @pytest.mark.filterwarnings("ignore::robodyn.dynamics.dynamics.RobodynWarning")
     @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-9, 0.0])
@@ -674,16 +675,16 @@ class TestBatch:
             size = np.abs(expected).max(axis=-1, keepdims=True)
             assert_close(found / size, expected / size, 1.0, 1e-12)
 
-    @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6])
-    def test_states_near_a_change_point_are_right(self, angle):
+    def test_states_near_a_change_point_are_right(self):
         """k^T M k thetadd + k^T (C qd + G) = tau1 with k = (1, -1, 1), at 30 digits."""
         mech, k = mechanism(PARALLELOGRAM_YAML), np.array([1.0, -1.0, 1.0])
-        q, qd, tau = angle * k, 5.0 * k, [2.0, 0.0, 0.0]
-        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
-        expected = float((2.0 - k @ (C @ qd + G)) / (k @ M @ k))
-        for count in (1, dyn.BATCH):
-            qdd = dyn.forward_dynamics(mech, np.tile(q, (count, 1)), qd, tau)
-            assert_close(qdd[0], expected * k, abs(expected), 1e-14 / angle)
+        for angle in (1e-2, 1e-4, 1e-6):
+            q, qd, tau = angle * k, 5.0 * k, [2.0, 0.0, 0.0]
+            M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
+            expected = float((2.0 - k @ (C @ qd + G)) / (k @ M @ k))
+            for count in (1, dyn.BATCH):
+                qdd = dyn.forward_dynamics(mech, np.tile(q, (count, 1)), qd, tau)
+                assert_close(qdd[0], expected * k, abs(expected), 1e-14 / angle)
 
     def test_states_near_a_dead_centre(self):
         """Inverse dynamics where the rocker hardly moves the crank; the state is made closed."""

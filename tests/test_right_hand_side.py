@@ -447,14 +447,14 @@ class TestNearSingular:
 
 @cache
 def one_link(torque, inertia, weight):
-    """The angle and rate of a link after 0.6 s."""
+    """The angle and rate of a link after 0.3 s."""
     applied = expressions(mechanism("links: [{name: a, m: 1, l: 1, r: 0, I: 1}]\n"), torque, "t")
     tau = applied.function(1)
 
     def rates(t, y):
         return [y[1], (tau(t, y)[0] - 9.81 * weight * math.cos(y[0])) / inertia]
 
-    found = solve_ivp(rates, (0.0, 0.6), [1.0, 6.0], rtol=1e-11, atol=1e-11, max_step=1e-3)
+    found = solve_ivp(rates, (0.0, 0.3), [2.5, 6.0], rtol=1e-11, atol=1e-11, max_step=1e-3)
     return found.y[:, -1]
 
 
@@ -474,9 +474,9 @@ def test_a_torque_that_bends_at_the_change_point(torque, method):
     inertia = sum(x.I + x.m * abs(x.r) ** 2 for x in (crank, rocker)) + coupler.m * crank.l**2
     weight = (crank.m * crank.r + rocker.m * rocker.r + coupler.m * crank.l).real
     exact = one_link(torque, inertia, weight)
-    start, speeds = np.array([1.0, -1.0, 1.0]), np.array([6.0, -6.0, 6.0])
+    start, speeds = np.array([2.5, -2.5, 2.5]), np.array([6.0, -6.0, 6.0])
     motion = simulate(
-        mech, start, speeds, 0.6, tau=torque, method=method, rtol=1e-10, atol=1e-10, t_eval=[0.6]
+        mech, start, speeds, 0.3, tau=torque, method=method, rtol=1e-10, atol=1e-10, t_eval=[0.3]
     )
     assert motion.q[0, 0] == pytest.approx(exact[0], abs=1e-6)
     assert motion.qd[0, 0] == pytest.approx(exact[1], abs=1e-5)

@@ -276,10 +276,10 @@ class TestKinks:
     @EACH_METHOD
     def test_many(self, method):
         """A table's rows, one every millisecond."""
-        kinks = np.arange(1001) / 1000
-        heights = np.where(np.arange(1001) % 2, 1.0, -1.0)
+        kinks = np.arange(201) / 1000
+        heights = np.where(np.arange(201) % 2, 1.0, -1.0)
         t, y, solution = integrate(
-            method, lambda t, y: [np.interp(t, kinks, heights)], 1.0, [0.0], kinks=kinks.tolist()
+            method, lambda t, y: [np.interp(t, kinks, heights)], 0.2, [0.0], kinks=kinks.tolist()
         )
         near = t[np.minimum(np.searchsorted(t, kinks[1:] - 1e-14), len(t) - 1)]
         assert near == pytest.approx(kinks[1:], abs=1e-15)

@@ -389,7 +389,7 @@ def leaves(error: str) -> tuple[float, float]:
 
 
 def test_line_that_leaves_the_annulus_tells_where(robodyn: Run) -> None:
-    for end in ((2.0, 0.9), (-0.05, 0.1), (0.0, -2.0)):
+    for end in ((2.0, 0.9), (-0.05, 0.1)):
         given = robodyn(*NO_WAY, "--to-xy", f"{end[0]},{end[1]}", "--time", "1")
         assert given.code == 1
         length, out = leaves(given.err)

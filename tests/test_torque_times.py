@@ -100,7 +100,7 @@ def test_torques_are_those_of_the_expression(way):
         forms += [f"({a} % 0.7 + floor({b}) + ({a} < {c}))"]
         return forms[kind] if kind < 9 else leaf[rng.integers(0, 4)]
 
-    for _ in range(60 if FRESH else 20):
+    for _ in range(60 if FRESH else 7):
         text = grow(3)
         plain = actuation.expressions(PENDULUM, f"0*t + {text}", "")
         found = over_a_run(plain, [0.3, 0.5], 2.0 * way)
@@ -150,7 +150,8 @@ FREE = mechanism("links: [{name: a, m: 1, l: 1, r: 0, I: 1}]")  # its rate adds 
 
 @pytest.mark.parametrize(
     ("pulses", "rate", "level"),
-    [(1000.0, 0.99, 20.0), (900.0, 0.99, 20.0), (5147.2, 0.5, 20.0), (100.0, 0.99, -1.0)],
+    [(1000.0, 0.99, 20.0), (100.0, 0.99, -1.0)]
+    + ([(900.0, 0.99, 20.0), (5147.2, 0.5, 20.0)] if FRESH else []),
 )
 def test_of_fast_switches_all_count(pulses, rate, level):
     """Of 1 where sin(w t) > c: as many arcs as w t passes, of 2 acos(c)/w each."""
@@ -230,7 +231,7 @@ def test_torques_without_a_value_where_a_piece_begins(text, rate, method):
     assert np.isfinite(run.tau).all()
 
 
-@pytest.mark.parametrize("method", ["taylor", "DOP853"])
+@pytest.mark.parametrize("method", ["DOP853", "taylor"])
 @pytest.mark.parametrize(
     ("text", "rate"),
     [
