@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
+from each_case import each
 
 import oracles
 from robodyn import assemble, load, simulate
@@ -691,7 +692,7 @@ def test_a_progress_bar_on_a_terminal(tmp_path: Path) -> None:
 # Wrong usage
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         ("--time nan", ["--time", "nan", "finite"]),

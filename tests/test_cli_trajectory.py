@@ -13,6 +13,7 @@ from time import sleep
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, RP_ARM, Outcome, relative_error
+from each_case import each
 
 import oracles
 import robodyn as api
@@ -350,7 +351,7 @@ def test_scipy_is_not_imported(shell: Run) -> None:
 # Errors
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "parts"),
     [
         ("", ["--from", "missing"]),

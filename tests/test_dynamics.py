@@ -9,6 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from conftest import ROOT
+from each_case import each
 from hypothesis import given, settings
 from known_terms import DIGITS, Known
 from mpmath import mp
@@ -33,7 +34,7 @@ from robodyn.engines import formulas
 from robodyn.errors import InputError, RobodynError, SingularError
 
 SEEDS = range(8)
-EACH_LOOP = pytest.mark.parametrize("name", LOOPS)
+EACH_LOOP = each("name", LOOPS)
 
 TWO_LINK = oracles.TwoLink(1.5, 0.8, 0.36, 0.082, 0.9, 0.6, 0.25, 0.031)
 FOUR_BAR = oracles.FourBar(
@@ -168,9 +169,9 @@ class TestMassRatios:
             unbalance = float(max(abs(at.M @ qdd + at.h - tau)))
         assert unbalance <= 1e-13 * sizes(mech.description).torque(qd, qdd)
 
-    @pytest.mark.parametrize("coupler", [1e-6, 1e6])
-    @pytest.mark.parametrize("rocker", [1e-6, 1.0, 1e6])
-    @pytest.mark.parametrize("count", [1, 200])
+    @each("coupler", [1e-6, 1e6])
+    @each("rocker", [1e-6, 1.0, 1e6])
+    @each("count", [1, 200])
     def test_four_bar(self, coupler, rocker, count):
         p = FOUR_BAR._replace(m2=1.3 * coupler, I2=0.102 * coupler)
         p = p._replace(m3=1.0 * rocker, I3=0.061 * rocker)
@@ -231,8 +232,8 @@ class TestMassRatios:
 class TestFourBar:
     """The lecture's four-bar, broken at O3."""
 
-    @pytest.mark.parametrize("assembly", ["open", "crossed"])
-    @pytest.mark.parametrize("seed", SEEDS)
+    @each("assembly", ["open", "crossed"])
+    @each("seed", SEEDS)
     def test_acceleration_is_equation_33(self, seed, assembly):
         """M qdd = f - Psi^T (Psi M^-1 Psi^T)^-1 (Psi M^-1 f + Psidot qd), f = tau - C qd - G."""
         rng = np.random.default_rng(seed)
@@ -244,8 +245,8 @@ class TestFourBar:
         assert_close(motion.qdd, qdd, np.abs(qdd).max(), 1e-12)
         assert_close(motion.multipliers, lam, np.abs(lam).max(), 1e-12)
 
-    @pytest.mark.parametrize("assembly", ["open", "crossed"])
-    @pytest.mark.parametrize("seed", SEEDS)
+    @each("assembly", ["open", "crossed"])
+    @each("seed", SEEDS)
     def test_torque_is_that_of_the_passive_rows(self, seed, assembly):
         rng = np.random.default_rng(seed)
         q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi), assembly)
@@ -380,9 +381,9 @@ class TestMasslessLinks:
         with pytest.raises(SingularError, match="can move without any inertia"):
             dyn.forward_dynamics(mech, q, 0 * q, [1.0, 0.0])
 
-    @pytest.mark.parametrize("count", [1, 300])
-    @pytest.mark.parametrize("bend", [1e-7, -1e-8, np.pi - 1e-7])
-    @pytest.mark.parametrize("carrier", ["", "  - {name: arm, m: 2, l: 1, r: 0.4, I: 0.1}\n"])
+    @each("count", [1, 300])
+    @each("bend", [1e-7, -1e-8, np.pi - 1e-7])
+    @each("carrier", ["", "  - {name: arm, m: 2, l: 1, r: 0.4, I: 0.1}\n"])
     def test_nearly_singular_at_one_configuration(self, count, bend, carrier):
         """Two massless rods with a payload, alone or on an arm: refused in a batch as alone."""
         mech = mechanism(
@@ -611,7 +612,7 @@ ZERO_EVERYWHERE = {
 class TestZeroEverywhere:
     """Where no formula can be written the numpy evaluators answer, for one state and for many."""
 
-    @pytest.mark.parametrize("function", [dyn.inverse_dynamics, dyn.forward_dynamics])
+    @each("function", [dyn.inverse_dynamics, dyn.forward_dynamics])
     def test_a_batch_gives_what_one_state_gives(self, function, text, q):
         mech = mechanism(text)
         many = np.tile(q, (dyn.BATCH, 1))
@@ -758,7 +759,7 @@ class TestBroadcasting:
 
     @FUNCTIONS
     @SCENES
-    @pytest.mark.parametrize("shape", [(), (1,), (0,), (4, 0), (2, 3), (20, 15)])
+    @each("shape", [(), (1,), (0,), (4, 0), (2, 3), (20, 15)])
     def test_leading_axes(self, function, scene, shape):
         mech, count = scene.mechanism, int(np.prod(shape))
         states = neighbours(scene, max(count, 1))

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from conftest import FRESH, ROOT
+from each_case import each
 from engine_cases import AT, KINDS, ROBOTS, VARIED, random_case
 from known_terms import DIGITS, Known, solve
 from mpmath import mp, mpf
@@ -492,7 +493,7 @@ def test_derivatives_of_motions_are_differences(monkeypatch: pytest.MonkeyPatch)
 Q = np.linspace(0.0, 6.0, 5)[:, None]
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"vary": {"links.copler.l": (0.5, 1.0)}}, "links.copler.l.*links.coupler.l"),

@@ -21,6 +21,7 @@ from documents import (
     example_blocks,
     scene_files,
 )
+from each_case import each
 from quick_robodyn import path_with_it
 
 import robodyn
@@ -157,7 +158,7 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@each("name", DOCUMENTS)
 def test_links_lead_somewhere(name: str) -> None:
     folder = ROOT if name == "README" else GUIDE
     text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)

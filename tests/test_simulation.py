@@ -17,6 +17,7 @@ import mpmath
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK
+from each_case import each
 from mpmath import mp, mpf
 from scipy.integrate import solve_ivp
 
@@ -140,7 +141,7 @@ class TestReferenceDigits:
         assert examples - scenes == {f"robots/{x}.yaml" for x in (*others, "rack-gripper")}
         assert set(SENSITIVITY) == {path.stem for path in REFERENCES.glob("*.json")}
 
-    @pytest.mark.parametrize("name", SENSITIVITY)
+    @each("name", SENSITIVITY)
     def test_18_digits_agree_and_are_written(self, name):
         found = reference(name)
         assert found.digits >= 18
@@ -804,7 +805,7 @@ class TestTimes:
         assert motion.t[-1] == 1e-12
         assert motion.qd[-1] == pytest.approx(-1e-12 * np.linalg.solve(M, G), rel=1e-9)
 
-    @pytest.mark.parametrize(
+    @each(
         ("t_end", "t_eval"),
         [
             (1.0, [0.0, 1.5]),
@@ -1065,7 +1066,7 @@ actuated: [crank]
 
 
 class TestArguments:
-    @pytest.mark.parametrize(
+    @each(
         ("option", "value", "match"),
         [
             ("method", "rk45", "method = rk45.*DOP853"),

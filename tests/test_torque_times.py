@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from conftest import FRESH, ROOT
+from each_case import each
 from scipy.special import expi, sici
 
 from random_mechanisms import mechanism
@@ -50,7 +51,7 @@ def bell(text=BELL):
     return np.concatenate([motion.q[-1], motion.qd[-1]])
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "kinks"),
     [
         (BOX, (5.0, 5.02)),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT
+from each_case import each
 
 import oracles
 import robodyn
@@ -439,7 +440,7 @@ def test_neither_to_nor_from_a_dead_centre() -> None:
         reference_motion(mech, [[end], [end + 0.4]], 1.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "told"),
     [
         ({"points": [[0, 0], [1, 1]]}, "duration and times"),
@@ -472,8 +473,8 @@ def test_a_break_belongs_to_the_piece_after_it() -> None:
     assert isinstance(turning(BAR, 0.0).path, LoopPath)
 
 
-@pytest.mark.parametrize("times", [[0, 1], [0, 1, 2, 3], [], [[0, 1, 2]]])
-@pytest.mark.parametrize("name", ["cubic", "quintic", "trapezoidal", "cycloidal"])
+@each("times", [[0, 1], [0, 1, 2, 3], [], [[0, 1, 2]]])
+@each("name", ["cubic", "quintic", "trapezoidal", "cycloidal"])
 def test_times_are_one_a_point(times: list, name: str) -> None:
     with pytest.raises(InputError, match=r"times\.shape"):
         reference_motion(ARM, [[0, 0], [1, 0], [1, 1]], times=times, profile=name)
