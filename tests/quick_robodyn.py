@@ -74,6 +74,7 @@ def serve(address: str) -> None:
     """Answer calls until stdin, which the process that began this one holds, is closed."""
     import robodyn
 
+    kept = warnings.filters[:]
     warnings.simplefilter("ignore")
     for found in pkgutil.walk_packages(robodyn.__path__, "robodyn."):
         if not found.name.startswith("robodyn.robots"):
@@ -81,7 +82,7 @@ def serve(address: str) -> None:
     for name in LATE:
         import_module(name)
     sys.modules["__main__"] = import_module("robodyn.__main__")  # what processes of a sweep begin
-    warnings.resetwarnings()
+    warnings.filters[:] = kept
     gc.collect()
     gc.freeze()
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

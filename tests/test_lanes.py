@@ -180,7 +180,7 @@ class TestForces:
         options = {"rtol": 1e-9, "atol": 1e-9, "link": n - 1}
         time = 0.2 if mechanism.springs else 1.0
         together = run(engine, mechanism, y, time, tau, angle, **options)
-        for some in (slice(0, 1), slice(1, 3), slice(3, 8), slice(8, 9)):
+        for some in (slice(1, 3), slice(3, 9)):
             alone = run(engine, mechanism, y[some], time, tau[some], angle[some], **options)
             for each in Ends.__slots__:
                 expected = getattr(together, each)[some]
