@@ -7,6 +7,7 @@ import io
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from quick_robodyn import path_with_it
 
 import oracles
 from robodyn import cli
@@ -64,6 +66,10 @@ actuated: [crank]
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    for number in (signal.SIGINT, signal.SIGHUP):  # as `nohup` and `&` would hand them on
+        if signal.getsignal(number) == signal.SIG_IGN:
+            own = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+            signal.signal(number, own)
     text = "thinned: combinations of its parameters in which each value occurs; all with FRESH=1"
     config.addinivalue_line("markers", text)
 
@@ -235,6 +241,16 @@ def shell() -> Callable[..., Outcome]:
             env={**os.environ, "PATH": path, **(env or {})},
         )
         return Outcome(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture
+def quick_shell(shell: Callable[..., Outcome]) -> Callable[..., Outcome]:
+    """As `shell`, but that `robodyn` is forked from a process that has imported it."""
+
+    def run(line: str, cwd: Path = ROOT, env: dict[str, str] | None = None) -> Outcome:
+        return shell(line, cwd, {"PATH": path_with_it(), **(env or {})})
 
     return run
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, Outcome
+from each_case import each
 
 import oracles
 from robodyn.pictures import animation_files, chart_figure
@@ -310,7 +311,7 @@ def test_a_progress_bar_is_for_terminals(robodyn: Run, tmp_path: Path) -> None:
     assert (given.code, given.out, given.err) == (0, "", "")
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         (("-o", "x.avi"), ("--out = x.avi", ".gif, .mp4, .html")),

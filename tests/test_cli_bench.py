@@ -6,6 +6,7 @@ import io
 import math
 
 import pytest
+from each_case import each
 
 from robodyn.cli import bench
 from robodyn.dynamics import evaluators
@@ -149,7 +150,7 @@ def test_evaluators_without_mpmath(robodyn, monkeypatch):
 
 
 @pytest.mark.usefixtures("idle")
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         (("--time", 0), ("--time",)),

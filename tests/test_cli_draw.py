@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome
+from each_case import each
 
 from robodyn.cli import draw
 from robodyn.pictures import chart_figure
@@ -231,7 +232,7 @@ def test_text_needs_no_matplotlib(shell: Run) -> None:
 # Refused
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         ((*ARM,), ("--out", "--format text")),

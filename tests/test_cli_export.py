@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, Outcome
+from each_case import each
 
 import oracles
 from model_readers import read_mjcf, read_urdf
@@ -29,7 +30,7 @@ def rubbing(mechanism: Mechanism) -> str:
     )
 
 
-@pytest.mark.parametrize("name", SCENES)
+@each("name", SCENES)
 def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
     given = robodyn("export", f"robots/{name}.yaml", "--format", "mjcf")
     if place := rubbing(load(f"robots/{name}.yaml")):
@@ -40,7 +41,7 @@ def test_mjcf_of_every_scene(robodyn: Run, name: str) -> None:
     assert read_mjcf(given.out).keys == {}
 
 
-@pytest.mark.parametrize("name", SCENES)
+@each("name", SCENES)
 def test_urdf_of_every_open_scene(robodyn: Run, name: str) -> None:
     given = robodyn("export", f"robots/{name}.yaml", "--format", "urdf")
     mechanism = load(f"robots/{name}.yaml")
@@ -97,7 +98,7 @@ def test_out(robodyn: Run, tmp_path: Path, format: str) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "parts"),
     [
         ("robots/2r.yaml", ["--format", "urdf", "mjcf"]),

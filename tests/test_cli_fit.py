@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome
+from each_case import each
 
 import robodyn as package
 
@@ -125,7 +126,7 @@ def test_a_motion_that_goes_least_far(robodyn: Run) -> None:
 COLUMN = ["--minimize", "tau1", "--q", "1"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "told"),
     [
         (VARY, "--match and --minimize: give one of them"),

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from conftest import Outcome
 from documents import PAGES, ROOT
+from each_case import each
 
 from robodyn.cli import COMMANDS, guide
 
@@ -38,7 +39,7 @@ def test_the_list_is_the_folder(robodyn: Run) -> None:
     assert robodyn("guide", "--format", "json").json == rows
 
 
-@pytest.mark.parametrize("name", PAGES)
+@each("name", PAGES)
 def test_a_page_is_its_file(robodyn: Run, name: str) -> None:
     shown = robodyn("guide", name).succeeds().out
     assert shown == without_front(PAGES[name])
@@ -71,7 +72,7 @@ def test_what_is_no_page(robodyn: Run) -> None:
     robodyn("guide", "scene", "--format", "csv").fails(2, "--format", "is for the list")
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@each("command", COMMANDS)
 def test_every_help_names_its_page(robodyn: Run, command: str) -> None:
     page = guide.page_of(command)
     assert page in PAGES

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 import typer
 from conftest import ROOT, Outcome
+from each_case import each
 
 from robodyn import cli
 from robodyn.cli import command_groups
@@ -49,7 +50,7 @@ def test_the_list_of_commands_is_grouped_and_whole(robodyn: Run) -> None:
     assert headings == ["Options", *command_groups.GROUPS]
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
+@each("name", cli.COMMANDS)
 def test_every_option_stands_once_under_its_heading(robodyn: Run, name: str) -> None:
     out = robodyn(name, "--help").succeeds().out
     options: dict[str, list[str]] = {}
@@ -292,7 +293,7 @@ def test_no_key_of_another_convention_is_one_of_the_grammar(kind: str) -> None:
 LONGEST = 80  # lines of a command's function, its options and its help among them
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
+@each("name", cli.COMMANDS)
 def test_no_command_is_long(name: str) -> None:
     path = ROOT / "robodyn" / "cli" / f"{name}.py"
     tree = ast.parse(path.read_text(encoding="utf-8"))

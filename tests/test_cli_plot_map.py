@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Outcome
+from each_case import each
 
 from robodyn.pictures import chart_figure
 from robodyn.pictures.colour_scale import NONE, rgb, viridis
@@ -260,7 +261,7 @@ def test_text_needs_no_matplotlib(shell: Run, sweep: Path) -> None:
 # Refused
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         (("--colour", "flip"), ("--colour = flip", "needs --x and --y")),

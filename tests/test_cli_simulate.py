@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, TWO_LINK, Outcome
+from each_case import each
 
 import oracles
 from robodyn import assemble, load, simulate
@@ -228,9 +229,9 @@ def test_torque_of_the_motion_is_the_torque_applied(
     assert numbers(again, "energy") == pytest.approx(numbers(given, "energy"), rel=1e-12)
 
 
-def test_in_a_pipe(shell: Run) -> None:
+def test_in_a_pipe(quick_shell: Run) -> None:
     """What simulate writes torque reads, as a shell runs it."""
-    given = shell(
+    given = quick_shell(
         "robodyn simulate robots/2r.yaml --q 30deg,45deg --time 1 --every 0.25 --tau 1,0 --quiet "
         "| robodyn torque robots/2r.yaml -"
     ).succeeds()
@@ -520,9 +521,9 @@ def test_a_full_disk_is_told(shell: Run, options: str) -> None:
     given.fails(1, "No space left on device")
 
 
-def test_a_closed_pipe_ends_quietly(shell: Run) -> None:
+def test_a_closed_pipe_ends_quietly(quick_shell: Run) -> None:
     """Long before the end, and without a word."""
-    given = shell(
+    given = quick_shell(
         "robodyn simulate robots/2r.yaml --q 1,2 --time 1e4 --every 0.1 --quiet | head -2; "
         "echo ${PIPESTATUS[0]}"
     )
@@ -691,7 +692,7 @@ def test_a_progress_bar_on_a_terminal(tmp_path: Path) -> None:
 # Wrong usage
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         ("--time nan", ["--time", "nan", "finite"]),

@@ -13,6 +13,7 @@ from time import sleep
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, RP_ARM, Outcome, relative_error
+from each_case import each
 
 import oracles
 import robodyn as api
@@ -291,10 +292,10 @@ def test_what_cannot_be_held_is_told(robodyn: Run) -> None:
         "robots/five-bar.yaml --from 120deg,60deg --to 200deg,10deg --time 1 --points 11",
     ],
 )
-def test_torque_and_accel_give_the_accelerations_back(shell: Run, line: str) -> None:
+def test_torque_and_accel_give_the_accelerations_back(quick_shell: Run, line: str) -> None:
     model = line.split()[0]
-    sent = shell(f"robodyn trajectory {line}").succeeds()
-    given = shell(
+    sent = quick_shell(f"robodyn trajectory {line}").succeeds()
+    given = quick_shell(
         f"robodyn trajectory {line} | robodyn torque {model} - | robodyn accel {model} -"
     ).succeeds()
     n = sum(name.startswith("qdd") for name in sent.rows[0])
@@ -302,9 +303,9 @@ def test_torque_and_accel_give_the_accelerations_back(shell: Run, line: str) -> 
     assert array(given, "q", n).tolist() == array(sent, "q", n).tolist()
 
 
-def test_head_ends_it_quietly(shell: Run) -> None:
+def test_head_ends_it_quietly(quick_shell: Run) -> None:
     line = "robodyn trajectory robots/2r.yaml --from 0,0 --to 1,1 --time 2 --points 100000"
-    assert shell(f"{line} | head -1").succeeds().out.startswith("t,q1,")
+    assert quick_shell(f"{line} | head -1").succeeds().out.startswith("t,q1,")
 
 
 @pytest.mark.parametrize(
@@ -315,14 +316,14 @@ def test_head_ends_it_quietly(shell: Run) -> None:
     ],
 )
 def test_simulation_under_the_torques_follows(
-    shell: Run, model: str, motion: str, start: str
+    quick_shell: Run, model: str, motion: str, start: str
 ) -> None:
     """The table is interpolated linearly, so loosely."""
     scene, time = f"robots/{model}.yaml", motion.split()[-1]
     torques = f"robodyn trajectory {scene} {motion} --every 1ms | robodyn torque {scene} -"
     run = f"robodyn simulate {scene} {start} --time {time} --tau-from - --quiet --points 2"
-    last = shell(f"{torques} | {run} | tail -1").succeeds()
-    wanted = shell(f"robodyn trajectory {scene} {motion} --points 1 | tail -1").succeeds()
+    last = quick_shell(f"{torques} | {run} | tail -1").succeeds()
+    wanted = quick_shell(f"robodyn trajectory {scene} {motion} --points 1 | tail -1").succeeds()
     n = 2 if model == "2r" else 3
     found, known = (
         np.array([float(x) for x in given.out.strip().split(",")[1 : 2 * n + 1]])
@@ -350,7 +351,7 @@ def test_scipy_is_not_imported(shell: Run) -> None:
 # Errors
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "parts"),
     [
         ("", ["--from", "missing"]),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import FRESH
 from hypothesis import given, settings
 from mpmath import mp
 
@@ -109,7 +110,7 @@ class TestThirtyDigits:
 
 
 class TestStructure:
-    @settings(deadline=None, max_examples=80)
+    @settings(deadline=None, max_examples=80 if FRESH else 40)
     @given(trees())
     def test_turning_all_ground_joints_changes_neither_M_nor_C(self, scene):
         """The angles of links that hang from the ground enter M and C by their differences only."""
@@ -140,7 +141,7 @@ class TestStructure:
 
 
 class TestPointMotion:
-    @settings(deadline=None, max_examples=80)
+    @settings(deadline=None, max_examples=80 if FRESH else 40)
     @given(trees())
     def test_velocity_and_acceleration_follow_the_joints(self, scene):
         """v = sum_j i (s - joint_j) qd_j; a = the same with qdd, and the bias of qd."""

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import ROOT
+from each_case import each
 
 from random_mechanisms import mechanism, seeded_tree
 from robodyn import (
@@ -51,7 +52,7 @@ COUPLED = [
     pytest.param('["q2 = -q1", "q3 = 20/37 q2 + 30deg"]', (0,), id="a chain"),
     pytest.param("q3 = 30deg", (0, 1), id="locked"),
 ]
-EACH_KIND = pytest.mark.parametrize("kind", ["straight-line", "sparse", "dense"])
+EACH_KIND = each("kind", ["straight-line", "sparse", "dense"])
 
 
 def geared(couplings, actuated):
@@ -223,7 +224,7 @@ class TestAssembly:
 
 
 class TestFaults:
-    @pytest.mark.parametrize(
+    @each(
         ("text", "words"),
         [
             ("q2 = q4", "names q4; the joints are q1 to q3"),
@@ -342,14 +343,14 @@ class TestTiedJoints:
 class TestContradictions:
     """Couplings that cannot be kept are told, however the state is given."""
 
-    @pytest.mark.parametrize(
+    @each(
         ("couplings", "worst"),
         [
             ('["q2 = q1", "q1 = q2 + 1"]', "coupling 2"),
             ('["q2 = 2 q1", "q3 = q2 + 0.1", "q1 = q3 + 1"]', "coupling 3"),
         ],
     )
-    @pytest.mark.parametrize("command", ["torque", "accel", "terms", "assemble", "simulate"])
+    @each("command", ["torque", "accel", "terms", "assemble", "simulate"])
     def test_on_the_command_line(self, robodyn, scene, couplings, worst, command):
         path = scene(f"{ARM}couplings: {couplings}\nactuated: [a, c]\n")
         if "q3" in couplings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT
+from each_case import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -46,14 +47,14 @@ def segment_distance(z: np.ndarray, a: complex, b: complex) -> np.ndarray:
 # Where things are
 
 
-@pytest.mark.parametrize("seed", range(10))
-@pytest.mark.parametrize("shape", LOOPS)
+@each("seed", range(10))
+@each("shape", LOOPS)
 def test_points_are_those_of_independent_kinematics(seed: int, shape: str) -> None:
     scene = seeded_scene(seed, LOOPS[shape])
     check_points(scene)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@each("seed", range(10))
 def test_points_of_trees(seed: int) -> None:
     check_points(seeded_tree(seed, 5))
 
@@ -104,7 +105,7 @@ def test_a_four_bar_through_a_turn() -> None:
         assert_same_points(centres(drawn, "centre", pose), halves)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@each("seed", range(6))
 def test_springs_end_where_they_are_hung(seed: int) -> None:
     """And dampers; stretched along themselves alone."""
     scene = forced(seed, seeded_scene(seed, LOOPS["four-bar"]))
@@ -319,7 +320,7 @@ def posed(mech, angles: np.ndarray) -> np.ndarray:
     return robodyn.assemble(mech, q) if mech.rows else q
 
 
-@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+@each("path", ROBOTS)
 def test_links_keep_their_shape_from_pose_to_pose(path) -> None:
     mech = robodyn.load(path)
     pose = first_pose(mech)
@@ -401,7 +402,7 @@ def test_span_and_size() -> None:
 # The pose without --q
 
 
-@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+@each("path", ROBOTS)
 def test_the_first_pose_closes(path) -> None:
     mech = robodyn.load(path)
     assert np.abs(robodyn.closure_gap(mech, first_pose(mech))).max(initial=0.0) < 1e-9

@@ -9,6 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from conftest import ROOT
+from each_case import each
 from hypothesis import given, settings
 from known_terms import DIGITS, Known
 from mpmath import mp
@@ -33,7 +34,7 @@ from robodyn.engines import formulas
 from robodyn.errors import InputError, RobodynError, SingularError
 
 SEEDS = range(8)
-EACH_LOOP = pytest.mark.parametrize("name", LOOPS)
+EACH_LOOP = each("name", LOOPS)
 
 TWO_LINK = oracles.TwoLink(1.5, 0.8, 0.36, 0.082, 0.9, 0.6, 0.25, 0.031)
 FOUR_BAR = oracles.FourBar(
@@ -168,9 +169,9 @@ class TestMassRatios:
             unbalance = float(max(abs(at.M @ qdd + at.h - tau)))
         assert unbalance <= 1e-13 * sizes(mech.description).torque(qd, qdd)
 
-    @pytest.mark.parametrize("coupler", [1e-6, 1e6])
-    @pytest.mark.parametrize("rocker", [1e-6, 1.0, 1e6])
-    @pytest.mark.parametrize("count", [1, 200])
+    @each("coupler", [1e-6, 1e6])
+    @each("rocker", [1e-6, 1.0, 1e6])
+    @each("count", [1, 200])
     def test_four_bar(self, coupler, rocker, count):
         p = FOUR_BAR._replace(m2=1.3 * coupler, I2=0.102 * coupler)
         p = p._replace(m3=1.0 * rocker, I3=0.061 * rocker)
@@ -231,8 +232,8 @@ class TestMassRatios:
 class TestFourBar:
     """The lecture's four-bar, broken at O3."""
 
-    @pytest.mark.parametrize("assembly", ["open", "crossed"])
-    @pytest.mark.parametrize("seed", SEEDS)
+    @each("assembly", ["open", "crossed"])
+    @each("seed", SEEDS)
     def test_acceleration_is_equation_33(self, seed, assembly):
         """M qdd = f - Psi^T (Psi M^-1 Psi^T)^-1 (Psi M^-1 f + Psidot qd), f = tau - C qd - G."""
         rng = np.random.default_rng(seed)
@@ -244,8 +245,8 @@ class TestFourBar:
         assert_close(motion.qdd, qdd, np.abs(qdd).max(), 1e-12)
         assert_close(motion.multipliers, lam, np.abs(lam).max(), 1e-12)
 
-    @pytest.mark.parametrize("assembly", ["open", "crossed"])
-    @pytest.mark.parametrize("seed", SEEDS)
+    @each("assembly", ["open", "crossed"])
+    @each("seed", SEEDS)
     def test_torque_is_that_of_the_passive_rows(self, seed, assembly):
         rng = np.random.default_rng(seed)
         q = oracles.four_bar_position(FOUR_BAR, rng.uniform(-np.pi, np.pi), assembly)
@@ -380,9 +381,9 @@ class TestMasslessLinks:
         with pytest.raises(SingularError, match="can move without any inertia"):
             dyn.forward_dynamics(mech, q, 0 * q, [1.0, 0.0])
 
-    @pytest.mark.parametrize("count", [1, 300])
-    @pytest.mark.parametrize("bend", [1e-7, -1e-8, np.pi - 1e-7])
-    @pytest.mark.parametrize("carrier", ["", "  - {name: arm, m: 2, l: 1, r: 0.4, I: 0.1}\n"])
+    @each("count", [1, 300])
+    @each("bend", [1e-7, -1e-8, np.pi - 1e-7])
+    @each("carrier", ["", "  - {name: arm, m: 2, l: 1, r: 0.4, I: 0.1}\n"])
     def test_nearly_singular_at_one_configuration(self, count, bend, carrier):
         """Two massless rods with a payload, alone or on an arm: refused in a batch as alone."""
         mech = mechanism(
@@ -611,7 +612,7 @@ ZERO_EVERYWHERE = {
 class TestZeroEverywhere:
     """Where no formula can be written the numpy evaluators answer, for one state and for many."""
 
-    @pytest.mark.parametrize("function", [dyn.inverse_dynamics, dyn.forward_dynamics])
+    @each("function", [dyn.inverse_dynamics, dyn.forward_dynamics])
     def test_a_batch_gives_what_one_state_gives(self, function, text, q):
         mech = mechanism(text)
         many = np.tile(q, (dyn.BATCH, 1))
@@ -643,22 +644,23 @@ class TestBatch:
         mech, states = scene.mechanism, neighbours(scene, dyn.BATCH + 50)
         for function in (dyn.inverse_dynamics_and_forces, dyn.forward_dynamics_and_forces):
             together = function(mech, *states)[:2]
-            for found, alone in zip(together, one_by_one(function, mech, states), strict=True):
+            some = one_by_one(function, mech, [part[::6] for part in states])
+            for found, alone in zip(together, some, strict=True):
                 size = np.abs(alone).max(axis=-1, keepdims=True)
-                assert_close(found / size, alone / size, 1.0, 1e-12)
+                assert_close(found[::6] / size, alone / size, 1.0, 1e-12)
 
     @settings(deadline=None, max_examples=25)
     @given(trees(most=7))
     def test_trees(self, scene):
         mech, (q, qd, qdd) = scene.mechanism, neighbours(scene, dyn.BATCH)
         size = sizes(mech.description).torque(np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0))
-        tau = dyn.inverse_dynamics(mech, q, qd, qdd)
-        alone, _ = one_by_one(dyn.inverse_dynamics_and_forces, mech, (q, qd, qdd))
-        assert_close(tau, alone, size)
+        tau, some = dyn.inverse_dynamics(mech, q, qd, qdd), slice(None, None, 6)
+        alone, _ = one_by_one(dyn.inverse_dynamics_and_forces, mech, (q[some], qd[some], qdd[some]))
+        assert_close(tau[some], alone, size)
         least = np.linalg.eigvalsh(cf.mass_matrix(mech, q))[:, 0].min()
         found = dyn.forward_dynamics(mech, q, qd, tau)
-        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q, qd, tau))
-        assert_close(found, alone, size / least)
+        alone, _ = one_by_one(dyn.forward_dynamics_and_forces, mech, (q[some], qd[some], tau[some]))
+        assert_close(found[some], alone, size / least)
 
     @pytest.mark.filterwarnings("ignore::robodyn.dynamics.dynamics.RobodynWarning")
     @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-9, 0.0])
@@ -674,16 +676,16 @@ class TestBatch:
             size = np.abs(expected).max(axis=-1, keepdims=True)
             assert_close(found / size, expected / size, 1.0, 1e-12)
 
-    @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6])
-    def test_states_near_a_change_point_are_right(self, angle):
+    def test_states_near_a_change_point_are_right(self):
         """k^T M k thetadd + k^T (C qd + G) = tau1 with k = (1, -1, 1), at 30 digits."""
         mech, k = mechanism(PARALLELOGRAM_YAML), np.array([1.0, -1.0, 1.0])
-        q, qd, tau = angle * k, 5.0 * k, [2.0, 0.0, 0.0]
-        M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
-        expected = float((2.0 - k @ (C @ qd + G)) / (k @ M @ k))
-        for count in (1, dyn.BATCH):
-            qdd = dyn.forward_dynamics(mech, np.tile(q, (count, 1)), qd, tau)
-            assert_close(qdd[0], expected * k, abs(expected), 1e-14 / angle)
+        for angle in (1e-2, 1e-4, 1e-6):
+            q, qd, tau = angle * k, 5.0 * k, [2.0, 0.0, 0.0]
+            M, C, G = oracles.mp_terms(oracle_tree(mech.description), mech.gamma, q, qd)
+            expected = float((2.0 - k @ (C @ qd + G)) / (k @ M @ k))
+            for count in (1, dyn.BATCH):
+                qdd = dyn.forward_dynamics(mech, np.tile(q, (count, 1)), qd, tau)
+                assert_close(qdd[0], expected * k, abs(expected), 1e-14 / angle)
 
     def test_states_near_a_dead_centre(self):
         """Inverse dynamics where the rocker hardly moves the crank; the state is made closed."""
@@ -757,7 +759,7 @@ class TestBroadcasting:
 
     @FUNCTIONS
     @SCENES
-    @pytest.mark.parametrize("shape", [(), (1,), (0,), (4, 0), (2, 3), (20, 15)])
+    @each("shape", [(), (1,), (0,), (4, 0), (2, 3), (20, 15)])
     def test_leading_axes(self, function, scene, shape):
         mech, count = scene.mechanism, int(np.prod(shape))
         states = neighbours(scene, max(count, 1))

@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from conftest import FRESH
+from each_case import each
 from numpy.typing import NDArray
 
 from robodyn.events.functions import event_functions
@@ -237,7 +238,7 @@ def test_bends_and_jumps(
     assert not watch.lost
 
 
-@pytest.mark.parametrize("seed", range(60))
+@each("seed", range(60 if FRESH else 16))
 def test_random_polynomials(pendulum: Mechanism, seed: int) -> None:
     """Products of factors with known roots, some of them close or double, on random steps."""
     rng = np.random.default_rng(seed)
@@ -253,7 +254,7 @@ def test_random_polynomials(pendulum: Mechanism, seed: int) -> None:
         check(watch, sorted(simple), 1e-11)
 
 
-@pytest.mark.parametrize("seed", range(40 if FRESH else 14))
+@each("seed", range(40 if FRESH else 6))
 def test_random_waves(pendulum: Mechanism, seed: int) -> None:
     """Sums of waves against roots on a fine grid in 30 digits."""
     rng = np.random.default_rng(1000 + seed)

@@ -25,7 +25,7 @@ FRESH = bool(os.environ.get("FRESH"))  # as `make hard` has it
 LONGEST = 5.0 if FRESH else 0.5  # s
 NAMES = sorted(path.stem for path in REFERENCES.glob("*.json"))
 SLOW = ("stephenson-six-bar", "five-bar", "spring-slider-crank")  # to extrapolate
-TWICE = NAMES if FRESH else [name for name in NAMES if name not in SLOW][::2]
+TWICE = NAMES if FRESH else [name for name in NAMES if name not in SLOW][::4]
 SLIDING = {"2r-chaotic": 2.0}  # s, where errors of the constants grow exponentially
 DISC = "gravity: 0\nlinks: [{name: disc, m: 0, l: 1, r: 0, I: 0.7, damping: %s}]\n"
 

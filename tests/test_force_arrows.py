@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import ROOT
+from each_case import each
 
 import robodyn
 from random_mechanisms import LOOPS, Pose, forced, oracle_tree, seeded_scene, seeded_tree
@@ -41,8 +42,8 @@ def test_a_spinning_pendulum_is_held_towards_its_pivot() -> None:
     assert pull == pytest.approx(-link.m * link.r.real * 40.0**2 * np.exp(0.5j))
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("shape", ["four-bar", "slider-crank", "five-bar", "loop in a tree"])
+@each("seed", range(6))
+@each("shape", ["four-bar", "slider-crank", "five-bar", "loop in a tree"])
 def test_all_forces_on_a_link_make_its_acceleration(seed: int, shape: str) -> None:
     """Of a link that carries nothing but closures: gravity, its joint and its pins."""
     scene = seeded_scene(seed, LOOPS[shape])

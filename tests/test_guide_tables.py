@@ -9,9 +9,9 @@ from __future__ import annotations
 import inspect
 import re
 
-import pytest
 import typer
 from documents import DOCUMENTS, PAGES, README, rows_below
+from each_case import each
 
 import robodyn
 from robodyn import cli
@@ -45,7 +45,7 @@ def test_the_commands_are_those_of_the_readme() -> None:
             assert writes == "rows", name
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@each("name", DOCUMENTS)
 def test_options_of_the_guide_exist(name: str) -> None:
     options = {x for each in COMMANDS.values() for parameter in each.params for x in parameter.opts}
     options |= {"--debug", "--help", "--version", "--install-completion", "--show-completion"}

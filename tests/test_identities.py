@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import FRESH
 from hypothesis import given, settings
 from scipy.integrate import solve_ivp
 
@@ -29,7 +30,7 @@ from robodyn.dynamics import identities as selftest
 from robodyn.mechanics.mechanism import load
 
 ROBOTS = sorted((Path(__file__).parent.parent / "robots").glob("*.yaml"))
-examples = settings(deadline=None, max_examples=60)
+examples = settings(deadline=None, max_examples=60 if FRESH else 25)
 
 
 def derivative(function, speed):

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import FRESH, ROOT
 from hypothesis import given, settings
 from sliding_scenes import BLOCK, COUPLED, MIXED, SLIDING
 
@@ -35,7 +35,7 @@ from robodyn.mechanics.modes import Mode, in_mode, pressed
 
 ROBOTS = sorted((ROOT / "robots").glob("*.yaml"))
 EACH_ROBOT = pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
-examples = settings(deadline=None, max_examples=40)
+examples = settings(deadline=None, max_examples=40 if FRESH else 20)
 
 
 def smooth(mech):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, Outcome, relative_error
+from each_case import each
 from mpmath import mp, mpc, mpf
 
 import oracles
@@ -67,7 +68,7 @@ def test_names_stand_for_points_everywhere_in_a_scene() -> None:
     }
 
 
-@pytest.mark.parametrize(
+@each(
     ("points", "parts"),
     [
         ("[P]", ("points = a list", "must map names")),
@@ -417,7 +418,7 @@ def test_units_on_a_terminal(robodyn: Run) -> None:
         assert part in out
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "stdin", "parts"),
     [
         (("--q", 1, "--of", "roker"), "", ("--of = roker", "did you mean rocker?")),

@@ -7,6 +7,7 @@ import operator
 
 import pytest
 from conftest import within
+from each_case import each
 from hypothesis import given
 from hypothesis import strategies as st
 from sympy.physics import units as known_units
@@ -90,7 +91,7 @@ def test_blanks_stand_for_products() -> None:
         assert parse_quantity(text, unit) == value, text
 
 
-@pytest.mark.parametrize("name", sorted(UNITS))
+@each("name", sorted(UNITS))
 def test_units_are_those_of_sympy(name: str) -> None:
     own = {"in": "inch", "deg": "degree", "°": "degree", "min": "minute", "h": "hour"}
     own |= {"lb": "pound", "Hz": "hertz", "W": "watt", "J": "joule", "ohm": "ohm"}
@@ -207,7 +208,7 @@ def test_deep_or_long_text_is_refused() -> None:
 # Vectors
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "values"),
     [
         ("1", [1.0]),
@@ -238,7 +239,7 @@ def test_vectors_of_any_floats(values: list[float], separator: str) -> None:
     assert vector(text, "") == values
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "parts"),
     [
         ("", ["--q", "empty"]),

@@ -6,7 +6,6 @@ import math
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,8 @@ from documents import (
     example_blocks,
     scene_files,
 )
+from each_case import each
+from quick_robodyn import path_with_it
 
 import robodyn
 from robodyn.cli import COMMANDS
@@ -69,11 +70,10 @@ def test_examples_run_and_print_what_is_shown(
 
 
 def _check(example: Example, directory: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", example.command],
         cwd=directory,
-        env=os.environ | {"PATH": path, "LC_ALL": "C.UTF-8"},
+        env=os.environ | {"PATH": path_with_it(), "LC_ALL": "C.UTF-8"},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -114,20 +114,21 @@ def test_there_are_examples_of_every_kind() -> None:
     assert any("| head" in command for command in commands)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_command_is_documented_and_shown(name: str) -> None:
-    assert re.search(rf"`robodyn {name}[ `]", README.split("\n## Commands\n")[1])
-    assert any(f"robodyn {name} " in example.command for example in examples())
+def test_commands_are_documented_and_shown() -> None:
+    table = README.split("\n## Commands\n")[1]
+    shown = "\n".join(example.command for example in examples())
+    assert [name for name in COMMANDS if not re.search(rf"`robodyn {name}[ `]", table)] == []
+    assert [name for name in COMMANDS if f"robodyn {name} " not in shown] == []
 
 
-@pytest.mark.parametrize("name", sorted(robodyn._ROOM_OF))
-def test_public_name_is_documented(name: str) -> None:
-    assert re.search(rf"`{name}\b", PAGES["python"])
+def test_public_names_are_documented() -> None:
+    names = robodyn._ROOM_OF
+    assert [name for name in names if not re.search(rf"`{name}\b", PAGES["python"])] == []
 
 
-@pytest.mark.parametrize("key", sorted({key for form in FORMS.values() for key in form.keys}))
-def test_scene_key_is_documented(key: str) -> None:
-    assert f"`{key}`" in PAGES["scene"]
+def test_scene_keys_are_documented() -> None:
+    keys = {key for form in FORMS.values() for key in form.keys}
+    assert [key for key in keys if f"`{key}`" not in PAGES["scene"]] == []
 
 
 def test_make_targets_exist() -> None:
@@ -143,9 +144,9 @@ def test_install_line_names_this_package() -> None:
     assert (ROOT / "pyproject.toml").exists()
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
-def test_lines_are_not_too_long(name: str) -> None:
-    assert [line for line in DOCUMENTS[name].splitlines() if len(line) > 100] == []
+def test_lines_are_not_too_long() -> None:
+    lines = [(name, line) for name, text in DOCUMENTS.items() for line in text.splitlines()]
+    assert [(name, line) for name, line in lines if len(line) > 100] == []
 
 
 def test_the_readme_is_short() -> None:
@@ -157,7 +158,7 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+@each("name", DOCUMENTS)
 def test_links_lead_somewhere(name: str) -> None:
     folder = ROOT if name == "README" else GUIDE
     text = re.sub(r"^```.*?^```$", "", DOCUMENTS[name], flags=re.MULTILINE | re.DOTALL)

@@ -44,6 +44,7 @@ def check(case: Case) -> None:
 
 @pytest.mark.parametrize("acted", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.thinned
 def test_torques_are_linear_on_random_scenes(kind: str, acted: bool) -> None:
     check(random_case(kind, 1, acted=acted))
 

@@ -14,6 +14,7 @@ from xml.dom import minidom
 
 import pytest
 from conftest import ROOT, Outcome
+from each_case import each
 
 Run = Callable[..., Outcome]
 
@@ -76,7 +77,7 @@ def table(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("line", [
+@each("line", [
     "check SCENE", "check SCENE --format json", "terms SCENE --q 0,0", "assemble SCENE --q 0,0",
     "torque SCENE TABLE", "torque SCENE TABLE --format csv", "torque SCENE TABLE --format json",
     "equations SCENE", "equations SCENE --format python", "export SCENE --format urdf -o -",
@@ -107,7 +108,7 @@ def test_columns_of_a_chart_and_a_map_are_shown_escaped(tmp_path: Path, more: li
     check_harmless(drawn)
 
 
-@pytest.mark.parametrize("words", [
+@each("words", [
     ["torque", "no\x1b[2Jfile.yaml", "--q", "0,0"],
     ["torque", "robots/2r.yaml", "--q", "0,\x1b[2J"],
     ["torque", "robots/2r.yaml", "--q", "0,0", "-o", "/no\x1b[2J/file"],

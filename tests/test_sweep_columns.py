@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TWO_LINK, Outcome
+from each_case import each
 from scipy import stats
 
 import oracles
@@ -335,7 +336,7 @@ def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
 # What is refused
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "parts"),
     [
         (["--result", "max(tau9)"], ["--result = max(tau9): is no result; did you mean tau2?"]),
