@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.cli.output import note
 from robodyn.cli.row_files import read_columns
@@ -14,9 +13,9 @@ from robodyn.cli.states import Quantity, option_source
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
+from robodyn.tables.arrays import Array
 from robodyn.tables.delimited import columns_told
 
-Array = NDArray[np.float64]
 KINDS = ("q", "qd", "qdd")
 
 

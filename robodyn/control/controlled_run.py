@@ -11,9 +11,9 @@ import numpy as np
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
+from robodyn.tables.arrays import Array
 
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]

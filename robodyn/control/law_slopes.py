@@ -9,10 +9,10 @@ from functools import cache, partial
 import numpy as np
 
 from robodyn.control.controlled_run import Law, Slopes
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.parts import untimed
+from robodyn.tables.arrays import Array
 
 
 class Sloped:

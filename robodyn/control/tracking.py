@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
-from robodyn.mechanics.array_types import Array
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.splines import hermite
 
 BEND = 1e-9  # part of the largest acceleration by which pieces that meet smoothly may differ

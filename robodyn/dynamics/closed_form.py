@@ -31,10 +31,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robodyn.dynamics.placed import Placed, absolute_rates, as_states, columns, matvec, placed
 from robodyn.mechanics import parts
-from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.mechanics.modes import Mode, in_mode, pressed
 from robodyn.mechanics.planar_model import Arrays
+from robodyn.tables.arrays import Array, Complex
 
 
 def absolute_inertia(mechanism: Mechanism, at: Placed, rates: Placed | None = None) -> Array:

@@ -41,8 +41,8 @@ from robodyn.engines.singular_values import svd
 from robodyn.errors import RobodynError, SingularError
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.mechanics import parts
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 RANK_CUT = 1e-10  # singular values of Psi below this part of the loop's size count as zero

@@ -25,9 +25,9 @@ from robodyn.engines.derivative_formulas import (
     residual_derivatives_formula,
 )
 from robodyn.engines.formula_rows import FormulaRows
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 Numbers = Sequence[straightline.FloatFunction]  # the residuals' slopes by each

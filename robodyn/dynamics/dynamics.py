@@ -37,8 +37,8 @@ from robodyn.engines.formulas import Formula
 from robodyn.errors import InputError, SingularError
 from robodyn.loops import change_points, projection
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 PIVOT_CUT = 1e-3  # generated code is trusted while the closures' relative pivots exceed this
 BATCH = 200  # from so many states on generated array code wins, its generation included

@@ -20,8 +20,8 @@ from robodyn.engines.frames import relative
 from robodyn.engines.series import FLOATS, Arithmetic
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 COLUMNS = ("dynamics", "evaluator", "states", "ns_per_state", "largest_error", "median_error")
 BATCHES = (1, 1000, 1_000_000)

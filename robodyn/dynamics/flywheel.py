@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robodyn.errors import InputError
-from robodyn.mechanics.array_types import Array
+from robodyn.tables.arrays import Array
 
 TURN_OFF = 1e-6  # rad by which rows may miss whole turns
 APART = math.radians(45.0)  # rad that rows may be apart, for a spline to tell a torque at all

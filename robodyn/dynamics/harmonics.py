@@ -13,11 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 OFF = 1e-6  # rad by which a row may miss its place on the grid
 AGAIN = 1e-3  # part of the values' size by which the last row, a turn later, may differ

@@ -22,9 +22,9 @@ from robodyn.errors import InputError, SingularError
 from robodyn.loops import assembly, loop_rates
 from robodyn.loops.closing import random_states
 from robodyn.mechanics import parts
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.scene.scene import Table
+from robodyn.tables.arrays import Array
 
 BOUND = 1e-9  # differences of eighth order reach about 1e-12
 ROUNDING = 1e-13  # gap of a closed state, relative; near a change point Newton's method ends above

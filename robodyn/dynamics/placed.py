@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robodyn.errors import InputError
-from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.csv_fields import shown
 
 

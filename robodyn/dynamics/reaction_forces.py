@@ -35,10 +35,10 @@ from robodyn.engines.singular_values import svd
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
 from robodyn.mechanics import parts
-from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.link_tree import Tree
 from robodyn.mechanics.mechanism import Mechanism, PlanarPoint
 from robodyn.scene.scene import Moment, Point
+from robodyn.tables.arrays import Array, Complex
 
 Part = Callable[[Mechanism], Mechanism]
 

@@ -22,10 +22,10 @@ from robodyn.kinematics.transmission import (
     transmission_angles,
     transmission_loops,
 )
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
+from robodyn.tables.arrays import Array
 
 
 class Solved(NamedTuple):

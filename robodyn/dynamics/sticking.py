@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import responses
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import NEAR, Mode, in_mode, moving_mode, pressed
+from robodyn.tables.arrays import Array
 
 AT_REST = 1e-12  # part of the fastest joint's rate below which a joint stands still
 TOGETHER = 1e-9  # relative singular value below which joints are not held independently

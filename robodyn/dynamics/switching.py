@@ -8,9 +8,9 @@ import numpy as np
 
 from robodyn.dynamics.placed import finite
 from robodyn.dynamics.sticking import modes_of
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, resting_friction
+from robodyn.tables.arrays import Array
 
 Solved = tuple[Array, Array, str]  # of joints, multipliers, and a remark
 Smooth = Callable[[Mechanism, str, int, dict[str, Array], Array], Solved]

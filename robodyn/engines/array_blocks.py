@@ -12,14 +12,12 @@ import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.engines.straightline import ArrayFunction
+from robodyn.tables.arrays import Array
 
 BLOCK = 8192
 MAX_THREADS = 4
-
-Array = NDArray[np.float64]
 
 
 def shared(total: int, share: int, piece: int, run: Callable[[int, int, int], object]) -> None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from robodyn.engines import array_blocks, expression, straightline
 from robodyn.engines.formulas import Formula
 from robodyn.engines.machine_rows import Evaluate, Rows
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Found = tuple[list[Array], NDArray[np.int64]]
 
 # States times additions of a formula after which machine code has paid for loading llvmlite and

@@ -20,11 +20,11 @@ from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Wo
 from robodyn.engines.expression import Expression, Graph, Value
 from robodyn.engines.machine import Processor
 from robodyn.engines.segment import Segment
+from robodyn.tables.arrays import Array
 
 SHARE = 50_000  # rows that are worth a thread
 PIECE = 200_000  # rows of one call, which Ctrl-C does not end: some ms
 
-Array = NDArray[np.float64]
 # fills outputs (T, k), C-contiguous, from inputs (T, n): the doubtful rows
 Evaluate = Callable[[Sequence[Array], Sequence[Array]], NDArray[np.int64]]
 

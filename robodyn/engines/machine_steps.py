@@ -21,9 +21,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from robodyn.engines.assembler import ADDRESS, Kernel, Module, Word
 from robodyn.engines.expansion import KINK, MotionProgram
 from robodyn.engines.expression import Value
@@ -38,8 +35,7 @@ from robodyn.loops.projection import CONVERGED
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.equations_of_motion import EquationsOfMotion
 from robodyn.mechanics.planar_model import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 ALIGNED = 8  # items, on which a vector of one lane and 8 numbers crosses no line of the cache
 # of a block, besides what its scene asks for

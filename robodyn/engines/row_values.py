@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.engines import array_blocks, straightline
 from robodyn.engines.arithmetic import ZERO, Planar, planar_plus, planar_times, times
@@ -23,9 +23,7 @@ from robodyn.mechanics.parts import no_direction
 from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import finite
 from robodyn.scene.scene import Table, signal_place
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from robodyn.tables.arrays import Array, Complex
 
 LONGEST = 300  # characters of a statement
 NEAR_END = 1e-3  # of a table's span, where a run that cannot go on has come to its end

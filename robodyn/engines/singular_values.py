@@ -7,9 +7,8 @@ closures in a row, say); its QR iteration does not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 def svd(a: Array, full: bool = False) -> tuple[Array, Array, Array]:

@@ -19,8 +19,7 @@ from robodyn.loops.change_points import EXACT, Closing, suspect_quality
 from robodyn.loops.closing import newton
 from robodyn.mechanics import parts
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 SINGULAR = 1e-12  # ratio of pivots below which a factorisation is not trusted
 CONVERGED = 3e-15  # rad

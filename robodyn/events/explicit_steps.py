@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from robodyn.events.signs import NODES
 from robodyn.events.single_zeros import Steps
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 MOVED = ("t", "t_old", "y", "y_old", "f", "h_previous")  # of a solver, by a step
 STAGES = [0, 7, 8, 10, 12]  # of DOP853, those of high order; 12 is the end

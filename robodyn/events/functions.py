@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
 from robodyn.events.linear_forms import linear_form
@@ -23,8 +22,8 @@ from robodyn.events.smooth_parts import switches
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.expression_units import state_dimension
 from robodyn.scene.expressions import FUNCTIONS, NotAllowedError, Written, state_names
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Values = Callable[[Array, Array], Array]
 
 _NAME = re.compile(r"[A-Za-z][\w-]{0,63}", re.ASCII)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
 from robodyn.events.signs import MISSED, certain, node_times
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Signs = NDArray[np.int64]
 
 # of a function's size along a step, what a look at many steps asks of it beyond its rounding

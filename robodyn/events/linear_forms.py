@@ -6,12 +6,10 @@ import ast
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import relative_matrix
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 def linear_form(tree: ast.expr, n: int) -> Array | None:

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.events.functions import EventFunction, Part
 from robodyn.events.signs import NODES, Budget, Function, Sampled, Stretch, bracket, stretches
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 States = Callable[[Array], Array]  # those (k, N) at times (k,) within a step
 
 

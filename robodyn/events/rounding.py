@@ -12,9 +12,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
+
 Bounded = tuple[Any, Any]  # values, and bounds of their errors
 
 EPS = float(np.finfo(float).eps)

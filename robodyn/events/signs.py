@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
+
 Function = Callable[[Array], Array]  # of times (k,), (k,)
 Sampled = Callable[[Array], tuple[Array, Array]]  # the same, and bounds of its rounding
 

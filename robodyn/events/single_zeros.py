@@ -25,8 +25,8 @@ from robodyn.events.signs import (
     certain,
     node_times,
 )
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 ITERATIONS = 3  # of Newton's method between two nodes, from the secant on

@@ -8,13 +8,11 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.events.functions import EventFunction
 from robodyn.events.single_zeros import Single
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 APART = 1e-12  # of the time of a run: what is nearer in time happens at one instant
 MOST = 1_000_000  # events that are kept

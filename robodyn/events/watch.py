@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.events.explicit_steps import as_steps
 from robodyn.events.functions import EventFunction
@@ -21,8 +20,7 @@ from robodyn.events.signs import Budget, Stretch, bracket, node_times
 from robodyn.events.single_zeros import Single, Steps, followed
 from robodyn.events.told import EventRecord, Found, Stop
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
 DOUBTS = 3  # calls of machine code, unsure of an event, after which it is not asked

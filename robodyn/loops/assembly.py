@@ -37,9 +37,9 @@ from robodyn.loops.closing import loop_size as loop_size
 from robodyn.loops.dyads import CLOSED as CLOSED
 from robodyn.loops.dyads import coupled_angle, solve_dyad
 from robodyn.loops.path_from_start import farthest, from_start, reachable_from_start
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.scene import BRANCHES
+from robodyn.tables.arrays import Array
 
 OPEN = 1e3  # rad; what does not close is farther than all that does
 CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it

@@ -41,8 +41,8 @@ from robodyn.loops.closing import (
     singular_size,
     wrapped,
 )
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 # the nearest closed state, and how regular Psi is there: about (s/L)^2
 Closing = Callable[[Array], tuple[Array, float]]

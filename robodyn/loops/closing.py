@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from robodyn.dynamics.closed_form import closure_gap, scaled_jacobian
 from robodyn.engines.singular_values import svd
 from robodyn.errors import SingularError
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.planar_model import Mechanism
+from robodyn.tables.arrays import Array
 
 # of q (..., n): which states are closed to rounding (...), and the Newton steps (..., n)
 Evaluator = Callable[[Any], tuple[Any, Any]]

@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.loops.assembly_plan import Plan, Step, root_of
-from robodyn.mechanics.array_types import Array, Complex
 from robodyn.mechanics.planar_model import ClosureRow, Mechanism
 from robodyn.scene.scene import Coupling
+from robodyn.tables.arrays import Array, Complex
 
 CLOSED = 1e-9  # a gap below this part of the loop's lengths counts as rounding
 PARALLEL = 1e-12  # sine between two lines that do not meet

@@ -18,8 +18,8 @@ from robodyn.errors import InputError
 from robodyn.loops.change_points import NEAR, nearest_singular, nearness, rank, rank_beside
 from robodyn.loops.closing import loop_size, singular_at
 from robodyn.loops.projection import state_led_across
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 SINGULAR = 1e-7  # a least singular value below this part of the loop's size is singular
 REDUNDANT = 1e-10  # singular values below this part of the largest one are rounding

@@ -26,8 +26,8 @@ from robodyn.loops.change_points import (
     nearness,
 )
 from robodyn.loops.closing import NEAR_SINGULAR, close_positions, regular_rank
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 Value = Any  # a float, an array, or an expression
 Matrix = Sequence[Mapping[int, Value]]  # rows, with their columns that are not zero

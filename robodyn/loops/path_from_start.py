@@ -8,8 +8,8 @@ from robodyn.dynamics.closed_form import closure_gap
 from robodyn.loops.assembly_plan import joints_of
 from robodyn.loops.closing import close_positions, half_turn, loop_size
 from robodyn.loops.dyads import CLOSED
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 PATH_STEP = 0.02  # rad, step of the actuated joints on the path from `start`
 LEAP = 0.5  # rad; a passive joint that moves more in such a step has left its branch

@@ -36,8 +36,8 @@ from robodyn.loops.closing import (
     singular_size,
 )
 from robodyn.loops.misses import Misses
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 FloatClosing = Callable[[list[float]], tuple[list[float], float]]
 

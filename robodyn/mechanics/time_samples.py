@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.mechanics.array_types import Array
+from robodyn.tables.arrays import Array
 
 Names = Mapping[str, Any]
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.time_samples import call, values_of
+from robodyn.tables.arrays import Array
 
 ULPS = np.array([0.0, 1.0, 2.0, 4.0, 16.0, 64.0, 256.0])  # an end is asked at and beside
 STRETCHES = 10.0 ** -np.arange(3.0, 12.0)  # of the run; the longest that is a line is taken

@@ -35,13 +35,13 @@ from robodyn.pictures.motion_frames import Frames, frames
 from robodyn.pictures.outlines import at
 from robodyn.pictures.value_map import read_map
 from robodyn.simulation.simulation import Motion
+from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
 from robodyn.tables.csv_fields import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 Size = tuple[float, float] | None  # inches
 POSES = 8
 

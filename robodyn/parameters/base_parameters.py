@@ -31,9 +31,8 @@ from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import regressor
 from robodyn.scene.scene import Description, Point, Spring
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 STATES = 60  # drawn to find the base, each a row a motor
 TRIES = 20  # drawings of so many, until enough of them close

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.loops.closing import half_turn
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 PENALTY = 10.0  # what is missing counts so often

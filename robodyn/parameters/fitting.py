@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.engines.expression import Value
@@ -25,10 +25,9 @@ from robodyn.parameters.fit_problem import Problem, Search, finished
 from robodyn.parameters.lane_least_squares import lane_least_squares
 from robodyn.parameters.lane_states import LaneStates, Rows
 from robodyn.scene.scene_values import SceneValues
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 STARTS = 30
 STEPS = 200  # of each start

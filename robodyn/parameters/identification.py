@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
@@ -34,9 +34,8 @@ from robodyn.parameters.base_parameters import (
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import balanced_joints, regressor
 from robodyn.scene.scene import Description
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
-
-Array = NDArray[np.float64]
 
 BLOCK = 1 << 14  # states whose Y is held at once
 LARGEST = 1e100  # N m: squares of torques are summed

@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
+
 Places = NDArray[np.int64]
 # residuals (m, R) and their derivatives (m, R, k) at u (m, k) of these lanes (m,)
 Evaluate = Callable[[Array, Places], tuple[Array, Array]]

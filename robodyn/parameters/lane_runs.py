@@ -30,8 +30,8 @@ from robodyn.loops.closing import regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import compiled, solved_lanes
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 Start = tuple[str, int] | None  # what is varied: q or qd of a joint that is driven, or a number
 

@@ -17,7 +17,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import RANK_CUT
 from robodyn.engines import array_blocks, straightline
@@ -30,8 +29,7 @@ from robodyn.loops.closing import CLOSED as ROUNDING
 from robodyn.loops.closing import PASSES, loop_size
 from robodyn.mechanics.planar_model import ClosureRow
 from robodyn.parameters.column_formulas import ColumnFormulas
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 Parts = Sequence[tuple[tuple[int, ...], Sequence[Value]]]  # shapes, and what is in them
 Group = tuple[tuple[int, ...], tuple[int, ...]]  # rows of closures, and the joints they serve

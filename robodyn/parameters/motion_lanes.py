@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.named_numbers import named_values
 from robodyn.engines.tangents import slopes_by, tangents
@@ -25,8 +25,7 @@ from robodyn.parameters.lane_runs import LaneRuns, serves
 from robodyn.parameters.lane_states import compiled
 from robodyn.simulation.run_torques import as_actuation
 from robodyn.simulation.simulation import simulate
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 STARTS = 4  # runs take longer than states
 TOLERANCE = 1e-10

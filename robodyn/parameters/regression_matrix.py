@@ -13,7 +13,7 @@ from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics.dense_dynamics import balanced, check_actuators
 from robodyn.dynamics.dynamics import PIVOT_CUT
@@ -28,9 +28,9 @@ from robodyn.loops.closing import closed_jacobians, loop_size, regular_rank
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode
 from robodyn.parameters.linear_parameters import linear_parameters, with_parameters
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
-Array = NDArray[np.float64]
 RATES = ("qd", "qdd")
 BLOCK = 4096  # states whose pins are balanced at once
 CHOICES = 1000  # of joints that count as free

@@ -11,15 +11,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
 from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.scene.scene import Description, Spring
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Place = tuple[str | int, ...]
 
 POSITIVE = ("m", "I")  # of a body; all others but r are not negative

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.splines import FEWEST_ROWS, derivative
-
-Array = NDArray[np.float64]
 
 ORDER = 4  # of the Butterworth low-pass, which runs forward and backward
 EVEN = 1e-3  # part of the step by which times may be uneven where a filter runs over them

@@ -29,8 +29,8 @@ from robodyn.dynamics.derivatives import InverseDerivatives, inverse_dynamics_de
 from robodyn.dynamics.placed import as_states
 from robodyn.errors import InputError
 from robodyn.loops.closing import loop_size
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
 
 class Balance(NamedTuple):

@@ -24,7 +24,6 @@ from robodyn.dynamics.dense_dynamics import required_load
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives
 from robodyn.errors import RobodynError
 from robodyn.loops.loop_rates import check_closed, check_way_on
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import in_mode, moving_mode
 from robodyn.rest.balance import bend, free_motions, single
@@ -35,6 +34,7 @@ from robodyn.rest.natural_modes import (
     natural_modes,
     stable_by,
 )
+from robodyn.tables.arrays import Array
 from robodyn.tables.short_repr import short_repr
 
 TOLD = 1e-6  # of a joint's row in N, orthonormal: below it the joint tells no coordinate

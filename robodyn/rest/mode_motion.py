@@ -7,9 +7,9 @@ import numpy as np
 from robodyn.errors import AssemblyError, InputError, RobodynError
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.rest.linear_model import LinearModel
+from robodyn.tables.arrays import Array
 
 VISIBLE = 0.3  # rad, or lengths, that the joint which moves most goes each way
 SMALLEST = 1e-3  # of these, where loops do not close farther out

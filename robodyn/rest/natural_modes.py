@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.mechanics.array_types import Array, Complex
+from robodyn.tables.arrays import Array, Complex
 from robodyn.tables.short_repr import short_repr
 
 ZERO = 1e-7  # part of the largest eigenvalue below which one is zero: a double zero errs by this

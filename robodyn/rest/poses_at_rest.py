@@ -23,12 +23,12 @@ from robodyn.errors import AssemblyError, InputError, RobodynError, SingularErro
 from robodyn.loops.assembly import assemble, attempt
 from robodyn.loops.closing import close_positions, half_turn, loop_size, random_states
 from robodyn.loops.loop_rates import check_closed
-from robodyn.mechanics.array_types import Array
 from robodyn.mechanics.mechanism import Mechanism, joint_index
 from robodyn.mechanics.modes import Mode, beyond, end_word, in_mode, pressed
 from robodyn.rest.balance import Balance, balance, single
 from robodyn.rest.natural_modes import eigenvalues, stable_by
 from robodyn.scene.yaml_values import nearest
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.short_repr import short_repr
 

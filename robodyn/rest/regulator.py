@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robodyn.errors import InputError, RobodynError
-from robodyn.mechanics.array_types import Array
 from robodyn.rest.linear_model import LinearModel
+from robodyn.tables.arrays import Array
 
 ROUNDING = 1e-12  # part of the largest weight that an eigenvalue may be below zero
 

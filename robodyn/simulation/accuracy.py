@@ -18,7 +18,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.actuation import Actuation
@@ -28,9 +27,8 @@ from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
 from robodyn.simulation.settings import Settings
 from robodyn.simulation.simulation import run
+from robodyn.tables.arrays import Array
 from robodyn.taylor.run import stepping_engine
-
-Array = NDArray[np.float64]
 
 AUTO = "auto"
 SAMPLES = 200  # times at which runs are compared, besides those of the steps

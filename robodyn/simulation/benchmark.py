@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import RobodynError
 from robodyn.mechanics.actuation import Actuation
@@ -21,9 +20,9 @@ from robodyn.simulation.extended import Reference, reference
 from robodyn.simulation.report import Outcome, Report
 from robodyn.simulation.settings import METHODS, Settings
 from robodyn.simulation.simulation import run
+from robodyn.tables.arrays import Array
 from robodyn.taylor.run import compiled_engine, stepping_engine
 
-Array = NDArray[np.float64]
 Watch = Callable[[float], object]  # the part that is done
 
 TOLERANCES = tuple(10.0**-k for k in range(3, 14))

@@ -27,9 +27,9 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.planar_model import Arrays
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.mechanics.torque_times import over_a_scene_run
+from robodyn.tables.arrays import Array
 from robodyn.taylor.run import reach
 
-Array = NDArray[np.float64]
 Long = NDArray[Any]  # longdouble
 
 LONG, COMPLEX = np.longdouble, np.clongdouble

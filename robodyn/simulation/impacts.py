@@ -14,13 +14,11 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import responses
 from robodyn.errors import SingularError
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 SLACK = 1e-10  # part of the rates by which a condition may be missed
 SINGULAR = 1e-12  # relative singular value below which impulses depend on one another

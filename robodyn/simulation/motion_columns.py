@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.mechanics.loop_rows import loop_columns
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 def motion_columns(mechanism: Mechanism, tracked: bool) -> list[str]:

@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.dynamics import forward_dynamics, forward_dynamics_and_forces
@@ -41,8 +40,8 @@ from robodyn.mechanics.modes import NEAR, Mode, beyond, end_word, in_mode, press
 from robodyn.scene.scene import Limits
 from robodyn.simulation.impacts import rates_after
 from robodyn.simulation.run_torques import applied_torques
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 End = tuple[int, int]  # a joint and a side
 
 INSTANT = 8.0  # roundings of the time that are none

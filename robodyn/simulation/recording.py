@@ -13,7 +13,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.placed import matvec
@@ -29,12 +28,12 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.even_times import EvenTimes
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.unseen_work import UnseenWork
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk
 
 if TYPE_CHECKING:
     from scipy.integrate import OdeSolver
 
-Array = NDArray[np.float64]
 Sink = Callable[[Array, Array, Mechanism], None]  # rows t (k,), y (k, 2n or more)
 
 STEPS_AT_ONCE = 256  # accepted steps that the statistics take in one go

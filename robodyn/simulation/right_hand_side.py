@@ -26,7 +26,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.dynamics.closed_form import other_forces
@@ -38,8 +37,8 @@ from robodyn.loops.closing import regular_rank
 from robodyn.loops.projection import STRAIGHT, Projection, best_closing, dense_closing, loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Rates = Callable[[float, Array], Any]
 
 STRAIGHT_OPEN = 300  # entries of A up to which straight-line code is the fastest

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.mechanics import actuation as torque_sources
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import harmless_torque, over_a_scene_run
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 def as_actuation(

@@ -16,7 +16,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.named_numbers import size_of, with_variable
@@ -34,9 +33,8 @@ from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
 from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
 from robodyn.simulation.varied_motion import Varied, torque_nodes
+from robodyn.tables.arrays import Array
 from robodyn.taylor.variations import Number
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dynamics import forward_dynamics
 from robodyn.errors import RobodynError
@@ -31,8 +30,8 @@ from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.simulation.impacts import impulses
 from robodyn.simulation.phases import Guard, Phases
 from robodyn.simulation.varied_motion import by_numbers, holding, thrown_back, torque_slopes
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Shift = Callable[[], Array]
 
 SAME = 1e-9  # part of accelerations by which they do not jump, and of T by which they are one

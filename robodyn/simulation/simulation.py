@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robodyn.dynamics import dynamics
 from robodyn.dynamics.placed import as_states
@@ -34,9 +34,8 @@ from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.run_torques import applied_torques, as_actuation, over_run
 from robodyn.simulation.settings import BAUMGARTE, MAX_EVALUATIONS, Settings
 from robodyn.simulation.smooth_motions import SmoothMotions, in_phases
+from robodyn.tables.arrays import Array
 from robodyn.tables.columns import Columns
-
-Array = NDArray[np.float64]
 
 TOO_FAST = "the torque changes too fast to be sampled: steps go by their errors alone (--max-step)"
 UNTIL = "until"  # the name of the event that ends a run

@@ -6,7 +6,6 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import RobodynError
@@ -16,11 +15,11 @@ from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome, Report, StopRun
 from robodyn.simulation.right_hand_side import RightHandSide, right_hand_side
 from robodyn.simulation.settings import Settings
+from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
     from robodyn.simulation.phases import Phases
 
-Array = NDArray[np.float64]
 
 NEARLY_SINGULAR = 1e-4  # least singular value of Psi, relative, that explains a step too small
 MOST_AT_ONCE = 100  # phases in a row that take no time, after which none will

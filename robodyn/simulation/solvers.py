@@ -22,7 +22,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, DenseOutput, OdeSolver, Radau
 
 from robodyn.loops.projection import Projection
@@ -33,8 +32,8 @@ from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.run_control import Steps
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.right_hand_side import NearSingular, RightHandSide
+from robodyn.tables.arrays import Array
 
-Array = NDArray[np.float64]
 Observer = Callable[[Any], None]
 
 METHODS: dict[str, type[OdeSolver]] = {

@@ -6,7 +6,6 @@ import re
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.named_numbers import with_variable
 from robodyn.engines.expression import Graph
@@ -16,8 +15,7 @@ from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError
 from robodyn.loops.loop_rates import closing_rates, loop_accelerations
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 CHANGE = "p"  # the variable that a number changes by
 _START = re.compile(r"(q|qd)([1-9][0-9]*)", re.ASCII)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
+
 Torques = Callable[[float, Sequence[float]], Sequence[float]]
 
 SAMPLES = 1000  # of a run, at least

@@ -12,7 +12,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.named_numbers import with_variable
 from robodyn.engines.derivative_formulas import KINDS, residuals
@@ -28,8 +27,7 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.simulation.start_slopes import CHANGE, is_start
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 class Varied:

@@ -14,11 +14,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.sweeps.step_extremes import sums
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 LANES = 2  # of the text, in place of any number
 _CONSTANT = re.compile(r"<(double|i64|i1) ([^,>]+), \1 \2>")

@@ -12,7 +12,6 @@ import math
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.laws import controller
 from robodyn.dynamics import closed_form
@@ -25,9 +24,8 @@ from robodyn.sweeps.lanes import Aims, Ends, Motions
 from robodyn.sweeps.row_results import of_motion
 from robodyn.sweeps.step_extremes import QUARTERS, crossings, derivative, extremes
 from robodyn.sweeps.sweep_plan import Plan
+from robodyn.tables.arrays import Array
 from robodyn.trajectories.splines import hermite
-
-Array = NDArray[np.float64]
 
 CANNOT_START = "cannot start"
 

@@ -26,10 +26,9 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.sweeps.array_machine import LANES, ArrayMachine
 from robodyn.sweeps.lane_observer import LaneObserver, kept
 from robodyn.sweeps.step_extremes import crossings, extremes
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Status, best_order, default_order
 from robodyn.taylor.compiled import serves
-
-Array = NDArray[np.float64]
 
 KEPT = 64  # codes in a process
 PIECE = 128  # lanes of one call of machine code, and

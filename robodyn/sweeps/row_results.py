@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.control.tracking import ReferenceTable
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, inverse_dynamics_and_forces
@@ -22,8 +21,7 @@ from robodyn.loops import loop_rates
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene.yaml_values import nearest
 from robodyn.simulation.simulation import Motion
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 TAKEN: dict[str, Callable[[Array], float]] = {  # of the rows of a column
     "min": np.min,

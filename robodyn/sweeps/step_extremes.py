@@ -9,9 +9,8 @@ at the parts' ends.  What turns twice within one part may be missed.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 QUARTERS = 4
 NEWTON = 40  # steps at most: a bracket shrinks by each, and the last few double the digits

@@ -32,9 +32,9 @@ from robodyn.sweeps.lanes import Aims, Ends, Motions, integrate
 from robodyn.sweeps.row_results import at_states, of_rows, of_states
 from robodyn.sweeps.sweep_plan import Plan
 from robodyn.sweeps.variation import Axis
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Status
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 CANNOT_ASSEMBLE = "cannot assemble"

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 LEAST = 2.0**-54  # in place of a draw of 0, whose quantile is infinite
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 TENS = np.array([float(f"1e{k}") for k in range(23)])  # those that are floats
 COMMAS = bytes.maketrans(b"\n", b",")

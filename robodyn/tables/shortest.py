@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 PIECE = 8192  # floats whose numbers stay in cache
 LEAST, MOST = 2.0**-10, 1e4

@@ -14,15 +14,14 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.errors import RobodynError
+from robodyn.tables.arrays import Array
 
 if TYPE_CHECKING:
     from robodyn.events.told import Found
     from robodyn.taylor.step_boxes import Kept
 
-Array = NDArray[np.float64]
 
 STEPS = 128  # at a time, at first: between them the run can be watched and interrupted
 PARTS = (1.0, 0.85, 0.7, 0.55, 0.4)  # of a step, where it may land to avoid a suspect state

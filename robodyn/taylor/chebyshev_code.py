@@ -5,11 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.engines.assembler import ADDRESS, SCALAR, Kernel, Module
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 
 def wide(order: int) -> int:

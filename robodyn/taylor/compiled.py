@@ -8,7 +8,6 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.engines import machine, machine_motion
@@ -22,12 +21,11 @@ from robodyn.loops.projection import loop_terms
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
 from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.step_boxes import Kept, write_box
 from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
-
-Array = NDArray[np.float64]
 
 LARGEST = 1500  # entries of A and P up to which the code is made in some s
 ROWS = 16384  # of one call: no step begins when there are more

@@ -15,7 +15,6 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.dynamics import dense_dynamics
 from robodyn.errors import InputError, RobodynError
@@ -28,6 +27,7 @@ from robodyn.mechanics.kinks import kink_at, next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.simulation.recording import Recorder
 from robodyn.simulation.report import Outcome
+from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, Engine, NoCodeError, Status, default_order
 from robodyn.taylor.held_steps import held_by_stability
 from robodyn.taylor.python_series import InterpretedEngine, StraightEngine
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from robodyn.simulation.right_hand_side import RightHandSide
     from robodyn.taylor.variations import Variations
 
-Array = NDArray[np.float64]
 
 # entries of A and P times the order, and links, up to which straight-line code serves: beyond, it
 # takes seconds to make and is more than Python compiles

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import DenseOutput, OdeSolver
 
 from robodyn.mechanics import actuation as torque_sources
@@ -20,11 +20,10 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.kinks import next_stop
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_times import over_a_scene_run
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Status
 from robodyn.taylor.run import reach, stepping_engine
 from robodyn.taylor.steps import SteppingEngine
-
-Array = NDArray[np.float64]
 
 
 class TaylorSolver(OdeSolver):

@@ -21,12 +21,11 @@ from robodyn.dynamics.placed import states_along
 from robodyn.engines.assembler import ADDRESS, SCALAR, Kernel, Module, Word
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array, Complex
 
 if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
 

@@ -21,10 +21,10 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import falls_over
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.tables.arrays import Array
 from robodyn.taylor import PARTS, STEPS, Chunk, Status
 from robodyn.taylor.step_boxes import Kept, as_complex, boxes_along
 
-Array = NDArray[np.float64]
 Expanded = tuple[float, list[float], tuple[Sequence[float], ...]]  # h, the end, the series
 Pieces = tuple[Sequence[float], Sequence[float]]  # torques and their slopes, of a table
 

@@ -14,7 +14,6 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robodyn.engines.expansion import MotionProgram
 from robodyn.errors import RobodynError
@@ -22,10 +21,9 @@ from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.program import Program
 from robodyn.mechanics.torque_rows import linear_piece
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, default_order
 from robodyn.taylor.varied_steps import Along, Group, Steps, row_steps, straight_steps
-
-Array = NDArray[np.float64]
 
 TOGETHER = 4  # names of which one call of machine code makes the tangents
 

@@ -25,8 +25,7 @@ from robodyn.engines.formulas import RECORDED
 from robodyn.engines.series import FLOATS
 from robodyn.engines.tangents import SLOPES
 from robodyn.mechanics.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from robodyn.tables.arrays import Array
 
 SMALL = 1e-100  # of what stands before i
 KEPT = 64  # texts

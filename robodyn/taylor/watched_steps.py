@@ -13,9 +13,9 @@ from robodyn.events.signs import NODES
 from robodyn.events.told import Found, Stop
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
+from robodyn.tables.arrays import Array
 from robodyn.taylor import Chunk, Engine, Status
 
-Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 WHOLE = np.ones(1)

@@ -1,9 +1,0 @@
-"""The types of arrays that functions take and give."""
-
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
