@@ -529,12 +529,14 @@ def test_the_slopes_of_a_law_are_those_of_its_torques(control: str) -> None:
     """With torques cut off by the motors' limits, and fading where they are as fast as may be."""
     mech, gains = random_mechanisms.mechanism(MOTORED), {"kp": [20, 30], "kd": [2, 3]}
     acting = controller(mech, swing(2), control, **gains, **({"ki": 5} if control == "pid" else {}))
-    asked, wide = acting.function(2), 4 + acting.states
+    asked, wide = acting.function(2), 5 + acting.states
     rng = np.random.default_rng(5)
     for qd in ([0.3, -0.4], [2.92, 2.9], [-2.9, -2.93]):
         y = np.array([*rng.uniform(-0.3, 0.3, 2), *qd, *rng.uniform(-0.1, 0.1, acting.states)])
         h = 1e-6 * np.eye(wide)
-        ahead, behind = (np.array([asked(0.4, y + sign * x) for x in h]) for sign in (1, -1))
+        ahead, behind = (
+            np.array([asked(0.4 + sign * x[-1], y + sign * x[:-1]) for x in h]) for sign in (1, -1)
+        )
         expected = (ahead - behind).T / 2e-6
         found = acting.control.slopes(0.4, y.tolist())
         assert np.abs(found - expected).max() < 1e-6 * (1.0 + np.abs(expected).max()), (control, qd)

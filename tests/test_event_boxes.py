@@ -159,7 +159,7 @@ def test_boxes_change_no_event(seed: int, kind: str, monkeypatch: pytest.MonkeyP
     functions = [made(mechanism, rng, int(rng.integers(1, 4))) for _ in range(3)]
     budget = partial(Budget, left=200)  # what changes sign without end would take long
     monkeypatch.setattr("robodyn.events.watch.Budget", budget)
-    texts = {"a": "q1 > 200deg", "b": "qd1", "c": "sin(3*q2) > 0.2", "d": "q1*qd2 - t"}
+    texts = {"a": "q1 > 3.49", "b": "qd1", "c": "sin(3*q2) > 0.2", "d": "q1*qd2 - t"}
 
     def found() -> list[Any]:
         from robodyn.simulation import simulation

@@ -328,9 +328,9 @@ class TestOthers:
     def test_the_arrow_of_a_load_is_its_value_there(self):
         from robodyn.pictures.force_arrows import forces
 
-        mech = arm('loads: [{link: arm, at: [1, 0], force: ["3*q1", "4*t"]}]')
+        mech = arm('loads: [{link: arm, at: [1, 0], force: ["3*q1", "8*cos(t)"]}]')
         q, zero = np.array([0.5]), np.zeros(1)
-        arrows = {x.name: x.force for x in forces(mech, q, zero, zero, np.zeros(0), 2.0)}
+        arrows = {x.name: x.force for x in forces(mech, q, zero, zero, np.zeros(0))}
         assert arrows["load 1"] == pytest.approx(1.5 + 8j)
 
 
