@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from typing import Any
 
 import pytest
@@ -71,6 +74,20 @@ loads:
 MOTOR = "{ratio: -50, inertia: 2e-5, torque_constant: 0.03, resistance: 1.2, speed_max: 500}"
 DRIVEN = ARM.replace("I: 0.082", f"I: 0.082, motor: {MOTOR}")
 SHIPPED = [*ROOT.glob("robots/*.yaml"), *ROOT.glob("tests/hard_cases/*.yaml")]
+
+
+def test_every_process_writes_the_same() -> None:
+    line = "from robodyn.scene.scene_schema import scene_schema as s; print(s())"
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", line],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(texts) == 1
 
 
 def test_shipped_scenes_obey() -> None:

@@ -27,7 +27,7 @@ from robodyn.engines.arithmetic import (
     weighted,
 )
 from robodyn.mechanics.planar_model import Mechanism
-from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Slot
+from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Row, Slot
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,20 +92,29 @@ Framed = tuple[tuple[int | None, PlanarCoefficient | None, Planar], ...]
 class Frames:
     """The coefficients of a program's slots, in an arithmetic."""
 
-    program: Program
-    arithmetic: Arithmetic
-    numbers: Sequence[Value]
-    state: State
-    orders: int
-    ahead: dict[Slot, int]
-    grounded: bool
-    real: dict[Slot, Any]  # coefficients of real slots
-    planar: dict[Slot, list[Framed]]
-    unknown_values: dict[Slot, Value]
-    _factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar]
-    _kept: dict[Slot, dict[int | None, tuple[Any, Any]]]  # series of planar slots in one frame
-    _moment: dict[Slot, tuple[Any, Any]]  # rho, theta of directions; F of moments in their frame
-    _extra: dict[Slot, Any]  # series that functions take besides their own
+    def __init__(
+        self,
+        program: Program,
+        arithmetic: Arithmetic,
+        numbers: Sequence[Value],
+        orders: int,
+        state: State,
+        slots: Sequence[Slot],
+        grounded: bool,
+    ) -> None:
+        self.program, self.arithmetic, self.numbers = program, arithmetic, numbers
+        self.orders, self.state, self.grounded = orders, state, grounded
+        order, self.ahead, self.live = program.schedule(slots)
+        self.rows: list[tuple[Slot, Row]] = [(x, program.rows[x]) for x in order]
+        self.real: dict[Slot, Any] = {}  # coefficients of real slots
+        self.planar: dict[Slot, list[Framed]] = {}
+        self.unknown_values: dict[Slot, Value] = {}
+        self._factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar] = {}
+        # series of planar slots in one frame
+        self._kept: dict[Slot, dict[int | None, tuple[Any, Any]]] = {}
+        # rho, theta of directions; F of moments in their frame
+        self._moment: dict[Slot, tuple[Any, Any]] = {}
+        self._extra: dict[Slot, Any] = {}  # series that functions take besides their own
 
     # -- planar coefficients -----------------------------------------------------------------------
 

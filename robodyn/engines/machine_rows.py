@@ -70,8 +70,13 @@ class Rows:
         outputs: Sequence[Array],
     ) -> NDArray[np.int64]:
         total = len(inputs[0])
-        if total < lanes:
-            return self._padded(function, lanes, inputs, outputs)
+        if 0 < total < lanes:
+            longer = [array[np.minimum(np.arange(lanes), total - 1)] for array in inputs]
+            results = [np.empty((lanes, array.shape[1])) for array in outputs]
+            found = self._evaluate(function, lanes, longer, results)
+            for array, result in zip(outputs, results, strict=True):
+                array[:] = result[:total]
+            return found[found < total]
         held = [_readable(array) for array in inputs]
         doubtful = np.zeros(total, np.uint8)
         places = [a.ctypes.data for a in (*held, *outputs)]
@@ -79,26 +84,9 @@ class Rows:
         table = np.array([*places, doubtful.ctypes.data, *apart], np.int64)
         numbers = np.array([*self.parameters.values(), 0.0])
         place = (table.ctypes.data, numbers.ctypes.data)
-        found: list[int] = []
-        shared(total, SHARE, PIECE, lambda _, *rows: found.append(function(*rows, *place)))
-        return np.flatnonzero(doubtful) if any(found) else np.zeros(0, np.int64)
-
-    def _padded(
-        self,
-        function: Callable[..., int],
-        lanes: int,
-        inputs: Sequence[Array],
-        outputs: Sequence[Array],
-    ) -> NDArray[np.int64]:
-        total = len(inputs[0])
-        if not total:
-            return np.zeros(0, np.int64)
-        longer = [array[np.minimum(np.arange(lanes), total - 1)] for array in inputs]
-        results = [np.empty((lanes, array.shape[1])) for array in outputs]
-        doubtful = self._evaluate(function, lanes, longer, results)
-        for array, result in zip(outputs, results, strict=True):
-            array[:] = result[:total]
-        return doubtful[doubtful < total]
+        met: list[int] = []
+        shared(total, SHARE, PIECE, lambda _, *rows: met.append(function(*rows, *place)))
+        return np.flatnonzero(doubtful) if any(met) else np.zeros(0, np.int64)
 
     def text(self, processor: Processor) -> str:
         """The kernel as text."""

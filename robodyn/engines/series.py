@@ -29,7 +29,6 @@ from robodyn.engines.arithmetic import Value as Value
 from robodyn.engines.arithmetic import conjugate_times as conjugate_times
 from robodyn.engines.arithmetic import plus, some, times
 from robodyn.engines.factors import Factors, PivotedFactors
-from robodyn.engines.frames import Framed
 from robodyn.engines.frames import State as State
 from robodyn.engines.rules import Rules
 from robodyn.mechanics.program import (
@@ -37,9 +36,7 @@ from robodyn.mechanics.program import (
     Derivative,
     Function,
     Moment,
-    PlanarCoefficient,
     Program,
-    Row,
     Slide,
     Slot,
     Sum,
@@ -68,22 +65,8 @@ class Series(Rules):
         With `grounded` forces are summed in the ground's frame, which pays on deep trees;
         `pivoted` factors serve floats where M alone is singular.
         """
-        self.program, self.arithmetic, self.numbers, self.state = (
-            program,
-            arithmetic,
-            numbers,
-            state,
-        )
-        self.orders, self.grounded, self.pivoted = orders, grounded, pivoted
-        order, self.ahead, self.live = program.schedule(slots)
-        self.rows: list[tuple[Slot, Row]] = [(x, program.rows[x]) for x in order]
-        self.real: dict[Slot, Any] = {}
-        self.planar: dict[Slot, list[Framed]] = {}
-        self._factor: dict[tuple[int | None, int | None, PlanarCoefficient | None], Planar] = {}
-        self._kept: dict[Slot, dict[int | None, tuple[Any, Any]]] = {}
-        self._moment: dict[Slot, tuple[Any, Any]] = {}
-        self._extra: dict[Slot, Any] = {}
-        self.unknown_values: dict[Slot, Value] = {}
+        super().__init__(program, arithmetic, numbers, orders, state, slots, grounded)
+        self.pivoted = pivoted
         room, K = arithmetic.room, orders + 3
         for slot, row in self.rows:
             if program.planar[slot]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partialmethod
 from typing import Any
 
 from robodyn.scene.scene import DryFriction, Friction, Limits
@@ -11,18 +12,6 @@ from robodyn.scene.yaml_values import ValueReader
 
 class ContactReader(ValueReader):
     """The kinds `friction` and `limits` of the grammar, and those of joints that slide."""
-
-    def friction(self, node: Node, place: str) -> Friction | DryFriction:
-        return self._friction("friction", node, place)
-
-    def slide_friction(self, node: Node, place: str) -> Friction | DryFriction:
-        return self._friction("slide_friction", node, place)
-
-    def limits(self, node: Node, place: str) -> Limits:
-        return self._limits("limits", node, place)
-
-    def slide_limits(self, node: Node, place: str) -> Limits:
-        return self._limits("slide_limits", node, place)
 
     def _friction(self, kind: str, node: Node, place: str) -> Friction | DryFriction:
         faults = len(self.faults)
@@ -46,3 +35,8 @@ class ContactReader(ValueReader):
         elif low is not None and high is not None and not low < high:
             self.fault(f"{place}.max", node, f"must be above min, {low:g}", f"{high:g}")
         return Limits(low, high, **values)
+
+    friction = partialmethod(_friction, "friction")
+    slide_friction = partialmethod(_friction, "slide_friction")
+    limits = partialmethod(_limits, "limits")
+    slide_limits = partialmethod(_limits, "slide_limits")

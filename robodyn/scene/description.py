@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partialmethod
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -173,7 +174,7 @@ class _Reader(PointReader, SignalReader, ContactReader):
         values.pop("joint")
         return Link(**values | {"r": complex(values["r"]), "hangs_from": above})
 
-    def motor(self, node: Node, place: str, form: str = "motor") -> Motor:
+    def _motor(self, form: str, node: Node, place: str) -> Motor:
         motor = Motor(**self.form(form, node, place))
         pair = {"torque_constant": motor.torque_constant, "resistance": motor.resistance}
         missing = [name for name, value in pair.items() if value is None]
@@ -182,8 +183,8 @@ class _Reader(PointReader, SignalReader, ContactReader):
             self.fault(f"{place}.{missing[0]}", node, f"is missing: {other} needs it beside itself")
         return motor
 
-    def slide_motor(self, node: Node, place: str) -> Motor:
-        return self.motor(node, place, "slide_motor")
+    motor = partialmethod(_motor, "motor")
+    slide_motor = partialmethod(_motor, "slide_motor")
 
     def cycles(self, links: tuple[Link, ...], entries: list[Node]) -> None:
         """Every link must hang from the ground in the end; each cycle is told once."""

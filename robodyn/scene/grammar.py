@@ -10,23 +10,12 @@ schema a definition.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container
 
 from robodyn.scene.forms import ONE as ONE
 from robodyn.scene.forms import Form as Form
 from robodyn.scene.forms import Key as Key
-from robodyn.scene.joint_forms import (
-    DAMPER,
-    DAMPING,
-    PULLS,
-    damping_key,
-    dry_friction_form,
-    friction_form,
-    joint_spring_form,
-    limit_forms,
-    motor_form,
-    pull_keys,
-)
 from robodyn.scene.scene import BRANCHES, FRAMES, JOINTS
 
 NUMBERS = {  # and their limits
@@ -59,198 +48,179 @@ MAPPINGS: dict[str, dict[str, tuple[str, ...]]] = {
     "moving_point": {"link_point": ()},
     "varying": {"load_table": ()},
 }
-_LINK = {
-    "name": Key("name", "any text; no two links share one"),
-    "m": Key("amount", "mass", "kg", symbol="m: mass of {}"),
-    "l": Key(
-        "amount",
-        "length from the link's own joint to its tip",
-        "m",
-        symbol="l: length of {}",
-    ),
-    "r": Key(
-        "centre",
-        "centre of gravity: a point [x, y] of the link, or its distance along it",
-        "m",
-        hint="; write [x, y] for a centre of gravity behind or beside the link",
-        symbol="r: centre of gravity of {}",
-    ),
-    "I": Key(
-        "amount",
-        "moment of inertia about the centre of gravity",
-        "kg m²",
-        symbol="I: moment of inertia of {} about its centre of gravity",
-    ),
-    "from": Key("point", "the point that it hangs from", default="the tip of the link before"),
-    "payload": Key(
-        "amount", "point mass at the tip", "kg", "0", symbol="mp: payload at the tip of {}"
-    ),
-}
+# A form begins with its name and what it is.  A row has a key, its kind (with [] a list of these),
+# unit, default, help, the symbol of equations and what a message adds; or the form whose keys it
+# takes.  A line that begins deeper goes on with the one above.  Of <one, other> the first is of
+# joints that turn, the other of those that slide.
+_TABLE = """
+scene: A planar mechanism: rigid links, pins and sliders. SI units.
+  name | name | | the file's name less .yaml | text for titles
+  gravity | gravity | m/s² | 0 | a number g acts along -Y; or a vector [gx, gy]
+  links | link[] | | needed | list of links, at least one
+  closures | closure[] | | none | list of pins and sliders that close loops
+  actuated | joints | | all outside of loops, the first of each loop
+    | links whose joints carry torque
+  assembly | assembly | | open | open or crossed; or a list of these, one for each closure
+  start | start | rad or m | none
+    | where joints begin when larger loops are assembled, {crank: 30deg}
+  couplings | couplings | | none | gears and belts: equations such as q3 = -2 q1 + 0.1
+  springs | spring[] | | none | list of springs and dampers, between points or at joints
+  loads | load[] | | none | list of forces and torques on links
+  points | points | | none
+    | names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}
 
-FORCE = {
-    "force": Key(
-        "varying_vector",
-        "[Fx, Fy], each a number, an expression or a table",
-        "N",
-        symbol="F: force of {}",
-    ),
-    "frame": Key(
-        "frame",
-        "ground: it keeps its direction; link: it turns with the link",
-        default="ground",
-    ),
-}
-FORMS = {
-    "scene": Form(
-        "A planar mechanism: rigid links, pins and sliders. SI units.",
-        {
-            "name": Key("name", "text for titles", default="the file's name less .yaml"),
-            "gravity": Key(
-                "gravity", "a number g acts along -Y; or a vector [gx, gy]", "m/s²", "0"
-            ),
-            "links": Key("link", "list of links, at least one", listed=True),
-            "closures": Key(
-                "closure", "list of pins and sliders that close loops", "", "none", True
-            ),
-            "actuated": Key(
-                "joints",
-                "links whose joints carry torque",
-                default="all outside of loops, the first of each loop",
-            ),
-            "assembly": Key(
-                "assembly", "open or crossed; or a list of these, one for each closure", "", "open"
-            ),
-            "start": Key(
-                "start",
-                "where joints begin when larger loops are assembled, {crank: 30deg}",
-                BY_JOINT,
-                "none",
-            ),
-            "couplings": Key(
-                "couplings", "gears and belts: equations such as q3 = -2 q1 + 0.1", "", "none"
-            ),
-            "springs": Key(
-                "spring",
-                "list of springs and dampers, between points or at joints",
-                default="none",
-                listed=True,
-            ),
-            "loads": Key("load", "list of forces and torques on links", "", "none", True),
-            "points": Key(
-                "points",
-                "names of points of links, {P: {link: coupler, at: [0.5, 0.2]}, Q: rocker}",
-                default="none",
-            ),
-        },
-    ),
-    "revolute_link": Form(
-        "A rigid link; its frame has x from its own joint to its tip.",
-        _LINK
-        | {
-            "joint": Key("joint_kind", "of its own joint", default=JOINTS[0]),
-            "damping": damping_key("N m s/rad"),
-            "friction": Key("friction", "Coulomb friction at its own joint", default="none"),
-            "limits": Key("limits", "where its own joint ends", default="none"),
-            "motor": Key("motor", "motor and gear at its own joint", default="none"),
-        },
-    ),
-    "prismatic_link": Form(
-        "A link on a prismatic joint: its frame has x along the axis that it slides on.",
-        _LINK
-        | {
-            "joint": Key("joint_kind", "prismatic"),
-            "axis": Key(
-                "direction", "which way it slides, [dx, dy] in the frame of what it hangs from"
-            ),
-            "damping": damping_key("N s/m"),
-            "friction": Key("slide_friction", "Coulomb friction at its own joint", default="none"),
-            "limits": Key("slide_limits", "where its own joint ends", default="none"),
-            "motor": Key("slide_motor", "motor and gear at its own joint", default="none"),
-        },
-    ),
-    "friction": friction_form("torque", "N m", "rad/s"),
-    "slide_friction": friction_form("force", "N", "m/s"),
-    "dry_friction": dry_friction_form("torque", "N m", "rad/s"),
-    "slide_dry_friction": dry_friction_form("force", "N", "m/s"),
-    **limit_forms("angle", "rad", "N m"),
-    **limit_forms("number", "m", "N"),
-    "motor": motor_form("", JOINTS[0]),
-    "slide_motor": motor_form("rad/m", JOINTS[1]),
-    "link_point": Form(
-        "A point of a link.",
-        {
-            "link": Key("link_name", "the link's name"),
-            "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-        },
-    ),
-    "slider": Form(
-        "A point of a link that stays on a line: a slider, or a pin in a slot.",
-        {
-            "point": Key("moving_point", "a point of a link: its name, or {link, at}"),
-            "on": Key("line", "the line"),
-            "aligned": Key(
-                "angle",
-                "angle that the point's link keeps to the line's link (or to +X): a block that "
-                "does not turn",
-                "rad",
-                "none",
-                symbol="beta: angle kept by closure {}",
-            ),
-        },
-    ),
-    "line": Form(
-        "A line of the ground or of a link.",
-        {
-            "link": Key("link_name", "the link that has the slot", default="the ground"),
-            "through": Key("vector", "a point of the line", "m"),
-            "along": Key("direction", "the line's direction, not [0, 0]"),
-        },
-    ),
-    "point_spring": Form(
-        "A spring and damper between two points.",
-        {
-            "between": Key("pair", "its ends, [POINT, POINT], not both of one link or the ground"),
-            **pull_keys("N/m", "N", "its length less the free one", "m"),
-            "damping": Key("amount", DAMPER, "N s/m", "0", symbol=DAMPING),
-            "length": Key("amount", "free length", "m", symbol="S0: free length of {}"),
-        },
-        PULLS,
-    ),
-    "joint_spring": joint_spring_form("angle", "angle", "rad", "N m"),
-    "slide_spring": joint_spring_form("length", "number", "m", "N"),
-    "force": Form(
-        "A force at a place of a link.",
-        {
-            "link": Key("link_name", "the link that it acts on"),
-            "at": Key("vector", "where, [x, y] in the link's frame", "m"),
-            **FORCE,
-        },
-    ),
-    "point_force": Form(
-        "A force at a point.",
-        {"point": Key("moving_point", "a point of a link: its name, or {link, at}"), **FORCE},
-    ),
-    "torque": Form(
-        "A torque on a link.",
-        {
-            "link": Key("link_name", "the link that it acts on"),
-            "torque": Key(
-                "varying",
-                "from the ground, counter-clockwise: a number, an expression or a table",
-                "N m",
-                symbol="T: torque of {}",
-            ),
-        },
-    ),
-    "load_table": Form(
-        "A force or torque by a table, linear between its rows.",
-        {
-            "table": Key("name", "the CSV file, from the scene file's folder"),
-            "over": Key("name", "t, or a joint q1, ..: its column tells where the rows are"),
-            "column": Key("name", "the column of the force or torque"),
-        },
-    ),
-}
+<revolute, prismatic>_link: A <rigid link; its frame has x from its own joint to its tip,
+    link on a prismatic joint: its frame has x along the axis that it slides on>.
+  name | name | | needed | any text; no two links share one
+  m | amount | kg | needed | mass | m: mass of {}
+  l | amount | m | needed | length from the link's own joint to its tip | l: length of {}
+  r | centre | m | needed
+    | centre of gravity: a point [x, y] of the link, or its distance along it
+    | r: centre of gravity of {} | ; write [x, y] for a centre of gravity behind or beside the link
+  I | amount | kg m² | needed | moment of inertia about the centre of gravity
+    | I: moment of inertia of {} about its centre of gravity
+  from | point | | the tip of the link before | the point that it hangs from
+  payload | amount | kg | 0 | point mass at the tip | mp: payload at the tip of {}
+  joint | joint_kind | | <revolute, needed> | <of its own joint, prismatic>
+  <, axis> | direction | | needed
+    | which way it slides, [dx, dy] in the frame of what it hangs from
+  damping | amount | <N m s/rad, N s/m> | 0 | viscous damping at its own joint
+    | d: damping at the joint of {}
+  friction | <, slide_>friction | | none | Coulomb friction at its own joint
+  limits | <, slide_>limits | | none | where its own joint ends
+  motor | <, slide_>motor | | none | motor and gear at its own joint
+
+<, slide_>friction: -<torque, force> tanh(qd/speed)
+  <torque, force> | amount | <N m, N> | needed | far above that speed
+    | <t, f>f: friction at the joint of {}
+  speed | positive | <rad/s, m/s> | needed | what smooths it through rest
+    | wf: rate that smooths the friction at the joint of {}
+    | : the friction is -<torque, force> tanh(qd/speed)
+
+<, slide_>dry_friction: Friction that sticks: <torque, force> + (static - <torque, force>)
+    exp(-(qd/stribeck)^2) against the motion; at rest it holds up to static.
+  <torque, force> | amount | <N m, N> | needed | in motion, far above the rate stribeck
+    | <t, f>f: friction in motion at the joint of {}
+  static | amount | <N m, N> | needed | most that it holds at rest, not below <torque, force>
+    | <t, f>s: friction at rest at the joint of {}
+  stribeck | positive | <rad/s, m/s> | none | rate over which it falls from static
+    | ws: rate over which friction falls at the joint of {}
+
+<, slide_>limits: Limits of a joint, which end a simulation.
+  min | <angle, number> | <rad, m> | none | where the joint ends below
+    | qmin: where the joint of {} ends below
+  max | <angle, number> | <rad, m> | none | where it ends above; one of the two may be missing
+    | qmax: where the joint of {} ends above
+
+<, slide_>stops: Compliant stops of a joint.
+  like <, slide_>limits
+  stiffness | positive | <N m/rad, N/m> | needed | of the stop, which pushes and never pulls
+    | ke: stiffness of the stops of {}
+  damping | amount | <N m s/rad, N s/m> | 0 | of the stop, while it pushes
+    | de: damping of the stops of {}
+
+<, slide_>hard_stops: Hard stops of a joint, which throw it back.
+  like <, slide_>limits
+  restitution | part | | needed | speed after an impact over that before, from 0 to 1
+
+<, slide_>motor: A motor and its gear at a <revolute, prismatic> joint,
+    with a rotor on the link that carries it.
+  ratio | nonzero | <, rad/m> | needed
+    | the rotor's turn over the joint's, seen from the carrying link
+    | N: ratio of the gear at the joint of {}
+  inertia | amount | kg m² | needed | of the rotor; it is not in the I of the carrying link
+    | J: inertia of the rotor of {}
+  damping | amount | N m s/rad | 0 | viscous damping of the rotor | b: damping of the rotor of {}
+  torque_max | positive | N m | none | largest torque of the motor
+  speed_max | positive | rad/s | none | largest speed of the rotor
+  torque_constant | positive | N m/A | none | torque per current; resistance beside it
+  resistance | positive | ohm | none | of the winding; torque_constant beside it
+
+link_point: A point of a link.
+  link | link_name | | needed | the link's name
+  at | vector | m | needed | where, [x, y] in the link's frame
+
+slider: A point of a link that stays on a line: a slider, or a pin in a slot.
+  point | moving_point | | needed | a point of a link: its name, or {link, at}
+  on | line | | needed | the line
+  aligned | angle | rad | none | angle that the point's link keeps to the line's link (or to +X):
+    a block that does not turn | beta: angle kept by closure {}
+
+line: A line of the ground or of a link.
+  link | link_name | | the ground | the link that has the slot
+  through | vector | m | needed | a point of the line
+  along | direction | | needed | the line's direction, not [0, 0]
+
+point_spring: A spring and damper between two points.
+  between | pair | | needed | its ends, [POINT, POINT], not both of one link or the ground
+  stiffness | amount | N/m | one of the three | 0 for a damper alone | k: stiffness of {}
+  law | law | N | one of the three | its pull in x, its length less the free one (m), and its rate v
+  table | spring_table | N | one of the three
+    | a CSV file of its pull: columns x and F, linear between rows
+  damping | amount | N s/m | 0 | of a damper beside it | ds: damping of {}
+  length | amount | m | needed | free length | S0: free length of {}
+
+<joint, slide>_spring: A spring and damper at a <revolute, prismatic> joint.
+  joint | link_name | | needed
+    | the link whose own joint it is<; its angle counts from turn to turn, >
+  stiffness | amount | <N m/rad, N/m> | one of the three | 0 for a damper alone | k: stiffness of {}
+  law | law | <N m, N> | one of the three
+    | its pull in x, q less its free <angle (rad), displacement (m)>, and its rate v
+  table | spring_table | <N m, N> | one of the three
+    | a CSV file of its pull: columns x and F, linear between rows
+  damping | amount | <N m s/rad, N s/m> | 0 | of a damper beside it | ds: damping of {}
+  <angle, length> | <angle, number> | <rad, m> | needed | free <angle, displacement> of the joint
+    | phi: free <angle, displacement> of {}
+
+force: A force at a place of a link.
+  link | link_name | | needed | the link that it acts on
+  at | vector | m | needed | where, [x, y] in the link's frame
+  force | varying_vector | N | needed | [Fx, Fy], each a number, an expression or a table
+    | F: force of {}
+  frame | frame | | ground | ground: it keeps its direction; link: it turns with the link
+
+point_force: A force at a point.
+  point | moving_point | | needed | a point of a link: its name, or {link, at}
+  force | varying_vector | N | needed | [Fx, Fy], each a number, an expression or a table
+    | F: force of {}
+  frame | frame | | ground | ground: it keeps its direction; link: it turns with the link
+
+torque: A torque on a link.
+  link | link_name | | needed | the link that it acts on
+  torque | varying | N m | needed
+    | from the ground, counter-clockwise: a number, an expression or a table | T: torque of {}
+
+load_table: A force or torque by a table, linear between its rows.
+  table | name | | needed | the CSV file, from the scene file's folder
+  over | name | | needed | t, or a joint q1, ..: its column tells where the rows are
+  column | name | | needed | the column of the force or torque
+"""
+_EITHER = re.compile(r"<([^,<>]*), ([^<>]*)>")
+
+
+def _forms() -> dict[str, Form]:
+    """The forms of the table."""
+    found: dict[str, Form] = {}
+    for part in re.sub(r"\n {4}", " ", _TABLE).strip().split("\n\n"):
+        for side in (r"\1", r"\2") if "<" in part else (r"\1",):
+            head, *rows = _EITHER.sub(side, part).split("\n")
+            name, _, told = head.partition(": ")
+            keys: dict[str, Key] = {}
+            for row in rows:
+                key, *rest = (column.strip() for column in row.split("|"))
+                if key.startswith("like "):
+                    keys |= found[key.removeprefix("like ")].keys
+                elif key:  # else joints of the other kind alone have it
+                    rest += [""] * (6 - len(rest))
+                    kind, unit, default, what, symbol, hint = rest
+                    listed = kind.endswith("[]")
+                    kind = kind.removesuffix("[]")
+                    keys[key] = Key(kind, what, unit, default, listed, hint, symbol)
+            found[name] = Form(told, keys, tuple(x for x, y in keys.items() if y.default == ONE))
+    return found
+
+
+FORMS = _forms()
 
 
 def _form_name(kind: str, keys: Container[str]) -> str:

@@ -10,7 +10,6 @@ from collections.abc import Collection
 
 _DH = "Denavit-Hartenberg rows are not read: l is the length, from the pin, q its angle"
 _PINNED = "the link that it hangs from is from: NAME, or {link: NAME, at: [x, y]}, or [x, y]"
-_WEIGHED = ("mass", "gravity")
 _CENTRE = "the centre of gravity is r: along the link, or [x, y]"
 _INERTIA = "the moment of inertia about the centre of gravity is I"
 _KIND = "a joint is revolute unless joint: prismatic and axis: [dx, dy] stand in its link"

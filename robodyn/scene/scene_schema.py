@@ -70,17 +70,21 @@ def _other_kinds() -> dict[str, Schema]:
 
 def _expression(variables: str) -> str:
     """The pattern of smooth expressions: which words they have, in the dialect of JSON Schema."""
-    words = "|".join((*sorted({*SMOOTH, *CONSTANTS, *UNITS}, key=len, reverse=True), variables))
+    words = "|".join((*_longest_first({*SMOOTH, *CONSTANTS, *UNITS}), variables))
     return rf"^(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9]|(?:{words})(?![A-Za-z0-9_]))+$"
 
 
 def _quantity() -> str:
     """The pattern of arithmetic with units: which letters and words it has."""
-    words = "|".join(sorted({*FUNCTIONS, *OF_VALUES, *UNITS}, key=len, reverse=True))
+    words = "|".join(_longest_first({*FUNCTIONS, *OF_VALUES, *UNITS}))
     plain = r"\s*[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?\s*$"  # quoted, it is none
     return (
         rf"^(?!{plain})(?:[\s0-9.+*/(),^{LETTERS}-]|[0-9.][eE][0-9+-]|(?:{words})(?![A-Za-z_]))+$"
     )
+
+
+def _longest_first(words: set[str]) -> list[str]:
+    return sorted(words, key=lambda word: (-len(word), word))
 
 
 def _mapping(form: Form) -> Schema:

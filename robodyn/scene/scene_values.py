@@ -49,27 +49,29 @@ class _Place:
         return self.around.items if isinstance(self.around, Sequence) else self.around.pairs
 
     @property
+    def index(self) -> int | None:
+        """Which of these it is; None for a key that is left out."""
+        if isinstance(self.at, int):
+            return self.at
+        return next((k for k, (key, _) in enumerate(self.held) if key.text == self.at), None)
+
+    @property
     def node(self) -> Node | None:
         """What stands there."""
-        if isinstance(self.around, Sequence):
-            assert isinstance(self.at, int)
-            found: Node = self.around.items[self.at]
-            return found
-        return next((node for key, node in self.around.pairs if key.text == self.at), None)
+        if self.index is None:
+            return None
+        found: Any = self.held[self.index]
+        return found if isinstance(self.at, int) else found[1]  # type: ignore[no-any-return]
 
     def put(self, value: float | Node) -> None:
-        line = self.around.line
-        scalar = value if isinstance(value, Node) else Scalar(repr(float(value)), False, line)
-        if isinstance(self.around, Sequence):
-            assert isinstance(self.at, int)
-            self.around.items[self.at] = scalar
-            return
-        pairs = self.around.pairs
-        for k, (key, _) in enumerate(pairs):
-            if key.text == self.at:
-                pairs[k] = (key, scalar)
-                return
-        pairs.append((Scalar(str(self.at), False, self.around.line), scalar))
+        line, k = self.around.line, self.index
+        new = value if isinstance(value, Node) else Scalar(repr(float(value)), False, line)
+        if isinstance(self.at, int):
+            self.held[self.at] = new
+        elif k is None:
+            self.held.append((Scalar(self.at, False, line), new))
+        else:
+            self.held[k] = self.held[k][0], new
 
 
 class SceneValues:
@@ -143,15 +145,10 @@ class SceneValues:
         for k, first in enumerate(given):
             for second in given[k + 1 :]:
                 a, b = self._places[first], self._places[second]
-                inner = {self._node(a), self._node(b)} & {id(a.around), id(b.around)}
+                inner = {id(a.node), id(b.node)} & {id(a.around), id(b.around)}
                 if inner or (a.around is b.around and a.at == b.at):
                     return first, second
         return None
-
-    @staticmethod
-    def _node(place: _Place) -> int | None:
-        """The identity of the collection at a place, where there is one."""
-        return None if place.node is None else id(place.node)
 
     def check(self, names: Iterable[str]) -> None:
         """Raise InputError for a name that is none."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cmath
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from robodyn.tables.arrays import Array
 from robodyn.taylor import Status
 
 Indices = NDArray[np.intp]
+Kept = NDArray[np.bool_]
 
 CANNOT_ASSEMBLE = "cannot assemble"
 NO_SCENE = "not a scene"  # with what was drawn
@@ -139,19 +140,24 @@ def _given(
     return values
 
 
-def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """All rates (k, n) from the actuated joints', and which states have them."""
-    kept = np.ones(len(q), bool)
+def _regular(compute: Callable[[slice], Array], shape: tuple[int, int]) -> tuple[Array, Kept]:
+    """The rows that it computes, all at once or, where one is singular, each; which are there."""
+    kept = np.ones(shape[0], bool)
     try:
-        return loop_rates.loop_velocities(mechanism, q, qd), kept
+        return compute(slice(None)), kept
     except SingularError:
-        full = np.zeros_like(q)
-        for k in range(len(q)):
+        found = np.zeros(shape)
+        for k in range(len(found)):
             try:
-                full[k] = loop_rates.loop_velocities(mechanism, q[k], qd[k])
+                found[k] = compute(slice(k, k + 1))[0]
             except SingularError:
                 kept[k] = False
-        return full, kept
+        return found, kept
+
+
+def _velocities(mechanism: Mechanism, q: Array, qd: Array) -> tuple[Array, Kept]:
+    """All rates (k, n) from the actuated joints', and which states have them."""
+    return _regular(lambda k: loop_rates.loop_velocities(mechanism, q[k], qd[k]), q.shape)
 
 
 def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: list[str]) -> None:
@@ -173,18 +179,10 @@ def _torques(plan: Plan, group: Group, points: Array, values: Array, outcomes: l
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RobodynWarning)
-        try:
-            values[group.points, first:] = compute(slice(None))
-            for k in group.points:
-                outcomes[k] = FINISHED
-        except SingularError:
-            for i, k in enumerate(group.points):
-                outcomes[k] = Outcome.SINGULAR.label
-                try:
-                    values[k, first:] = compute(slice(i, i + 1))[0]
-                    outcomes[k] = FINISHED
-                except SingularError:
-                    pass
+        found, kept = _regular(compute, (len(group.points), len(texts)))
+    values[group.points[kept], first:] = found[kept]
+    for k, regular in zip(group.points, kept, strict=True):
+        outcomes[k] = FINISHED if regular else Outcome.SINGULAR.label
 
 
 def _along(plan: Plan, mechanism: Mechanism, track: ReferenceTable) -> tuple[Array, str]:
