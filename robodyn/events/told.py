@@ -78,17 +78,18 @@ class EventRecord:
         """Make events of what machine code found: that takes as long as finding them."""
         packed, self.packed = self.packed, []
         names = [function.name for function in self.functions]
+        ways = [function.way for function in self.functions]
         for zeros, _ in packed:
-            place, sign = zeros[:, 0].astype(np.int64), zeros[:, 3]
-            if any(function.way for function in self.functions):
-                ways = np.array([function.way for function in self.functions])
-                counts = ways[place] * sign >= 0.0
-                zeros, place = zeros[counts], place[counts]
-            if len(self.functions) > 1:
-                order = np.argsort(np.abs(zeros[:, 1]), kind="stable")
-                zeros, place = zeros[order], place[order]
-            places, (t, apart) = place.tolist(), zeros[:, 1:3].T.tolist()
-            for i in range(len(self.functions)):
+            if not len(zeros):
+                continue
+            if any(ways):
+                counts = np.array(ways)[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0
+                zeros = zeros[counts]
+            if len(names) > 1:
+                zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
+            place, t, apart = zeros[:, :3].T.tolist()
+            places = list(map(int, place))
+            for i in range(len(names)):
                 self.happened[i] += places.count(i)
             told = zip(map(names.__getitem__, places), t, zeros[:, 4:], apart, strict=True)
             self.kept += map(Event._make, islice(told, MOST - len(self.kept)))

@@ -14,12 +14,10 @@ import numpy as np
 from robodyn.events.explicit_steps import as_steps
 from robodyn.events.functions import EventFunction
 from robodyn.events.kept_signs import Signs, by_boxes, by_stages
-from robodyn.events.linear_forms import forms_of
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
 from robodyn.events.signs import Budget, Stretch, bracket
 from robodyn.events.single_zeros import Single, Steps, followed
 from robodyn.events.told import EventRecord, Found, Stop
-from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
@@ -68,14 +66,19 @@ class EventWatch(EventRecord):
             self._hidden_until(i, touched[1] if touched else 0.0)
         return super().remarks()
 
-    def forms(self, mechanism: Mechanism) -> Array | None:
-        """What machine code takes of the functions; None where it cannot watch for them all."""
+    def forms(self) -> Array | None:
+        """What machine code takes of the functions: linear forms, and after them their signs.
+
+        None where it cannot watch for them all.
+        """
         linear = [function.linear for function in self.functions if function.linear is not None]
         if self.doubts >= DOUBTS or self.may_end or any(self._touched):
             return None
         if len(linear) < len(self.functions):
             return None
-        return forms_of(mechanism, linear, self.signs)
+        forms = np.empty((len(linear), len(linear[0]) + 1))
+        forms[:, :-1], forms[:, -1] = linear, self.signs
+        return forms
 
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""

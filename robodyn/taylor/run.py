@@ -237,7 +237,7 @@ def taylor_run(
                 runner.keeps = watched
             steps = min(steps, ahead) if watched else steps
             if not isinstance(runner, SteppingEngine):
-                runner.forms = recorder.events.forms(mechanism) if recorder.events else None
+                runner.forms = recorder.events.forms() if recorder.events else None
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start
