@@ -17,7 +17,7 @@ from robodyn.taylor.step_boxes import write_box
 
 PASSES = 60  # of Newton's method on a series, kept in the bracket
 ROUNDS = 5  # of Newton's method on the states
-ENDED = 2e-16  # of a step: no nearer to a zero of the series
+ENDED = 1e-9  # of a step: after so small a move of Newton's method the next is below rounding
 MARGIN = 1e-9  # of a function's change along a step, that its sign must exceed
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
@@ -100,12 +100,12 @@ class Watch:
         k.done()
 
     def _write_nearest(self, module: Module) -> None:
-        """event_nearest(series, sign, out): where on [0, 1] it comes to a sign; its slope."""
-        k = Kernel(module, "event_nearest", (ADDRESS, SCALAR, ADDRESS), "void")
-        series, sign, out = k.arguments
+        """event_nearest(series, sign, start, out): where on [0, 1] it comes to a sign; its slope."""
+        k = Kernel(module, "event_nearest", (ADDRESS, SCALAR, SCALAR, ADDRESS), "void")
+        series, sign, start, out = k.arguments
         orders = self.scene.order + 2
         low, high = k.slot(k.number(0.0)), k.slot(k.number(1.0))
-        y, slope = k.slot(k.number(0.5)), k.slot(k.number(0.0))
+        y, slope = k.slot(start), k.slot(k.number(0.0))
         passes = k.slot(k.whole(0))
         with k.forever() as out_label:
             now = k.get(y, SCALAR)
@@ -203,7 +203,8 @@ class Watch:
         with k.when(k.either(goes_on, passes)):
             k.store(ends, old_place)
         with k.when(k.both(passes, k.invert(goes_on))):
-            k.line(f"call void @event_nearest({series}, {ends}, {nearest})")
+            start = k.divide(first, k.subtract(first, last))
+            k.line(f"call void @event_nearest({series}, {ends}, {start}, {nearest})")
             part, slope = k.load(nearest), k.load(k.at(nearest, 1))
             speed = k.divide(slope, x)
             rest = k.multiply(k.number(4.0 * EPS), k.intrinsic("fabs", k.multiply(end, speed)))
