@@ -47,15 +47,14 @@ class Steps(NamedTuple):
 
     `nodes` (m, k, N) are states at Chebyshev's points, `other` (m, p, N) those at the last p of
     them known in another way, which tells how far they may be off.  `states` has, of steps by their
-    places, the states (k, 2n or more) at a time of each, where these are
-    to be asked for.
+    places, the states (k, 2n or more) at a time of each.
     """
 
     begin: Array
     end: Array
     nodes: Array
     other: Array
-    states: Callable[[Places, Array], Array] | None
+    states: Callable[[Places, Array], Array]
 
 
 class Zeros(NamedTuple):
@@ -114,7 +113,7 @@ def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) ->
     known = once & (first * last < 0.0)
     m, y = len(c), steps.nodes[:, 0].copy()
     t, apart = np.zeros((2, m))
-    if locates and steps.states is not None and known.any():
+    if locates and known.any():
         at = known.nonzero()[0]
         t[at], y[at], apart[at], known[at] = _located(
             function, steps, at, c[at], values[at], noise[at]
@@ -148,7 +147,6 @@ def _located(
         x = np.minimum(np.maximum(x - value / slope, low), high)
     h = steps.end[at] - steps.begin[at]
     t, speed = steps.begin[at] + 0.5 * h * (1.0 + x), 2.0 * slope / h
-    assert steps.states is not None
     y = steps.states(at, t)
     value = function.values(t, y)
     hidden = 2.0 * noise + UNITS * np.abs(t * speed)

@@ -92,15 +92,15 @@ class EventWatch(EventRecord):
         sampled: Callable[[Signs], Array],
         ends: Array,
         step: Callable[[int], Step],
-        exact: bool = False,
-        within: Callable[[Signs, Array], Array] | None = None,
+        exact: bool,
+        within: Callable[[Signs, Array], Array],
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
         Those are their middles and how far they reach.  `sampled` has, of steps by their places,
         the states (k, nodes, N) at Chebyshev's points, `ends` (m, N) are those at their ends,
         brought back onto closures; `step(j)` has one whole, which has the same states where they
-        are `exact`, and `within` the states (k, 2n or more) at a time within each of some steps.
+        are `exact`; `within` are the states (k, 2n or more) at a time within each of some steps.
         Tells in which of them the run ends, and how.
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
@@ -110,8 +110,8 @@ class EventWatch(EventRecord):
 
         def steps(at: Signs) -> Steps:
             there = nodes if len(at) == len(left) else nodes[np.searchsorted(left, at)]
-            here = (lambda i, t: within(at[i], t)) if within is not None else None
-            return Steps(times[at], times[at + 1], there, ends[at, None], here)
+            last = ends[at, None]
+            return Steps(times[at], times[at + 1], there, last, lambda i, t: within(at[i], t))
 
         doubtful = self._doubtful(known, steps)
         for j in sorted({*doubtful, *self._found_in}):

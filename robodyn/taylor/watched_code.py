@@ -100,7 +100,7 @@ class Watch:
         k.done()
 
     def _write_nearest(self, module: Module) -> None:
-        """event_nearest(series, sign, start, out): where on [0, 1] it comes to a sign; its slope."""
+        """event_nearest(series, sign, start, out): where in [0, 1] it takes a sign; the slope."""
         k = Kernel(module, "event_nearest", (ADDRESS, SCALAR, SCALAR, ADDRESS), "void")
         series, sign, start, out = k.arguments
         orders = self.scene.order + 2
