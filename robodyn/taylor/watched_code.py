@@ -4,6 +4,21 @@ A function's series along a step follows from that of the rates, sum (2 j - m - 
 rho_{m+1-j} of a coordinate that turns.  As a sum of Chebyshev's polynomials it tells what
 `events/signs.py` does: that the function has one sign, or passes zero once.  What neither holds of
 is `unsure`, and so is the whole call: the steps are made once more, and looked at from Python.
+
+What is proved, and what is assumed.  A run returns, of a step's polynomials z of degree order + 1,
+the angles of z and the rates Im(z'/z).  Of these the following holds to rounding, of open chains:
+
+- a sign by a box (`step_boxes.py`) holds on the whole step;
+- the signs at a step's ends, and a zero, are those of the states themselves.
+
+That there is no other zero in a step rests on the series above, which has the orders of
+Im(z' conj(z)) up to `order`; it leaves out those beyond, and |z|^2 - 1.  Assumed, not proved, is
+that these stay below an E, their slope below 256 E and their bend below 21760 E, as a polynomial of
+degree 16 would on [-1, 1].  E is twice the sum of the last three terms kept, 1e-9 of the sum of
+|c_k|, k > 0, and rounding.  They are no larger where the terms from the last one kept on fall at
+least as fast as 1, 1/2, 1/4; steps are chosen so by their last terms.  States of closed chains are
+brought back onto the closures, by a miss known at the step's end: it is assumed to be at most
+4 times that, in a box as well, within the step.
 """
 
 from __future__ import annotations
