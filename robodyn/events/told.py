@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
+from itertools import islice, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -92,10 +92,10 @@ class EventRecord:
             if len(names) > 1:
                 zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
             place, t, apart = zeros[:, :3].T.tolist()
-            places = list(map(int, place))
             for i in range(len(names)):
-                self.happened[i] += places.count(i)
-            told = zip(map(names.__getitem__, places), t, zeros[:, 4:], apart, strict=True)
+                self.happened[i] += place.count(i)
+            named = map(names.__getitem__, map(int, place)) if len(names) > 1 else repeat(names[0])
+            told = zip(named, t, zeros[:, 4:], apart, strict=False)
             self.kept += map(_event, islice(told, MOST - len(self.kept)))
 
     def tell(self, one: Single) -> None:
