@@ -134,7 +134,7 @@ def test_what_is_not_linear_goes_to_python(calls: Counter[bool]) -> None:
         if expected is None:
             assert function.linear is None
         else:
-            np.testing.assert_allclose(function.linear, expected, rtol=1e-15)
+            np.testing.assert_allclose(function.linear[:6], expected, rtol=1e-15)
     named = {"method": "taylor", "engine": "compiled", "events": {"e": "q1*qd1"}}
     assert robodyn.simulate(mechanism, q, qd, 2.0, **named).events
     assert not calls

@@ -62,6 +62,8 @@ def by_series(
         sampled.__getitem__,
         last,
         lambda j: Step(ends[j], ends[j + 1], last[j], turning),
+        False,
+        lambda _, t: turning(t),
     )
     return watch
 

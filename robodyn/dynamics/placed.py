@@ -138,9 +138,11 @@ def joint_ways(
 
     z = rho + i theta turns a direction; of a displacement s it is 1 + i s.  `slope` is dz/dt.
     """
-    way, rates = np.angle(z), (z.conj() * slope).imag / np.abs(z) ** 2
+    way, rates = np.angle(z), (slope / z).imag
     for k in mechanism.slides:
         way[..., k], rates[..., k] = z[..., k].imag - q[..., k], slope[..., k].imag
+    if mechanism.n == 1:
+        return way, rates
     relative = relative_matrix(mechanism).T
     return way @ relative, rates @ relative
 
@@ -151,15 +153,21 @@ def states_along(mechanism: Mechanism, y: Array, series: Complex, h: Array, part
     Those (m, p, n) are rho + i theta of the coordinates; closures are kept as far as these do.
     """
     m, orders, n = series.shape
-    powers = parts[:, None] ** np.arange(orders)
-    slopes = np.zeros_like(powers)
-    slopes[:, 1:] = powers[:, :-1] * np.arange(1, orders)
     scaled = series * (h[:, None] ** np.arange(orders))[..., None]
     columns = scaled.transpose(0, 2, 1).reshape(m * n, orders)
-    both = (columns @ np.concatenate([powers, slopes]).T).reshape(m, n, 2, len(parts))
+    both = (columns @ _powers_of(orders, parts.tobytes())).reshape(m, n, 2, len(parts))
     z, slope = both[:, :, 0].swapaxes(1, 2), both[:, :, 1].swapaxes(1, 2)
     way, rates = joint_ways(mechanism, y[:, None, :n], z, slope)
     return np.concatenate([y[:, None, :n] + way, rates / h[:, None, None]], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def _powers_of(orders: int, parts: bytes) -> Complex:
+    """What makes values and slopes (columns) at `parts` of a series (rows)."""
+    powers = np.frombuffer(parts)[:, None] ** np.arange(orders)
+    slopes = np.zeros_like(powers)
+    slopes[:, 1:] = powers[:, :-1] * np.arange(1, orders)
+    return np.concatenate([powers, slopes]).T.astype(complex)
 
 
 @lru_cache(maxsize=64)

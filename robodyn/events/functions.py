@@ -63,7 +63,7 @@ class EventFunction(Part):
     `way` 1: where it becomes positive, -1: negative, 0: both.  Where it stays at zero a comparison
     holds if it has an equality (not `strict`).  It is smooth where none of its `switches`, which
     are smooth between zeros of those before them, passes zero.  `linear` are its coefficients
-    (2 + 2n) of 1, t, q and qd, where it is a sum of these.
+    (2 + 4n) of 1, t, q and qd, where it is a sum of these (`linear_forms.py`).
     """
 
     name: str
@@ -101,7 +101,7 @@ def event_function(mechanism: Mechanism, name: str, text: str, where: str) -> Ev
         Part(_vectorised(x, n), bound_of(x, n), around=around_of(x, n)) for x in switches(tree)
     )
     made = _vectorised(tree, n), bound_of(tree, n)
-    linear = linear_form(tree, n)
+    linear = linear_form(mechanism, tree)
     return EventFunction(*made, name, way, strict, cuts, linear, around=around_of(tree, n))
 
 

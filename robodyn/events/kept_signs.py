@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from robodyn.events.explicit_steps import two_guesses
 from robodyn.events.functions import EventFunction
-from robodyn.events.signs import MISSED, certain, node_times
+from robodyn.events.signs import certain, node_times
+from robodyn.events.single_zeros import MARGIN
 from robodyn.tables.arrays import Array
 
 Signs = NDArray[np.int64]
-
-# of a function's size along a step, what a look at many steps asks of it beyond its rounding
-MARGIN = 1e-9
 
 
 def by_boxes(function: EventFunction, *box: Array) -> Signs:
@@ -35,30 +33,6 @@ def by_boxes(function: EventFunction, *box: Array) -> Signs:
         found = signs if found is None else signs * np.abs(found)
     assert found is not None
     return found
-
-
-def by_samples(function: EventFunction, at: Array, y: Array, m: int) -> Signs:
-    """The signs (m,) along m steps, by the states y at the times `at`.
-
-    Those are the nodes of each step, as from its series, and after them the m ends of the steps.
-    """
-
-    def split(values: Array) -> tuple[Array, Array]:
-        inner = values[:-m].reshape(m, -1)
-        return inner, MISSED * np.abs(inner[:, -1] - values[-m:])
-
-    with np.errstate(all="ignore"):
-        inner, missed = split(function.values(at, y))
-        size = np.abs(inner).max(axis=1)
-        signs = certain(inner, missed + MARGIN * size)
-        if function.way:
-            stays = -function.way if function.strict else function.way
-            signs = np.where((size == 0.0) & (missed == 0.0), stays, signs)
-        for switch in function.switches:
-            inner, missed = split(switch.values(at, y))
-            margin = MARGIN * np.abs(inner).max(axis=1)
-            signs = np.where(certain(inner, missed + margin), signs, 0)
-    return signs
 
 
 def by_stages(functions: Sequence[EventFunction], steps: Sequence[Any]) -> list[Signs]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,11 +11,18 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 
-def linear_form(tree: ast.expr, n: int) -> Array | None:
-    """The coefficients (2 + 2n) of 1, t, q and qd; None where an expression is not linear."""
+def linear_form(mechanism: Mechanism, tree: ast.expr) -> Array | None:
+    """The coefficients (2 + 4n) of 1, t, q, qd, and once more of q and qd by absolute rates.
+
+    None where an expression is not linear.
+    """
+    n, relative = mechanism.n, relative_matrix(mechanism)
     with np.errstate(all="ignore"):
         found = _form(tree, n)
-    return found if found is not None and np.isfinite(found).all() else None
+    if found is None or not np.isfinite(found).all():
+        return None
+    absolute = found[2:].reshape(2, n) @ relative
+    return np.concatenate([found, absolute.ravel()])
 
 
 def _form(node: ast.expr, n: int) -> Array | None:
@@ -50,11 +56,3 @@ def _operated(op: ast.operator, a: Array, b: Array) -> Array | None:
         case ast.Mult() | ast.Div() if not b[1:].any():
             return np.asarray(a * b[0] if isinstance(op, ast.Mult) else a / b[0])
     return None
-
-
-def forms_of(mechanism: Mechanism, linear: Sequence[Array], signs: Sequence[int]) -> Array:
-    """What the code takes of functions (F, 3 + 4n): their forms, of absolute rates too; signs."""
-    n, relative = mechanism.n, relative_matrix(mechanism)
-    forms = np.array(linear).reshape(len(linear), 2 + 2 * n)
-    absolute = [forms[:, 2 : 2 + n] @ relative, forms[:, 2 + n :] @ relative]
-    return np.concatenate([forms, *absolute, np.array(signs, float)[:, None]], axis=1)

@@ -44,18 +44,18 @@ def _positive(x: Any) -> Any:
 
 
 def bound_of(tree: ast.expr, n: int) -> Callable[[Array, Array], Array]:
-    """The bound (..., k) on the rounding of an expression's values along a step.
+    """The bound (..., k or 1) on the rounding of an expression's values along a step.
 
     Those are at its times (..., k), of its states (..., k, 2n or more).
     """
 
     def bound(t: Array, y: Array) -> Array:
         with np.errstate(all="ignore"):
-            parts = y[..., :n], y[..., n : 2 * n]
-            largest = np.stack([np.abs(part).max(axis=(-2, -1)) for part in parts], axis=-1)
-            off = np.repeat(STATE * largest, n, axis=-1)[..., None, :]
-            found = _bounded(tree, _known(t, t, y, off, n))[1]
-            return np.asarray(found + np.zeros(t.shape))
+            off = np.maximum.reduce(np.abs(y[..., : 2 * n]), axis=-2, keepdims=True)
+            for part in (off[..., :n], off[..., n:]) if n > 1 else ():
+                part[:] = np.maximum.reduce(part, axis=-1, keepdims=True)
+            off *= STATE
+            return np.asarray(_bounded(tree, _known(t, t, y, off, n))[1])
 
     return bound
 

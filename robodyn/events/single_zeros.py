@@ -33,7 +33,12 @@ ITERATIONS = 3  # of Newton's method between two nodes, from the secant on
 NEAR = 1e-4  # of a step: a zero of the polynomial is as near to that of the states
 ROUNDS = 4  # of Newton's method on these
 UNITS = 4.0 * float(np.finfo(float).eps)  # of a time: no times nearer are told apart
+MARGIN = 1e-9  # of a function's size along a step: asked of it in place of its rounding's bound
 _K = np.arange(DEGREE + 1.0)
+# of sizes of coefficients: of all, of the last three, and what bounds the slope's and the bend's
+SUMS: Array = np.stack([_K >= 0, _K > DEGREE - 3, SLOPES * (_K > 1), BENDS * (_K > 2)], axis=1)
+DERIVATIVE: Array = 2.0 * _K[:, None] * ((_K[:, None] > _K) & ((_K[:, None] - _K) % 2.0 == 1.0))
+DERIVATIVE[:, 0] *= 0.5
 _X = 2.0 * NODES - 1.0
 
 
@@ -55,7 +60,7 @@ class Steps(NamedTuple):
 class Zeros(NamedTuple):
     """Of m steps: the signs (m,) at their begin and end, and when a function passes zero.
 
-    The signs are 0 where it is not known to do so once at most.
+    Equal signs are kept all along; they are 0 where it is not known to pass once at most.
     """
 
     first: Places
@@ -65,7 +70,7 @@ class Zeros(NamedTuple):
     apart: Array
 
 
-def _sampled(part: Part, steps: Steps) -> tuple[Array, Array, Array]:
+def _sampled(part: Part, steps: Steps, sharp: bool) -> tuple[Array, Array, Array]:
     """Values (m, k) at the nodes, how far they may be off (m,), and what rounding is of that."""
     m, k, _ = steps.nodes.shape
     at = node_times(steps.begin, steps.end).reshape(m, k)
@@ -75,37 +80,53 @@ def _sampled(part: Part, steps: Steps) -> tuple[Array, Array, Array]:
         part.values(t.ravel(), y).reshape(m, -1)
         for t, y in zip((at, at[:, -p:]), flat, strict=True)
     )
-    noise = np.broadcast_to(part.noise(at, steps.nodes), at.shape).max(axis=1)
+    if sharp:
+        noise = np.maximum.reduce(np.atleast_1d(part.noise(at, steps.nodes)), axis=-1)
+    else:
+        noise = MARGIN * np.abs(values).max(axis=1)
     missed = MISSED * np.abs(values[:, -p:] - other).max(axis=1)
     return values, noise + missed, noise
 
 
 @np.errstate(all="ignore")  # values may be huge, or none
-def single_zeros(function: EventFunction, steps: Steps) -> Zeros:
-    """Where a function passes zero once, of steps where it may."""
-    values, off, noise = _sampled(function, steps)
+def single_zeros(function: EventFunction, steps: Steps, locates: bool = True) -> Zeros:
+    """Of steps where a function may pass zero: whether it keeps its sign, or where it passes once.
+
+    Only the first, and less sharply, where it `locates` no zeros.
+    """
+    values, off, noise = _sampled(function, steps, locates)
     c = values @ TO_COEFFICIENTS
     size = np.abs(c)
-    noise += ROUNDING * size.sum(axis=1)
-    error = off + noise + 2.0 * size[:, -3:].sum(axis=1)
-    steady = size[:, 1] > size[:, 2:] @ SLOPES[2:] + SLOPES[-1] * error
-    once = steady | (4.0 * size[:, 2] > size[:, 3:] @ BENDS[3:] + BENDS[-1] * error)
+    total, tail, slopes, bends = (size @ SUMS).T
+    noise += ROUNDING * total
+    error = off + noise + 2.0 * tail
+    kept = 2.0 * size[:, 0] > total + error
+    steady = size[:, 1] > slopes + SLOPES[-1] * error
+    once = steady | (4.0 * size[:, 2] > bends + BENDS[-1] * error)
     for switch in function.switches:
-        inner, *missed = _sampled(switch, steps)
-        once &= certain(inner, missed[0] + missed[1]) != 0
+        inner, *missed = _sampled(switch, steps, locates)
+        smooth = certain(inner, missed[0] + missed[1]) != 0
+        kept, once, steady = kept & smooth, once & smooth, steady & smooth
     begins, ends = values[:, 0], values[:, -1]
-    first = np.where(np.abs(begins) > noise, np.sign(begins), 0.0)
-    last = np.where(np.abs(ends) > error, np.sign(ends), 0.0)
+    first = np.sign(begins) * (np.abs(begins) > noise)
+    last = np.sign(ends) * (np.abs(ends) > error)
     known = once & (first * last < 0.0)
-    t, apart, y = np.zeros(len(c)), np.zeros(len(c)), np.zeros((len(c), steps.nodes.shape[2]))
-    if known.any():
+    m, y = len(c), steps.nodes[:, 0].copy()
+    t, apart = np.zeros((2, m))
+    if locates and known.any():
         at = known.nonzero()[0]
         t[at], y[at], apart[at], known[at] = _located(
             function, steps, at, c[at], values[at], noise[at]
         )
-    known |= steady & (first == 0.0)  # and 0 it stays there, to rounding
-    first, last = (np.where(known, each, 0.0).astype(np.int64) for each in (first, last))
-    return Zeros(first, last, t, y, apart)
+        known |= steady & (first == 0.0)  # and 0 it stays there, to rounding
+    else:
+        known[:] = False
+    kept |= steady & (first * last > 0.0)
+    if function.way and not total.all():  # a comparison that stays at zero
+        kept |= (total == 0.0) & (off == noise)
+        ends = np.where(total, ends, -function.way if function.strict else function.way)
+    both = np.where(kept, np.sign(ends), np.where(known, (first, last), 0.0)).astype(np.int64)
+    return Zeros(both[0], both[1], t, y, apart)
 
 
 def _located(
@@ -120,12 +141,10 @@ def _located(
     low, high = _X[after - 1], _X[after]
     below, above = values[rows, after - 1], values[rows, after]
     x = low + (high - low) * below / (below - above)
-    weighed = c * _K
+    both = np.stack([c, c @ DERIVATIVE])
     for _ in range(ITERATIONS):
-        angle = np.arccos(x)
-        turned = _K * angle[:, None]
-        slope = (weighed * np.sin(turned)).sum(axis=1) / np.sin(angle)
-        x = np.minimum(np.maximum(x - (c * np.cos(turned)).sum(axis=1) / slope, low), high)
+        value, slope = (both * np.cos(np.arccos(x)[:, None] * _K)).sum(axis=-1)
+        x = np.minimum(np.maximum(x - value / slope, low), high)
     h = steps.end[at] - steps.begin[at]
     t, speed = steps.begin[at] + 0.5 * h * (1.0 + x), 2.0 * slope / h
     y = steps.states(at, t)
@@ -162,13 +181,17 @@ class Single(NamedTuple):
 class Followed(NamedTuple):
     """A function along m steps: what it does in which of them.
 
-    `last` (m,) are its signs at their ends, 0 where unknown; `slow` (m,) whether a step is to be
-    looked at by itself.
+    `kept` (m,) are the signs that it has all along a step, `last` (m,) those at their ends, 0 where
+    unknown; `slow` (m,) whether a step is to be looked at by itself.  `rows` are zeros passed in
+    others, at these `places`: the function's own place, the time, how far that may be off, the sign
+    after it, and the state.
     """
 
+    kept: Places
     last: Places
     slow: NDArray[np.bool_]
-    singles: dict[int, Single]
+    places: Places
+    rows: Array
 
 
 def followed(
@@ -177,24 +200,26 @@ def followed(
     known: Places,
     before: int,
     steps: Callable[[Places], Steps],
+    locates: bool,
 ) -> Followed:
     """The i-th function, of the sign `before`, along steps; `known` (m,) is 0 where it may change.
 
-    `steps` has some of them by their places.
+    `steps` has some of them by their places; where it `locates` zeros, those passed once are told.
     """
-    at = np.flatnonzero(known == 0)
-    zeros = single_zeros(function, steps(at))
-    first, last = known.copy(), known.copy()
-    first[at], last[at] = zeros.first, zeros.last
-    slow = (last == 0) | (first != np.append(before, last[:-1]))
-    if before == 0:  # what holds at the start is no event
-        slow[0] = last[0] == 0
-    passes = (zeros.first * zeros.last == -1) & ~slow[at]
-    places, _, signs, times, states, apart = (x[passes] for x in (at, *zeros))
-    singles = {
-        j: Single(i, t, off, sign, y)
-        for j, sign, t, y, off in zip(
-            places.tolist(), signs.tolist(), times.tolist(), states, apart.tolist(), strict=True
-        )
-    }
-    return Followed(last, slow, singles)
+    kept, first, last = known, known, known
+    at = places = np.flatnonzero(known == 0)
+    rows = np.zeros((0, 0))
+    if len(at):
+        zeros = single_zeros(function, steps(at), locates)
+        kept, first, last = known.copy(), known.copy(), known.copy()
+        first[at], last[at] = zeros.first, zeros.last
+        kept[at] = np.where(zeros.first == zeros.last, zeros.last, 0)
+    slow = last == 0
+    slow[1:] |= first[1:] != last[:-1]
+    slow[0] |= before not in (0, first[0])  # what holds at the start is no event
+    if len(at):
+        passes = (zeros.first * zeros.last == -1) & ~slow[at]
+        places = at[passes]
+        told = (zeros.t, zeros.apart, zeros.last, *zeros.y.T)
+        rows = np.array([np.full(len(at), float(i)), *told]).T[passes]
+    return Followed(kept, last, slow, places, rows)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from functools import partial
+from itertools import islice, repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,9 @@ class Event(NamedTuple):
     t: float
     y: Array
     apart: float = 0.0
+
+
+_event = partial(tuple.__new__, Event)  # of its parts: faster than Event._make, which is Python
 
 
 class Stop(NamedTuple):
@@ -78,20 +82,21 @@ class EventRecord:
         """Make events of what machine code found: that takes as long as finding them."""
         packed, self.packed = self.packed, []
         names = [function.name for function in self.functions]
+        ways = [function.way for function in self.functions]
         for zeros, _ in packed:
-            place, sign = zeros[:, 0].astype(np.int64), zeros[:, 3]
-            if any(function.way for function in self.functions):
-                ways = np.array([function.way for function in self.functions])
-                counts = ways[place] * sign >= 0.0
-                zeros, place = zeros[counts], place[counts]
-            if len(self.functions) > 1:
-                order = np.argsort(np.abs(zeros[:, 1]), kind="stable")
-                zeros, place = zeros[order], place[order]
-            places, (t, apart) = place.tolist(), zeros[:, 1:3].T.tolist()
-            for i in range(len(self.functions)):
-                self.happened[i] += places.count(i)
-            told = zip(map(names.__getitem__, places), t, zeros[:, 4:], apart, strict=True)
-            self.kept += map(Event._make, islice(told, MOST - len(self.kept)))
+            if not len(zeros):
+                continue
+            if any(ways):
+                counts = np.array(ways)[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0
+                zeros = zeros[counts]
+            if len(names) > 1:
+                zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
+            place, t, apart = zeros[:, :3].T.tolist()
+            for i in range(len(names)):
+                self.happened[i] += place.count(i)
+            named = map(names.__getitem__, map(int, place)) if len(names) > 1 else repeat(names[0])
+            told = zip(named, t, zeros[:, 4:], apart, strict=False)
+            self.kept += map(_event, islice(told, MOST - len(self.kept)))
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""

@@ -13,13 +13,11 @@ import numpy as np
 
 from robodyn.events.explicit_steps import as_steps
 from robodyn.events.functions import EventFunction
-from robodyn.events.kept_signs import Signs, by_boxes, by_samples, by_stages
-from robodyn.events.linear_forms import forms_of
+from robodyn.events.kept_signs import Signs, by_boxes, by_stages
 from robodyn.events.pieces import Remembered, States, Step, along, signs_along
-from robodyn.events.signs import Budget, Stretch, bracket, node_times
+from robodyn.events.signs import Budget, Stretch, bracket
 from robodyn.events.single_zeros import Single, Steps, followed
 from robodyn.events.told import EventRecord, Found, Stop
-from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array
 
 LONG = 1e-3  # of the time of a run: what rounding hides for longer is told
@@ -68,17 +66,22 @@ class EventWatch(EventRecord):
             self._hidden_until(i, touched[1] if touched else 0.0)
         return super().remarks()
 
-    def forms(self, mechanism: Mechanism) -> Array | None:
-        """What machine code takes of the functions; None where it cannot watch for them all."""
+    def forms(self) -> Array | None:
+        """What machine code takes of the functions: linear forms, and after them their signs.
+
+        None where it cannot watch for them all.
+        """
         linear = [function.linear for function in self.functions if function.linear is not None]
         if self.doubts >= DOUBTS or self.may_end or any(self._touched):
             return None
         if len(linear) < len(self.functions):
             return None
-        return forms_of(mechanism, linear, self.signs)
+        forms = np.empty((len(linear), len(linear[0]) + 1))
+        forms[:, :-1], forms[:, -1] = linear, self.signs
+        return forms
 
     def take(self, found: Found) -> None:
-        """Take what machine code found along some steps."""
+        """Take what was found along some steps."""
         self.packed.append(found)
         self.signs = found.signs.astype(np.int64).tolist()
 
@@ -89,31 +92,28 @@ class EventWatch(EventRecord):
         sampled: Callable[[Signs], Array],
         ends: Array,
         step: Callable[[int], Step],
-        exact: bool = False,
-        within: Callable[[Signs, Array], Array] | None = None,
+        exact: bool,
+        within: Callable[[Signs, Array], Array],
     ) -> tuple[int, Stop] | None:
         """Steps from times[j] to times[j + 1], in which the state stays in boxes (m, 2, N).
 
         Those are their middles and how far they reach.  `sampled` has, of steps by their places,
         the states (k, nodes, N) at Chebyshev's points, `ends` (m, N) are those at their ends,
         brought back onto closures; `step(j)` has one whole, which has the same states where they
-        are `exact`, and `within` the states (k, 2n or more) at a time within each of some steps.
+        are `exact`; `within` are the states (k, 2n or more) at a time within each of some steps.
         Tells in which of them the run ends, and how.
         """
         box = times[:-1], times[1:], boxes[:, 0], boxes[:, 1]
         known = [by_boxes(function, *box) for function in self.watched]
-        if not all(signs.all() for signs in known):
-            left = np.flatnonzero(~np.logical_and.reduce(known))
-            nodes = sampled(left)
-            self._look(known, left, times, nodes, ends[left])
-        doubtful = self._doubtful(known)
-        if doubtful and within is not None:
+        left = np.flatnonzero(~np.logical_and.reduce(known))
+        nodes = sampled(left) if len(left) else np.zeros(0)
 
-            def steps(at: Signs) -> Steps:
-                known = nodes[np.searchsorted(left, at)], ends[at, None]
-                return Steps(times[at], times[at + 1], *known, lambda i, t: within(at[i], t))
+        def steps(at: Signs) -> Steps:
+            there = nodes if len(at) == len(left) else nodes[np.searchsorted(left, at)]
+            last = ends[at, None]
+            return Steps(times[at], times[at + 1], there, last, lambda i, t: within(at[i], t))
 
-            doubtful = self._singly(doubtful, steps)
+        doubtful = self._doubtful(known, steps)
         for j in sorted({*doubtful, *self._found_in}):
             places = self.begin(j, doubtful.get(j, ()))
             if not places:
@@ -127,57 +127,48 @@ class EventWatch(EventRecord):
         self.seen()
         return None
 
-    def _look(
-        self, known: list[Signs], places: Signs, times: Array, sampled: Array, ends: Array
-    ) -> None:
-        """Find the signs of functions along the steps at `places`, as far as samples tell."""
-        m, nodes = sampled.shape[:2]
-        at = np.append(node_times(times[places], times[places + 1]), times[places + 1])
-        y = np.concatenate([sampled.reshape(m * nodes, -1), ends])
-        for function, signs in zip(self.watched, known, strict=True):
-            found = signs[places]
-            if not found.all():
-                looked = by_samples(function, at, y, m)
-                signs[places] = np.where(found, found, looked)
+    def _doubtful(
+        self, known: list[Signs], steps: Callable[[Signs], Steps]
+    ) -> dict[int, list[int]]:
+        """Which functions are to be looked at by themselves, by step.
 
-    def _doubtful(self, known: list[Signs]) -> dict[int, list[int]]:
-        """In which steps which functions may pass zero, as their known signs (m,) tell."""
+        `known` are their signs (m,) along steps, 0 where they may change.  What passes zero once is
+        found here, but for what ends the run.
+        """
         self._known, self._after, self._found_in = known, list(known), {}
         doubtful: dict[int, list[int]] = {}
+        found: list[tuple[Signs, Array]] = []
         for i, signs in enumerate(known):
-            first = int(signs[0])
-            if self._goes_on(i, first) and (signs == first).all():
+            before, touched = self.signs[i], self._touched[i] is not None
+            if not touched and (signs == (before or signs[0])).all() and signs[0]:
                 continue
-            changes = signs[1:] != signs[:-1]
-            passes = np.concatenate([[first != self.signs[i]], changes]) | (signs == 0)
-            for j in passes.nonzero()[0].tolist():
+            tells = i < len(self.functions) and i not in self.stops
+            way = followed(i, self.watched[i], signs, before, steps, tells)
+            known[i], self._after[i] = way.kept, way.last
+            places, rows = way.places, way.rows
+            if touched:
+                way.slow[0] = True
+                places, rows = places[places > 0], rows[places > 0]
+            if len(places):
+                found.append((places, rows))
+            for j in way.slow.nonzero()[0].tolist():
                 doubtful.setdefault(j, []).append(i)
+        if found and not doubtful and not self.cut:
+            last = np.array([signs[-1] for signs in self._after], float)
+            self.take(Found(np.concatenate([rows for _, rows in found]), last))
+            return doubtful
+        for places, rows in found:
+            for j, (place, t, apart, sign, *_), row in zip(
+                places.tolist(), rows.tolist(), rows, strict=True
+            ):
+                single = Single(int(place), t, apart, int(sign), row[4:])
+                self._found_in.setdefault(j, []).append(single)
         return doubtful
 
     def near(self, steps: Sequence[Any]) -> dict[int, list[int]]:
         """For steps of an explicit method, which functions are to be looked at in each of them."""
-        doubtful = self._doubtful(by_stages(self.watched, steps))
-        return self._singly(doubtful, lambda at: as_steps([steps[j] for j in at]))
-
-    def _singly(
-        self, doubtful: dict[int, list[int]], steps: Callable[[Signs], Steps]
-    ) -> dict[int, list[int]]:
-        """Find what passes zero once along steps; what is left to be looked at."""
-        left: dict[int, list[int]] = {}
-        for i in sorted({i for some in doubtful.values() for i in some}):
-            slow = [j for j, some in doubtful.items() if i in some]
-            if not (i in self.stops or i >= len(self.functions) or self._known[i].all()):
-                way = followed(i, self.functions[i], self._known[i], self.signs[i], steps)
-                self._after[i], found = way.last, way.singles
-                slow = way.slow.nonzero()[0].tolist()
-                if self._touched[i] is not None and slow[:1] != [0]:
-                    slow = [0, *slow]
-                    found.pop(0, None)
-                for j, single in found.items():
-                    self._found_in.setdefault(j, []).append(single)
-            for j in slow:
-                left.setdefault(j, []).append(i)
-        return left
+        known = by_stages(self.watched, steps)
+        return self._doubtful(known, lambda at: as_steps([steps[j] for j in at]))
 
     def begin(self, j: int, places: Sequence[int]) -> list[int]:
         """Know the signs at the start of step j of those looked at together.

@@ -191,8 +191,9 @@ def simulate(
     n = mechanism.n
 
     def happened() -> list[Event]:
-        found = [] if watch is None else watch.found
-        events = [x if len(x.y) == 2 * n else x._replace(y=x.y[: 2 * n]) for x in found]
+        events = [] if watch is None else watch.found
+        if any(len(event.y) > 2 * n for event in events):
+            events = [event._replace(y=event.y[: 2 * n]) for event in events]
         if not recorder.contacts:
             return events
         return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))

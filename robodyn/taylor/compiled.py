@@ -233,7 +233,7 @@ class CompiledEngine:
         watch[:] = forms.ctypes.data, *addresses, len(forms), 0, 0
         chunk = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
-        watch[:] = 0
+        watch[-1] = 0  # or no later call takes a step
         if unsure:
             return None
         return chunk._replace(kept=Found(zeros[:found].copy(), forms[:, -1]))

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 # takes seconds to make and is more than Python compiles
 STRAIGHT, MOST_LINKS = 6000, 120
 COMPILED_STEPS = 4096
-TOGETHER = 4 * STEPS  # of those in Python that are looked at for events: looks cost as many calls
+TOGETHER = 8 * STEPS  # of those in Python that are looked at for events: looks cost as many calls
 KEPT = 32768  # steps whose series are kept at a time, of one link
 AHEAD = 4  # where an event ends the run, or a phase of it, at first
 CALL = 0.1  # s that a call of compiled code may take
@@ -237,7 +237,7 @@ def taylor_run(
                 runner.keeps = watched
             steps = min(steps, ahead) if watched else steps
             if not isinstance(runner, SteppingEngine):
-                runner.forms = recorder.events.forms(mechanism) if recorder.events else None
+                runner.forms = recorder.events.forms() if recorder.events else None
             try:
                 chunk = runner.advance(t, y, bound, recorder.times_until(bound), steps)
             except NoCodeError:  # of other torques than those at the start

@@ -1,12 +1,14 @@
 """A box that the state stays in along a step, from the step's series.
 
-z = rho + i theta turns a direction at the rate w = Im(z'/z).  From the rate w0 at the start it goes
-away by Im(D/z), where D = z' - i w0 z is zero at the start:
+z = rho + i theta turns a direction at the rate w = Im(z'/z).  With the rate w0 at the start and
+D = z' - i w0 z, which is zero there, z = exp(i w0 x) (1 + integral of exp(-i w0 x) D), so that
 
-    |w - w0| <= sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k / (1 - sum_{k>0} |z_k| h^k),
+    |D| <= far = sum_{k>0} |(k + 1) z_{k+1} - i w0 z_k| h^k,      |z| >= 1 - h far,
+    |w - w0| = |Im(D/z)| <= far / (1 - h far),
 
-and the angle from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0) is D.
-Sizes |z| are |rho| + |theta|, and a joint's box is that of its own coordinate and the one below.
+and the angle goes away from alpha_0 + w0 x by h times that at most.  Of a displacement z' - z'(0)
+is D, and far is all.  Sizes |z| are |rho| + |theta|, and a joint's box is that of its own
+coordinate and the one below.
 """
 
 from __future__ import annotations
@@ -47,31 +49,48 @@ def boxes_along(mechanism: Mechanism, y: Array, ends: Array, parts: Array, h: Ar
     Those are rho and theta, in `parts` (m, 2, n, order + 2).
     """
     n, last, length = mechanism.n, parts.shape[-1] - 1, np.abs(h)
-    turns = np.ones((n, 1))
-    turns[list(mechanism.slides)] = 0.0
-    table = parts.transpose(1, 2, 3, 0).copy()  # all steps side by side: that is fast
-    rates = table[1, :, 1] * turns
-    powers = np.multiply.accumulate(np.broadcast_to(length, (last, len(h))))
-    terms = table[:, :, 1:]
-    terms *= powers  # z_k h^k, k > 0
-    stray = terms[::-1] * np.stack([rates, -rates])[:, :, None]
-    stray[:, :, :-1] += terms[:, :, 1:] * (np.arange(2.0, last + 1)[:, None] / length)
-    far, away = (np.abs(each, out=each).sum(axis=(0, 2)) for each in (stray, terms))
+    terms = np.empty((2, n, last, len(h)))  # z_k h^k, k > 0: all steps side by side, that is fast
+    np.multiply(parts[..., 1:].transpose(1, 2, 3, 0), _powers(length, last), out=terms)
+    turned = terms[1, :, 0].copy()  # w0 h
+    slides = list(mechanism.slides) or slice(0)
+    turned[slides] = 0.0
+    stray = np.empty_like(terms)
+    np.multiply(terms[1], turned[:, None], out=stray[0])
+    np.multiply(terms[0], -turned[:, None], out=stray[1])
+    terms *= np.arange(1.0, last + 1)[:, None]
+    stray[:, :, :-1] += terms[:, :, 1:]
+    far = np.abs(stray, out=stray).sum(axis=(0, 2)) * (1.0 + SLACK)
+    left = np.maximum(1.0 - far, 0.0)
+    left[slides] = 1.0
     with np.errstate(all="ignore"):
-        apart = far * (1.0 + SLACK) / np.maximum(1.0 - away * turns, 0.0) + SLACK * np.abs(rates)
+        apart = far / left + SLACK * np.abs(turned)
     own = apart.copy()
     for k, above in enumerate(mechanism.above):
         if above is not None:
             own[k] += apart[above]
     start = y[:, : 2 * n].T
-    half = 0.5 * h * start[n:]
-    middle, reach = start.copy(), np.concatenate([np.abs(half) + length * own, own])
+    box = np.empty((2, 2 * n, len(h)))
+    (middle, reach), half = box, 0.5 * h * start[n:]
+    middle[:] = start
     middle[:n] += half
-    reach += SLACK * np.abs(start)
+    np.multiply(np.abs(start), SLACK, out=reach)
+    reach[:n] += np.abs(half) + own
+    reach[n:] += own / length
     if mechanism.rows:
         there = states_along(mechanism, y, as_complex(parts), h, np.ones(1))[:, 0]
         reach += MISSED * np.abs(there - ends[:, : 2 * n]).T
-    return np.stack([middle, reach]).transpose(2, 0, 1)
+    return box.transpose(2, 0, 1)
+
+
+def _powers(h: Array, most: int) -> Array:
+    """h^k (most, m) of h (m,), k > 0."""
+    powers, k = np.empty((most, len(h))), 1
+    powers[0] = h
+    while k < most:
+        upto = min(2 * k, most)
+        np.multiply(powers[: upto - k], powers[k - 1], out=powers[k:upto])
+        k = upto
+    return powers
 
 
 def as_complex(parts: Array) -> Complex:
@@ -83,8 +102,8 @@ def as_complex(parts: Array) -> Complex:
 def _write_sums(scene: Scene, module: Module) -> None:
     """box_sums(row, h, about, out): of the series from the row of order 1 on, all side by side.
 
-    The sums of |(m + 1) z_{m+1} - i w z_m| h^m and of |z_m| h^m; `about` are w and -w in turns.
-    Last of all comes the power of h that follows.
+    The sums of |(m + 1) z_{m+1} - i w z_m| h^m; `about` are w and -w in turns.  Last of all comes
+    the power of h that follows.
     """
     n, width = scene.mechanism.n, len(scene.loop.columns)
     wide = Module(2 * n)
@@ -97,15 +116,14 @@ def _write_sums(scene: Scene, module: Module) -> None:
     with k.loop(k.whole(scene.order)):
         row, now, power = k.carried(first), k.carried(start), k.carried(step)
         level = k.carried(k.number(2.0))
-        far, away = k.carried(k.number(0.0)), k.carried(k.number(0.0))
+        far = k.carried(k.number(0.0))
         after = k.at(row, width)
         later = k.load(after)
         turned = k.op(
             k.numbers, f"shufflevector {now}, {k.numbers} poison, <{2 * n} x i32> <{other}>"
         )
         stray = k.add(k.multiply(level, later), k.multiply(w, turned))
-        for total, part in ((far, stray), (away, now)):
-            k.becomes(total, k.add(total, k.multiply(k.intrinsic("fabs", part), power)))
+        k.becomes(far, k.add(far, k.multiply(k.intrinsic("fabs", stray), power)))
         for carried, new in (
             (row, after),
             (now, later),
@@ -114,8 +132,7 @@ def _write_sums(scene: Scene, module: Module) -> None:
         ):
             k.becomes(carried, new)
     k.store(far, out)
-    k.store(away, k.at(out, 2 * n))
-    k.store(k.lane(power, 0), k.at(out, 4 * n))
+    k.store(k.lane(power, 0), k.at(out, 2 * n))
     k.done()
 
 
@@ -139,19 +156,19 @@ def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box:
     ]
     if "box_sums" not in k.module.functions:
         _write_sums(scene, k.module)
-    about, sums = k.room(k.numbers, 2 * n), k.room(k.numbers, 4 * n + 1)
+    about, sums = k.room(k.numbers, 2 * n), k.room(k.numbers, 2 * n + 1)
     for j, w in enumerate(rates):
         k.store(w, k.at(about, 2 * j))
         k.store(k.negate(w), k.at(about, 2 * j + 1))
     k.line(f"call void @box_sums({scene.row(k, block, 1)}, {h}, {about}, {sums})")
-    far, away = ([k.add(*pair) for pair in pairs(k.at(sums, i))] for i in (0, 2 * n))
-    power = k.load(k.at(sums, 4 * n))
+    far = [k.add(*pair) for pair in pairs(sums)]
+    power = k.load(k.at(sums, 2 * n))
     apart = []
     for j, pair in enumerate(pairs(scene.row(k, block, last))):
         tail, w = k.multiply(size(*pair), power), k.intrinsic("fabs", rates[j])
         total = k.multiply(k.add(far[j], k.multiply(w, tail)), k.number(1.0 + SLACK))
         if turns[j]:
-            left = k.subtract(one, k.add(away[j], tail))
+            left = k.subtract(one, k.multiply(h, total))
             total = k.divide(total, k.select(k.less(zero, left), left, zero))
         apart.append(k.add(total, k.multiply(slack, w)))
     if scene.closes:
