@@ -169,7 +169,10 @@ ENGINES = {
     "rows in floats": Engine(lambda *scene: by_rows(*scene, "floats")),
     "rows in floats, grounded": Engine(lambda *scene: by_rows(*scene, "floats", grounded=True)),
     "rows in longdouble": Engine(lambda *scene: by_rows(*scene, "longdouble"), FINE),
-    "steps as text": Engine(lambda *scene: by_steps(*scene, StraightEngine)),
+    "steps as text": Engine(
+        lambda *scene: by_steps(*scene, StraightEngine),
+        scenes=(*KINDS, *(ROBOTS if FRESH else ROBOTS[::3])),
+    ),
     "steps row by row": Engine(lambda *scene: by_steps(*scene, InterpretedEngine)),
     "machine code": Engine(by_machine_code, step=ROUGH, compiles=True),
     "machine code, side by side": Engine(

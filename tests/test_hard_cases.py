@@ -12,6 +12,7 @@ from hard_cases.cases import (
     bounces_without_end,
     double_pendulum,
     events_at_one_instant,
+    grazes,
     inconsistent_start,
     long_run,
     long_stick_slip,
@@ -20,6 +21,7 @@ from hard_cases.cases import (
     parallel_bars,
     parallel_bars_by_chance,
     redundant_closures,
+    seven_body,
     sines,
 )
 
@@ -33,8 +35,10 @@ PARTS: dict[Callable[..., Iterator[Row]], int] = {
     long_run: 100,
     mass_ratios: 10,
     long_stick_slip: 10,
-    events_at_one_instant: 4,
+    events_at_one_instant: 10,
+    grazes: 5,
     parallel_bars_by_chance: 30,
+    seven_body: 2,
 }  # `make hard` takes all of them
 
 

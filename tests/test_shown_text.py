@@ -7,7 +7,6 @@ import os
 import pty
 import re
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from xml.dom import minidom
@@ -15,6 +14,7 @@ from xml.dom import minidom
 import pytest
 from conftest import ROOT, Outcome
 from each_case import each
+from quick_robodyn import path_with_it
 
 Run = Callable[..., Outcome]
 
@@ -38,12 +38,12 @@ def sent(*arguments: object, **more: str) -> str:
     """All that a terminal of 80 columns is sent by a command, line ends as it writes them."""
     leader, follower = pty.openpty()
     child = subprocess.Popen(
-        [sys.executable, "-m", "robodyn", *map(str, arguments)],
+        ["robodyn", *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         stdout=follower,
         stderr=follower,
         cwd=ROOT,
-        env={**os.environ, "COLUMNS": "80", "LINES": "24", **more},
+        env={**os.environ, "COLUMNS": "80", "LINES": "24", "PATH": path_with_it(), **more},
     )
     os.close(follower)
     all_of_it = b""
@@ -183,7 +183,7 @@ def test_a_figure_writes_a_name_as_it_stands(robodyn: Run, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("where", [{"COLUMNS": "1000000"}, {"LINES": "1000000"}])
-def test_an_endless_terminal(shell: Run, where: dict[str, str]) -> None:
-    for line in ("draw robots/2r.yaml --q 0,1", "plot <(echo t,q1; echo 0,1; echo 1,2)"):
-        drawn = shell(f"robodyn {line} --format text", env=where).succeeds().out
+def test_an_endless_terminal(quick_shell: Run, where: dict[str, str]) -> None:
+    for line in ("draw robots/2r.yaml --q 0,1", "plot - < <(echo t,q1; echo 0,1; echo 1,2)"):
+        drawn = quick_shell(f"robodyn {line} --format text", env=where).succeeds().out
         assert max(map(len, drawn.splitlines())) < 2_500

@@ -326,7 +326,7 @@ class TestCluster:
     """A scheduler and workers of Dask in processes of their own."""
 
     @pytest.fixture(scope="class")
-    def address(self) -> Iterator[str]:
+    def cluster(self) -> Iterator[Any]:
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
         import warnings
 
@@ -334,11 +334,15 @@ class TestCluster:
             warnings.simplefilter("ignore")
             from distributed import LocalCluster
 
-            cluster = LocalCluster(
+            cluster: Any = LocalCluster(
                 n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
             )
-        yield cluster.scheduler_address
+        yield cluster
         cluster.close()
+
+    @pytest.fixture
+    def address(self, cluster: Any) -> str:
+        return cluster.scheduler_address
 
     @pytest.mark.filterwarnings("ignore")
     def test_gives_what_one_process_gives(self, address) -> None:
@@ -366,64 +370,6 @@ class TestCluster:
         with pytest.raises(RobodynError, match="no Dask scheduler answers"):
             whole(TestWorkers.SMALL, scheduler="nonsense://127.0.0.1:1")
 
-    @pytest.fixture
-    def fleeting(self) -> Iterator[Any]:
-        """A cluster whose one worker can be taken away."""
-        pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-        import warnings
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from distributed import LocalCluster
-
-            cluster: Any = LocalCluster(
-                n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-            )
-        yield cluster
-        cluster.close()
-
-    @staticmethod
-    def leave(cluster: Any) -> None:
-        cluster.scale(0)
-        until = time.monotonic() + 60.0
-        while cluster.scheduler.workers:
-            assert time.monotonic() < until
-            time.sleep(0.05)
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_all_workers_lost_is_told_and_ends(self, fleeting) -> None:
-        told: list[str] = []
-        address = fleeting.scheduler_address
-        rows = results(TestWorkers.SMALL, scheduler=address, patience=2.0, tell=told.append)
-        next(rows)
-        self.leave(fleeting)
-        begun = time.monotonic()
-        with pytest.raises(RobodynError) as caught:
-            list(rows)
-        assert 2.0 <= time.monotonic() - begun < 30.0
-        assert "none came within 2 s" in str(caught.value)
-        assert address in str(caught.value)
-        assert told == ["the cluster has lost all its workers: waiting 2 s for another (patience)"]
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_workers_that_come_back_go_on(self, fleeting) -> None:
-        expected = alone(TestWorkers.SMALL.engine)
-        told: list[str] = []
-
-        def tell(text: str) -> None:
-            told.append(text)
-            if "lost" in text:
-                fleeting.scale(1)
-
-        found = results(
-            TestWorkers.SMALL, scheduler=fleeting.scheduler_address, patience=60.0, tell=tell
-        )
-        rows = [next(found)]
-        self.leave(fleeting)
-        rows += found
-        assert "lost all" in told[0]
-        assert np.concatenate([x.values for x in rows]).tobytes() == expected.values.tobytes()
-
     @pytest.mark.filterwarnings("ignore")
     def test_a_timeout_of_a_chunk_is_no_lack_of_workers(self, address, monkeypatch) -> None:
         monkeypatch.setattr("robodyn.sweeps.sweep_workers.run_chunk", _late)
@@ -448,3 +394,47 @@ class TestCluster:
         monkeypatch.setitem(__import__("sys").modules, "distributed", None)
         with pytest.raises(InputError, match=r"robodyn\[cluster\]"):
             whole(TestWorkers.SMALL, scheduler="tcp://127.0.0.1:1")
+
+    # these take the cluster's workers away, and come last
+
+    @staticmethod
+    def leave(cluster: Any) -> None:
+        cluster.scale(0)
+        until = time.monotonic() + 60.0
+        while cluster.scheduler.workers:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_workers_that_come_back_go_on(self, cluster) -> None:
+        expected = alone(TestWorkers.SMALL.engine)
+        told: list[str] = []
+
+        def tell(text: str) -> None:
+            told.append(text)
+            if "lost" in text:
+                cluster.scale(1)
+
+        found = results(
+            TestWorkers.SMALL, scheduler=cluster.scheduler_address, patience=60.0, tell=tell
+        )
+        rows = [next(found)]
+        self.leave(cluster)
+        rows += found
+        assert "lost all" in told[0]
+        assert np.concatenate([x.values for x in rows]).tobytes() == expected.values.tobytes()
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_all_workers_lost_is_told_and_ends(self, cluster) -> None:
+        told: list[str] = []
+        address = cluster.scheduler_address
+        rows = results(TestWorkers.SMALL, scheduler=address, patience=2.0, tell=told.append)
+        next(rows)
+        self.leave(cluster)
+        begun = time.monotonic()
+        with pytest.raises(RobodynError) as caught:
+            list(rows)
+        assert 2.0 <= time.monotonic() - begun < 30.0
+        assert "none came within 2 s" in str(caught.value)
+        assert address in str(caught.value)
+        assert told == ["the cluster has lost all its workers: waiting 2 s for another (patience)"]
