@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -197,9 +197,10 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         kind: Any = parameter.annotation
         if isinstance(kind, type) and is_dataclass(kind):
             groups[name] = kind
-            options += inspect.signature(kind, eval_str=True).parameters.values()
+            own = inspect.signature(kind, eval_str=True).parameters
+            options += [_declared(own[field.name], field) for field in fields(kind)]
         else:
-            options.append(parameter)
+            options.append(_declared(parameter, parameter.default))
     tells_angles = function.__name__ in TELL_ANGLES
 
     def add(name: str, default: object, annotation: object) -> None:
@@ -231,6 +232,16 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
     options = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
     setattr(guarded, "__signature__", inspect.Signature(options))  # noqa: B010 (no attribute to mypy)
     return guarded
+
+
+def _declared(parameter: inspect.Parameter, field: Any) -> inspect.Parameter:
+    """A parameter as typer takes it, of what `options.option` has made its default or its field."""
+    if not (isinstance(field, Field) and field.metadata):
+        return parameter
+    told = field.metadata["option"]
+    told.param_decls = told.param_decls or ["--" + parameter.name.strip("_").replace("_", "-")]
+    default = inspect.Parameter.empty if field.default is MISSING else field.default
+    return parameter.replace(default=default, annotation=Annotated[parameter.annotation, told])
 
 
 def _without_reader() -> int:

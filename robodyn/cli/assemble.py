@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Q, Qd, Qdd
+from robodyn.cli.options import Model, Q, Qd, Qdd, switch
 from robodyn.cli.output import (
     Grid,
     RowOptions,
@@ -32,7 +31,6 @@ from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
-_RANGE = "How far each actuated joint can go from there, in place of the points."
 VECTORS = ("q", "qd", "qdd")
 COMPONENTS = ("x", "y", "vx", "vy")
 
@@ -42,7 +40,7 @@ def assemble(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    range: Annotated[bool, Option("--range", help=_RANGE)] = False,
+    range: bool = switch("How far each actuated joint can go from there, in place of the points."),
     rows: RowOptions = RowOptions(),
 ) -> None:
     """Close the loops: all angles, rates and points.

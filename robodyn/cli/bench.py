@@ -6,11 +6,10 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.figures import check_directory, check_plot
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Q, Qd, Text
+from robodyn.cli.options import Model, Q, Qd, Text, option, switch
 from robodyn.cli.output import RowOptions, default_format, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import Quantity, remarks, single_state
@@ -25,8 +24,6 @@ COLUMNS = (
     *("method", "tolerance", "error", "error_end", "drift", "gap"),
     *("evals", "steps", "median_ms", "least_ms", "front"),
 )
-_REPEATS = "Timed runs of each, taken in turn."
-_EVALUATORS = "Measure dynamics of single states and batches instead."
 _PLOT = "Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
 
 
@@ -34,10 +31,10 @@ def bench(
     model: Model,
     q: Q = None,
     qd: Qd = None,
-    duration: Annotated[float, Option("--time", metavar="S", help="End time, s.")] = 10.0,
-    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help="As in simulate.")] = None,
-    repeats: Annotated[int, Option("--repeats", metavar="N", help=_REPEATS)] = 3,
-    evaluators: Annotated[bool, Option("--evaluators", help=_EVALUATORS)] = False,
+    duration: float = option("End time, s.", "S", default=10.0, flag="--time"),
+    tau: Text = option("As in simulate.", "TORQUES"),
+    repeats: int = option("Timed runs of each, taken in turn.", "N", default=3),
+    evaluators: bool = switch("Measure dynamics of single states and batches instead."),
     plot: Annotated[Text, output_file("--plot", help=_PLOT)] = None,
     rows: RowOptions = RowOptions(),
 ) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.equilibrium import WORDS, joint_torques, tell_what_is_left_out
 from robodyn.cli.files import output_file
@@ -20,7 +19,8 @@ from robodyn.cli.options import (
     Tau,
     Text,
     named_options,
-    vector,
+    option,
+    switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import Quantity, remarks, single_state
@@ -32,7 +32,6 @@ from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.output_file import open_output
 
-_LQR = "The gain of least cost (LQR) too."
 _X = "Weights of coordinates and rates: one, one each, or a matrix row by row. Default: 1."
 _U = "Weights of the actuated joints' torques, likewise. Default: 1."
 _GAIN_OUT = "Write the gain here for simulate --gain, all or nothing."
@@ -44,9 +43,9 @@ def linearize(
     q: Q = None,
     qd: Qd = None,
     tau: Tau = None,
-    lqr: Annotated[bool, Option("--lqr", help=_LQR)] = False,
-    weights_x: Annotated[Text, vector("--weights-x", _X)] = None,
-    weights_u: Annotated[Text, vector("--weights-u", _U)] = None,
+    lqr: bool = switch("The gain of least cost (LQR) too."),
+    weights_x: Text = option(_X, "VECTOR"),
+    weights_u: Text = option(_U, "VECTOR"),
     gain_out: Annotated[Text, output_file("--gain-out", help=_GAIN_OUT)] = None,
     format: OutputStructured = None,
     out: Out = None,

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from typer import Option
-
-from robodyn.cli.options import Model, Q, Qd, Qdd, States
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, switch
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate, option_source, overflow
 from robodyn.errors import InputError
@@ -25,23 +23,20 @@ if TYPE_CHECKING:
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
-_LINKS = "Each link's angle, its rate and acceleration."
-_TRANSMISSION = "The transmission angle of each loop, rad."
 _RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
-_JACOBIAN = "How far each point goes with each actuated joint."
 
 
 def points(
     model: Model,
     states: States = None,
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
+    of: list[str] | None = option(OF, POINTS),
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    links: Annotated[bool, Option("--links", help=_LINKS)] = False,
-    transmission: Annotated[bool, Option("--transmission", help=_TRANSMISSION)] = False,
-    ratio: Annotated[list[str] | None, Option("--ratio", metavar="A/B", help=_RATIO)] = None,
-    jacobian: Annotated[bool, Option("--jacobian", help=_JACOBIAN)] = False,
+    links: bool = switch("Each link's angle, its rate and acceleration."),
+    transmission: bool = switch("The transmission angle of each loop, rad."),
+    ratio: list[str] | None = option(_RATIO, "A/B"),
+    jacobian: bool = switch("How far each point goes with each actuated joint."),
     rows: StateOptions = StateOptions(),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.

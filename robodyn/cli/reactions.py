@@ -8,10 +8,9 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, option, vector
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import Quantity, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
@@ -34,7 +33,7 @@ def reactions(
     qdd: Qdd = None,
     tau: Tau = None,
     force: Force = None,
-    harmonics: Annotated[int | None, Option("--harmonics", metavar="[N]", help=_HARMONICS)] = None,
+    harmonics: int | None = option(_HARMONICS, "[N]"),
     rows: StateOptions = StateOptions(),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.

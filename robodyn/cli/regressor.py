@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Q, Qd, Qdd, States
+from robodyn.cli.options import Model, Q, Qd, Qdd, States, switch
 from robodyn.cli.output import Grid, StateOptions, write_structure
 from robodyn.cli.states import Quantity, evaluate, remarks
 from robodyn.errors import InputError
@@ -17,15 +14,6 @@ from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import balanced_joints, balanced_mechanism
 from robodyn.parameters.regression_matrix import regressor as matrix
 
-_BASE = (
-    "The fewest combinations of parameters that torques depend on, with the scene's numbers; "
-    "with states the columns of these alone."
-)
-_CONDITION = (
-    "In place of the rows: the condition of the base parameters' columns, each scaled to 1, and "
-    "the combinations that the motion does not excite."
-)
-
 
 def regressor(
     model: Model,
@@ -33,8 +21,14 @@ def regressor(
     q: Q = None,
     qd: Qd = None,
     qdd: Qdd = None,
-    base: Annotated[bool, Option("--base", help=_BASE)] = False,
-    condition: Annotated[bool, Option("--condition", help=_CONDITION)] = False,
+    base: bool = switch(
+        "The fewest combinations of parameters that torques depend on, with the scene's numbers; "
+        "with states the columns of these alone."
+    ),
+    condition: bool = switch(
+        "In place of the rows: the condition of the base parameters' columns, each scaled to 1, "
+        "and the combinations that the motion does not excite."
+    ),
     rows: StateOptions = StateOptions(),
 ) -> None:
     """Y(q, qd, qdd): the torques are linear in masses, moments, dampers and springs, tau = Y pi.

@@ -11,12 +11,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Extremes, Format, Model, Number, Q, Qd, Quiet, Text
+from robodyn.cli.options import Extremes, Format, Model, Number, Q, Qd, Quiet, Text, option
 from robodyn.cli.output import default_format, extremes_writer, maker, note, told
 from robodyn.cli.run_summary import tell_run
 from robodyn.cli.signals import watching
@@ -57,8 +56,8 @@ class UnfinishedError(RobodynError):
 class TimeOptions:
     """When it ends, and where the rows are."""
 
-    duration: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None
-    every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None
+    duration: Number = option(_TIME, "S", flag="--time")
+    every: Number = option("Time between rows, s.", "S")
     points: Points = None
 
 

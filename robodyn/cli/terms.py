@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd, Qdd, Tau
+from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd, Qdd, Tau, option, switch
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
 from robodyn.cli.states import Quantity, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
@@ -18,7 +15,6 @@ from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_un
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
 _BY = "By a number of the scene too, links.forearm.m; repeatable."
-_DERIVATIVES = "Those of torques and accelerations too."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
@@ -26,8 +22,8 @@ def terms(
     model: Model,
     q: Q = None,
     qd: Qd = None,
-    derivatives: Annotated[bool, Option("--derivatives", help=_DERIVATIVES)] = False,
-    by: Annotated[list[str] | None, Option("--by", metavar="NUMBER", help=_BY)] = None,
+    derivatives: bool = switch("Those of torques and accelerations too."),
+    by: list[str] | None = option(_BY, "NUMBER"),
     qdd: Qdd = None,
     tau: Tau = None,
     format: OutputStructured = None,

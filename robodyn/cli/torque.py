@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Annotated
-
-from typer import Option
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Number, Q, Qd, Qdd, States
+from robodyn.cli.options import Model, Number, Q, Qd, Qdd, States, option, switch
 from robodyn.cli.output import StateOptions
 from robodyn.cli.states import (
     Quantity,
@@ -24,12 +21,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.pictures.column_units import scene_units
 
-_POWER = "The power of each actuated joint's torque."
-_FLUCTUATION = (
-    "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
-    "flywheel that holds this fluctuation of speed, such as 0.02."
-)
-
 
 def torque(
     model: Model,
@@ -38,10 +29,12 @@ def torque(
     qd: Qd = None,
     qdd: Qdd = None,
     force: Force = None,
-    power: Annotated[bool, Option("--power", help=_POWER)] = False,
-    fluctuation: Annotated[
-        Number, Option("--fluctuation", metavar="DELTA", help=_FLUCTUATION)
-    ] = None,
+    power: bool = switch("The power of each actuated joint's torque."),
+    fluctuation: Number = option(
+        "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
+        "flywheel that holds this fluctuation of speed, such as 0.02.",
+        "DELTA",
+    ),
     rows: StateOptions = StateOptions(),
 ) -> None:
     """The torques that a motion needs, and the pin forces.

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli import trajectory_options as ways
-from robodyn.cli.options import Model, Text
+from robodyn.cli.options import Model, Text, option
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
@@ -36,9 +34,7 @@ WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows
 def trajectory(
     model: Model,
     given: TrajectoryOptions = TrajectoryOptions(),
-    every: Annotated[
-        Text, Option("--every", metavar="S", help="Time between rows, s, or 10ms.")
-    ] = None,
+    every: Text = option("Time between rows, s, or 10ms.", "S"),
     points: Points = None,
     rows: RowOptions = RowOptions(),
 ) -> None:
