@@ -15,7 +15,7 @@ from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.placed import placed
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
 from robodyn.pictures.column_units import scene_units
@@ -114,7 +114,7 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
         columns = [column for source in sources for column in source.columns]
         blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]
     t, *rest = np.concatenate([np.zeros((0, 1 + len(columns))), *blocks]).T
-    try:
+    with at_place(name):
         cut = len(sources[0].columns)
         given = [np.transpose(rest[:cut]), np.transpose(rest[cut:])][: len(sources)]
         q, *qd = complete(mechanism, sources, given)
@@ -122,6 +122,3 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
             turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
             q[:, turning] = np.unwrap(q[:, turning], axis=0)
         return frames(mechanism, t, q, qd[0] if qd else None, fps, speed)
-    except RobodynError as error:
-        error.add_place(name)
-        raise

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.options import Model, Q, Qd, Qdd, switch
+from robodyn.cli.options import Model, Qdd, switch
 from robodyn.cli.output import (
     Grid,
     RowOptions,
@@ -19,7 +19,7 @@ from robodyn.cli.output import (
     note,
     write_structure,
 )
-from robodyn.cli.states import Quantity, option_source, overflow, single_state
+from robodyn.cli.states import StateOptions, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
@@ -37,8 +37,7 @@ COMPONENTS = ("x", "y", "vx", "vy")
 
 def assemble(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
+    state: StateOptions = StateOptions(),
     qdd: Qdd = None,
     range: bool = switch("How far each actuated joint can go from there, in place of the points."),
     rows: RowOptions = RowOptions(),
@@ -61,7 +60,7 @@ def assemble(
       robodyn assemble five-bar --q 120deg,60deg --range
     """
     mechanism = model.load()
-    given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    given = state.quantities(qdd=qdd)
     ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
     found = []
     for name, way in ways:

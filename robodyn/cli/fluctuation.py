@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from robodyn.cli.output import StateOptions, degrees
-from robodyn.cli.states import Quantity, evaluate
+from robodyn.cli.output import degrees
+from robodyn.cli.states import Quantity, TableOptions, evaluate
 from robodyn.dynamics.dynamics import inverse_dynamics
 from robodyn.dynamics.flywheel import Flywheel, flywheel
 from robodyn.errors import InputError
@@ -21,17 +21,16 @@ FLAG = "--fluctuation"
 
 def tell_flywheel(
     mechanism: Mechanism,
-    states: str | None,
+    given: TableOptions,
     quantities: Sequence[Quantity],
     delta: float,
-    rows: StateOptions,
 ) -> None:
-    """Write the flywheel for a turn, the rows of `states`; InputError naming what is none."""
-    if rows.extremes:
+    """Write the flywheel for a turn, the rows given; InputError naming what is none."""
+    if given.extremes:
         raise InputError("--extremes and --fluctuation", limit="exclude each other")
     if degrees.get():
         raise InputError("--degrees and --fluctuation", limit="exclude each other")
-    if states is None:
+    if given.states is None:
         raise InputError(FLAG, limit="needs STATES: rows over a turn")
     if not 0.0 < delta < 2.0:
         limit = "must be > 0 and < 2: greatest less least speed, by their mean"
@@ -44,7 +43,7 @@ def tell_flywheel(
 
     columns = [f"{name}{k + 1}" for name in ("q", "qd", "tau")]
     summary = partial(TurnWriter, delta=delta)
-    evaluate(mechanism, states, quantities, columns, compute, rows, summary=summary)
+    evaluate(mechanism, given, quantities, columns, compute, summary=summary)
 
 
 def driven_joint(mechanism: Mechanism, flag: str) -> int:

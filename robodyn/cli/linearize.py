@@ -14,8 +14,6 @@ from robodyn.cli.options import (
     Model,
     Out,
     OutputStructured,
-    Q,
-    Qd,
     Tau,
     Text,
     named_options,
@@ -23,7 +21,7 @@ from robodyn.cli.options import (
     switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
-from robodyn.cli.states import Quantity, remarks, single_state
+from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -40,8 +38,7 @@ GAIN_KEYS = ("coordinates", "q", "tau", "gain")
 
 def linearize(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
+    state: StateOptions = StateOptions(),
     tau: Tau = None,
     lqr: bool = switch("The gain of least cost (LQR) too."),
     weights_x: Text = option(_X, "VECTOR"),
@@ -70,13 +67,12 @@ def linearize(
       robodyn linearize cart-pole --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
     """
     mechanism = model.load()
-    given = [Quantity("q", q, True), Quantity("qd", qd)]
     weigh = {"--weights-x": weights_x, "--weights-u": weights_u}
     for flag, value in (weigh | {"--gain-out": gain_out}).items():
         if value is not None and not lqr:
             raise InputError(flag, value=value, limit="there is no gain without --lqr")
     weights = [parse_vector("1" if x is None else x, where=flag) for flag, x in weigh.items()]
-    pose, rates = single_state(mechanism, given)
+    pose, rates = single_state(mechanism, state.quantities())
     torques = None if tau is None else joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
     with remarks(), named_options(["weights_x", "weights_u"]):

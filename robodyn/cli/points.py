@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, option, switch
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, option_source, overflow
+from robodyn.cli.options import Model, Qdd, option, switch
+from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import (
     NamedPoint,
@@ -28,16 +27,13 @@ _RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
 
 def points(
     model: Model,
-    states: States = None,
+    given: TableOptions = TableOptions(),
     of: list[str] | None = option(OF, POINTS),
-    q: Q = None,
-    qd: Qd = None,
     qdd: Qdd = None,
     links: bool = switch("Each link's angle, its rate and acceleration."),
     transmission: bool = switch("The transmission angle of each loop, rad."),
     ratio: list[str] | None = option(_RATIO, "A/B"),
     jacobian: bool = switch("How far each point goes with each actuated joint."),
-    rows: StateOptions = StateOptions(),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.
 
@@ -60,11 +56,11 @@ def points(
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
     columns = point_columns(named)
-    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
-    more = jacobian or links or transmission or ratio or rows.differentiate
-    if states is None and not (more or mechanism.rows or mechanism.passive):
+    quantities = given.quantities(qdd=qdd)
+    more = jacobian or links or transmission or ratio or given.differentiate
+    if given.states is None and not (more or mechanism.rows or mechanism.passive):
         row = _single_row(mechanism, named, quantities)
-        with rows.writer(columns, units=scene_units(mechanism)) as writer:
+        with given.writer(columns, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
 
@@ -101,7 +97,7 @@ def points(
             parts.append(rate_ratios(mechanism, ratios, q, qd))
         return np.concatenate(parts, axis=-1)
 
-    evaluate(mechanism, states, quantities, columns, compute, rows, adds=True)
+    evaluate(mechanism, given, quantities, columns, compute, adds=True)
 
 
 def _loops(mechanism: Mechanism) -> list[str]:

@@ -22,7 +22,7 @@ from robodyn.cli.states import (
     option_source,
 )
 from robodyn.cli.times import value_from
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -236,11 +236,8 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     if at is not None:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"
         source = replace(given, quantity=source.quantity)
-    try:
+    with at_place(name):
         (pose,) = complete(mechanism, [source], [np.array(source.values)])
-    except RobodynError as error:
-        error.add_place(name)
-        raise
     return replace(found, q=pose.tolist())
 
 
