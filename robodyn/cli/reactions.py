@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -72,21 +71,9 @@ def reactions(
     if harmonics is None:
         evaluate(mechanism, given, quantities, columns, compute, either)
         return
-    from robodyn.cli.fluctuation import driven_joint
-    from robodyn.cli.shaking_orders import FLAG, SHAKE, HarmonicsWriter, check
+    from robodyn.cli.turns import tell_shaking_orders
 
-    check(harmonics)
-    if given.extremes:
-        raise InputError(f"--extremes and {FLAG}", limit="exclude each other")
-    if given.states is None:
-        raise InputError(FLAG, limit="needs STATES: rows over a turn")
-    k = driven_joint(mechanism, FLAG)
-
-    def shaken(q: np.ndarray, **motion: np.ndarray) -> np.ndarray:
-        return np.column_stack([q[:, k], compute(q, **motion)[:, -len(SHAKE) :]])
-
-    summary, told = partial(HarmonicsWriter, most=harmonics), [f"q{k + 1}", *SHAKE]
-    evaluate(mechanism, given, quantities, told, shaken, either, summary=summary)
+    tell_shaking_orders(mechanism, given, quantities, either, compute, harmonics)
 
 
 @dataclass

@@ -178,9 +178,10 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.rank_correlations import RankCorrelations
+    from robodyn.tables.rank_correlations import correlation_table
+    from robodyn.tables.summaries import KeptRows
 
-    return RankCorrelations(*given, varied=varied)
+    return KeptRows(*given, of=partial(correlation_table, varied=varied))
 
 
 class _Lines:

@@ -60,7 +60,7 @@ def torque(
     mechanism = load_with(model, force)
     quantities = given.quantities(qdd=qdd)
     if fluctuation is not None:
-        from robodyn.cli.fluctuation import tell_flywheel
+        from robodyn.cli.turns import tell_flywheel
 
         if power:
             raise InputError("--power and --fluctuation", limit="exclude each other")
