@@ -25,6 +25,10 @@ from robodyn.scene.rewrite import write_scene
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
 _PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
 _CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
+_OF = (
+    "Numbers of the scene to find, links.forearm.m,links.forearm.I: masses, r, I, payloads, "
+    "damping, friction, rotors, springs; else base parameters. Lengths: see `fit`."
+)
 _SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
 _RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
 LITTLE = 0.1  # of a torque's rms: where more is left, the scene does not tell the data
@@ -37,11 +41,7 @@ BELOW = 5.0  # standard errors by which what no body has below 0 is below it
 def identify(
     model: Model,
     data: Annotated[str, rows_argument("DATA", _DATA)],
-    of: Text = option(
-        "Numbers of the scene to find, links.forearm.m,links.forearm.I: masses, r, I, payloads, "
-        "damping, friction, rotors, springs; else base parameters. Lengths: see `fit`.",
-        "NAMES",
-    ),
+    of: Text = option(_OF, "NAMES"),
     physical: bool = switch(_PHYSICAL),
     cutoff: Number = option(_CUTOFF, "HZ"),
     fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
