@@ -6,7 +6,8 @@ numerics raise them; only the command line turns them into text and an exit code
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 LONGEST_PART = 1000  # characters of a part of a message; names of the input may be many or long
@@ -39,6 +40,17 @@ class RobodynError(Exception):
     def add_place(self, place: str) -> None:
         """Put `place` (a row of a table, say) before where the error already is."""
         self.where = f"{place}: {self.where}" if self.where else place
+
+
+@contextmanager
+def at_place(place: str, *of: str) -> Iterator[None]:
+    """What is wrong within it is told with its place; `of` what it may be, where not all is."""
+    try:
+        yield
+    except RobodynError as error:
+        if not of or error.what.startswith(of):
+            error.add_place(place)
+        raise
 
 
 class InputError(RobodynError):

@@ -68,7 +68,7 @@ def test_the_walk_finds_what_is_there() -> None:
         *("simulate model report", "simulate control_model out", "simulate track out"),
         *("simulate tau_from out", "simulate report out", "trajectory via out"),
         *("plot files out", "draw model out", "draw states out", "animate states out"),
-        *("bench plot out", "sweep model out", "export model out", "torque states out"),
+        *("bench plot out", "sweep model out", "export model out", "torque out states"),
     ):
         assert tuple(known.split()) in found
 

@@ -15,9 +15,9 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from importlib import import_module
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, get_type_hints
 
 import typer
 
@@ -197,19 +197,15 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         kind: Any = parameter.annotation
         if isinstance(kind, type) and is_dataclass(kind):
             groups[name] = kind
-            options += inspect.signature(kind, eval_str=True).parameters.values()
+            kinds = get_type_hints(kind, include_extras=True)
+            options += [_declared(field.name, kinds[field.name], field) for field in fields(kind)]
         else:
-            options.append(parameter)
+            options.append(_declared(name, kind, parameter.default))
     tells_angles = function.__name__ in TELL_ANGLES
-
-    def add(name: str, default: object, annotation: object) -> None:
-        where = {"default": default, "annotation": annotation}
-        options.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, **where))
-
     if any(files.reads_rows(option.annotation) for option in options):
-        add("delimiter", None, files.Delimiter)
+        options.append(_declared("delimiter", files.Delimiter, None))
     if tells_angles:
-        add("degrees", False, Degrees)
+        options.append(_declared("degrees", Degrees, False))
 
     @functools.wraps(function)
     def guarded(**given: Any) -> None:
@@ -218,19 +214,31 @@ def _guarded(function: Callable[..., None]) -> Callable[..., None]:
         numbers_overflow_in_silence()
         files.delimiter.set(given.pop("delimiter", ","))
         degrees.set(tells_angles and given.pop("degrees"))
-        for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        made = {
+            name: group(**{field.name: given.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
         try:
-            function(**given)
+            function(**given, **made)
             sys.stdout.flush()
         except BrokenPipeError:
             raise typer.Exit(_without_reader()) from None
         except KeyboardInterrupt:
             raise typer.Exit(130) from None
 
-    options = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
     setattr(guarded, "__signature__", inspect.Signature(options))  # noqa: B010 (no attribute to mypy)
     return guarded
+
+
+def _declared(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    """A parameter as typer takes it; `default` may be a field, as `options.option` makes it."""
+    if isinstance(default, Field):
+        if told := default.metadata.get("option"):
+            told.param_decls = told.param_decls or ["--" + name.strip("_").replace("_", "-")]
+            kind = Annotated[kind, told]
+        default = inspect.Parameter.empty if default.default is MISSING else default.default
+    where = {"default": default, "annotation": kind}
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, **where)
 
 
 def _without_reader() -> int:

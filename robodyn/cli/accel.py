@@ -5,21 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Q, Qd, States, Tau
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, loop_columns
+from robodyn.cli.options import Model, Tau
+from robodyn.cli.states import TableOptions, evaluate, loop_columns
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces, loop_forces
 from robodyn.loops.loop_rates import check_way_on
 
 
 def accel(
     model: Model,
-    states: States = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
     tau: Tau = None,
     force: Force = None,
-    rows: StateOptions = StateOptions(),
 ) -> None:
     """The accelerations that torques cause, and the pin forces.
 
@@ -43,5 +39,4 @@ def accel(
         forces = loop_forces(mechanism, solution.multipliers, q)
         return np.concatenate([solution.qdd, forces], axis=-1)
 
-    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("tau", tau)]
-    evaluate(mechanism, states, quantities, columns, compute, rows)
+    evaluate(mechanism, given, given.quantities(tau=tau), columns, compute)

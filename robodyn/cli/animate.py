@@ -6,17 +6,16 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options
+from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options, option
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
 from robodyn.cli.states import Quantity, complete, remarks, single_state, table_source
 from robodyn.dynamics.placed import placed
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.animation_files import check_animation, check_programs, write_animation
 from robodyn.pictures.column_units import scene_units
@@ -27,10 +26,8 @@ from robodyn.tables.delimited import columns_told
 from robodyn.tables.table import Reader
 
 SHOWN = 2.0  # s that a mode is watched at least
-_TRACE = "The same as --of."
 _OUT = "Write here, all or nothing: .gif, .mp4 or .html."
 _MODE = "In place of rows: natural mode K, as linearize counts them, about --q."
-_SPEED = "Seconds of the motion in one second."
 
 
 def animate(
@@ -38,13 +35,13 @@ def animate(
     states: Annotated[Text, rows_argument("[CSV]", "Rows with t and q1..; - is stdin.")] = None,
     *,
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
-    mode: Annotated[int | None, Option("--mode", metavar="K", help=_MODE)] = None,
+    mode: int | None = option(_MODE, "K"),
     q: Q = None,
     tau: Tau = None,
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
-    trace: Annotated[list[str] | None, Option("--trace", metavar=POINTS, help=_TRACE)] = None,
-    fps: Annotated[float, Option("--fps", metavar="N", help="Frames a second.")] = 25.0,
-    speed: Annotated[float, Option("--speed", metavar="X", help=_SPEED)] = 1.0,
+    of: list[str] | None = option(OF, POINTS),
+    trace: list[str] | None = option("The same as --of.", POINTS),
+    fps: float = option("Frames a second.", "N", default=25.0),
+    speed: float = option("Seconds of the motion in one second.", "X", default=1.0),
     size: Size = None,
 ) -> None:
     """A motion as a moving picture, in real time.
@@ -117,7 +114,7 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
         columns = [column for source in sources for column in source.columns]
         blocks = [chunk.values for chunk in reader.chunks(["t", *columns])]
     t, *rest = np.concatenate([np.zeros((0, 1 + len(columns))), *blocks]).T
-    try:
+    with at_place(name):
         cut = len(sources[0].columns)
         given = [np.transpose(rest[:cut]), np.transpose(rest[cut:])][: len(sources)]
         q, *qd = complete(mechanism, sources, given)
@@ -125,6 +122,3 @@ def _read(mechanism: Mechanism, states: str, fps: float, speed: float) -> Frames
             turning = [k for k in range(mechanism.n) if k not in mechanism.slides]
             q[:, turning] = np.unwrap(q[:, turning], axis=0)
         return frames(mechanism, t, q, qd[0] if qd else None, fps, speed)
-    except RobodynError as error:
-        error.add_place(name)
-        raise

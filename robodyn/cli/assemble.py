@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Q, Qd, Qdd
+from robodyn.cli.options import Model, Qdd, switch
 from robodyn.cli.output import (
     Grid,
     RowOptions,
@@ -20,7 +19,7 @@ from robodyn.cli.output import (
     note,
     write_structure,
 )
-from robodyn.cli.states import Quantity, option_source, overflow, single_state
+from robodyn.cli.states import StateOptions, option_source, overflow, single_state
 from robodyn.dynamics.closed_form import point_motion
 from robodyn.errors import AssemblyError
 from robodyn.loops import assembly, loop_rates
@@ -32,17 +31,15 @@ from robodyn.scene.scene import BRANCHES
 from robodyn.trajectories.joint_ranges import joint_ranges
 
 MOST_LOOPS = 3  # with more two-way closures than this only the scene's own branch is told
-_RANGE = "How far each actuated joint can go from there, in place of the points."
 VECTORS = ("q", "qd", "qdd")
 COMPONENTS = ("x", "y", "vx", "vy")
 
 
 def assemble(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
+    state: StateOptions = StateOptions(),
     qdd: Qdd = None,
-    range: Annotated[bool, Option("--range", help=_RANGE)] = False,
+    range: bool = switch("How far each actuated joint can go from there, in place of the points."),
     rows: RowOptions = RowOptions(),
 ) -> None:
     """Close the loops: all angles, rates and points.
@@ -63,7 +60,7 @@ def assemble(
       robodyn assemble five-bar --q 120deg,60deg --range
     """
     mechanism = model.load()
-    given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    given = state.quantities(qdd=qdd)
     ways = _branches(mechanism, option_source(mechanism, given[0]).whole)
     found = []
     for name, way in ways:

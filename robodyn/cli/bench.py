@@ -6,14 +6,13 @@ from itertools import chain
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.figures import check_directory, check_plot
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Model, Q, Qd, Text
+from robodyn.cli.options import Model, Text, option, switch
 from robodyn.cli.output import RowOptions, default_format, note
 from robodyn.cli.progress import progress
-from robodyn.cli.states import Quantity, remarks, single_state
+from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
@@ -25,19 +24,16 @@ COLUMNS = (
     *("method", "tolerance", "error", "error_end", "drift", "gap"),
     *("evals", "steps", "median_ms", "least_ms", "front"),
 )
-_REPEATS = "Timed runs of each, taken in turn."
-_EVALUATORS = "Measure dynamics of single states and batches instead."
 _PLOT = "Draw the work-precision diagram (png, svg, pdf; the extra `plot`)."
 
 
 def bench(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
-    duration: Annotated[float, Option("--time", metavar="S", help="End time, s.")] = 10.0,
-    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help="As in simulate.")] = None,
-    repeats: Annotated[int, Option("--repeats", metavar="N", help=_REPEATS)] = 3,
-    evaluators: Annotated[bool, Option("--evaluators", help=_EVALUATORS)] = False,
+    state: StateOptions = StateOptions(),
+    duration: float = option("End time, s.", "S", default=10.0, flag="--time"),
+    tau: Text = option("As in simulate.", "TORQUES"),
+    repeats: int = option("Timed runs of each, taken in turn.", "N", default=3),
+    evaluators: bool = switch("Measure dynamics of single states and batches instead."),
     plot: Annotated[Text, output_file("--plot", help=_PLOT)] = None,
     rows: RowOptions = RowOptions(),
 ) -> None:
@@ -77,11 +73,9 @@ def bench(
     torques = Actuation((0.0,) * mechanism.n)
     if tau is not None:
         torques = actuation.expressions(mechanism, tau, "--tau")
-    state = single_state(mechanism, [Quantity("q", q, True), Quantity("qd", qd)])
+    begin = np.concatenate(single_state(mechanism, state.quantities()))
     with remarks(), progress("measuring", silent=0.0) as watch:
-        result = benchmark(
-            mechanism, np.concatenate(state), duration, torques, repeats=repeats, watch=watch
-        )
+        result = benchmark(mechanism, begin, duration, torques, repeats=repeats, watch=watch)
     # two digits for people
     short = default_format(rows.format, rows.out) == "table" and not rows.extremes
     with rows.writer(COLUMNS) as writer:

@@ -20,6 +20,8 @@ from robodyn.cli.options import (
     Qdd,
     Size,
     States,
+    option,
+    switch,
 )
 from robodyn.cli.output import note
 from robodyn.cli.points import OF, POINTS, points_given
@@ -54,8 +56,6 @@ DEFAULT_POSES = 8
 MOST_POSES = 200
 Labels = Literal["names", "numbers"]  # what is written beside the links
 _TAU = "Joint torques, N m, in place of --qdd, for --forces."
-_FORCES = "Arrows: weights, and the force in every pin."
-_POSES = "Of STATES, the most that are drawn."
 Tau = Annotated[str | None, Option("--tau", metavar="VECTOR", help=_TAU)]
 
 
@@ -66,10 +66,10 @@ def draw(
     qd: Qd = None,
     qdd: Qdd = None,
     tau: Tau = None,
-    forces: Annotated[bool, Option("--forces", help=_FORCES)] = False,
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
-    labels: Annotated[Labels | None, Option("--labels", help="Beside each link.")] = None,
-    poses: Annotated[int, Option("--poses", metavar="N", help=_POSES)] = DEFAULT_POSES,
+    forces: bool = switch("Arrows: weights, and the force in every pin."),
+    of: list[str] | None = option(OF, POINTS),
+    labels: Labels | None = option("Beside each link."),
+    poses: int = option("Of STATES, the most that are drawn.", "N", default=DEFAULT_POSES),
     size: Size = None,
     dpi: Dpi = DOTS,
     format: OutputPicture = None,

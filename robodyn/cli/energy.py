@@ -5,19 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Q, Qd, States
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate
+from robodyn.cli.options import Model
+from robodyn.cli.states import TableOptions, evaluate
 from robodyn.dynamics.closed_form import kinetic_energy, potential_energy
 
 
 def energy(
     model: Model,
-    states: States = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
     force: Force = None,
-    rows: StateOptions = StateOptions(),
 ) -> None:
     """Kinetic energy, potential energy and their sum.
 
@@ -35,5 +31,4 @@ def energy(
         KE, PE = kinetic_energy(mechanism, q, qd), potential_energy(mechanism, q)
         return np.stack([KE, PE, KE + PE], axis=-1)
 
-    quantities = [Quantity("q", q, True), Quantity("qd", qd)]
-    evaluate(mechanism, states, quantities, ["KE", "PE", "energy"], compute, rows)
+    evaluate(mechanism, given, given.quantities(), ["KE", "PE", "energy"], compute)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import shutil
 import sys
-from typing import Annotated, Literal
+from typing import Literal
 
-from typer import Option
-
-from robodyn.cli.options import Model, Out
+from robodyn.cli.options import Model, Out, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.progress import progress
 from robodyn.equations.code import c99, python
@@ -26,12 +24,10 @@ CODE = {"python": python, "c": c99}
 
 def equations(
     model: Model,
-    format: Annotated[
-        EquationFormat, Option("--format", help="To read, to typeset, to run, or for a program.")
-    ] = "text",
-    numeric: Annotated[
-        bool, Option("--numeric", help="Put the scene's numbers in for the symbols.")
-    ] = False,
+    format: EquationFormat = option(
+        "To read, to typeset, to run, or for a program.", default="text"
+    ),
+    numeric: bool = switch("Put the scene's numbers in for the symbols."),
     out: Out = None,
 ) -> None:
     """The equations of motion in closed form, with their symbols.

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Q, Tau, named_options
+from robodyn.cli.options import Model, Q, Tau, named_options, option, switch
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.states import Quantity, option_source, remarks, single_state
 from robodyn.mechanics.mechanism import Mechanism
@@ -15,8 +12,6 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.rest.poses_at_rest import equilibria
 from robodyn.rest.poses_at_rest import equilibrium as pose_at_rest
 
-_HOLD = "A link whose joint stays where it is; repeatable."
-_ALL = "All that are found from many starts."
 WORDS = {True: "yes", False: "no", None: "undecided"}
 
 
@@ -24,8 +19,8 @@ def equilibrium(
     model: Model,
     q: Q = None,
     tau: Tau = None,
-    hold: Annotated[list[str] | None, Option("--hold", metavar="LINK", help=_HOLD)] = None,
-    all: Annotated[bool, Option("--all", help=_ALL)] = False,
+    hold: list[str] | None = option("A link whose joint stays where it is; repeatable.", "LINK"),
+    all: bool = switch("All that are found from many starts."),
     rows: RowOptions = RowOptions(),
 ) -> None:
     """Where the mechanism rests: near a pose, or everywhere.

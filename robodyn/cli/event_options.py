@@ -6,10 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated
 
-from typer import Option
-
 from robodyn.cli.files import output_file
-from robodyn.cli.options import Text
+from robodyn.cli.options import Text, option
 from robodyn.errors import InputError
 from robodyn.events.functions import event_functions
 from robodyn.events.watch import EventWatch
@@ -25,8 +23,8 @@ _EVENTS = "Writes event,t,q1..,qd1.. of each event as CSV."
 class EventOptions:
     """What to look for on the way."""
 
-    until: Annotated[Text, Option("--until", metavar="EXPR", help=_UNTIL)] = None
-    event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=EVENT)] = None
+    until: Text = option(_UNTIL, "EXPR")
+    event: list[str] | None = option(EVENT, "NAME=EXPR")
     events: Annotated[Text, output_file("--events", help=_EVENTS)] = None
 
     def watch(self, mechanism: Mechanism, t_end: float) -> EventWatch | None:

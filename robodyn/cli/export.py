@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from dataclasses import MISSING
+from typing import Literal
 
-from typer import Option
-
-from robodyn.cli.options import Model, Number, Out, Q
+from robodyn.cli.options import Model, Number, Out, Q, option
 from robodyn.cli.output import note
 from robodyn.errors import InputError
 from robodyn.tables.output_file import open_output
@@ -16,13 +15,9 @@ ModelFormat = Literal["urdf", "mjcf"]  # the language of a model file
 
 def export(
     model: Model,
-    format: Annotated[
-        ModelFormat, Option("--format", help="urdf (ROS, Pinocchio) or mjcf (MuJoCo).")
-    ],
+    format: ModelFormat = option("urdf (ROS, Pinocchio) or mjcf (MuJoCo).", default=MISSING),
     q: Q = None,
-    timestep: Annotated[
-        Number, Option("--timestep", metavar="S", help="Of mjcf, s. Default: 0.001.")
-    ] = None,
+    timestep: Number = option("Of mjcf, s. Default: 0.001.", "S"),
     out: Out = None,
 ) -> None:
     """The same mechanism as URDF or MJCF, for other tools.

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument
 from robodyn.cli.motion_files import MotionFile, read_motion
-from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options
+from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
 from robodyn.errors import InputError, RobodynError
@@ -24,12 +23,12 @@ from robodyn.pictures.column_units import scene_units
 from robodyn.scene.rewrite import write_scene
 
 _DATA = "CSV file (t, q1.., tau1.., and qd, qdd where they are known), or - for stdin."
+_PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
+_CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
 _OF = (
     "Numbers of the scene to find, links.forearm.m,links.forearm.I: masses, r, I, payloads, "
     "damping, friction, rotors, springs; else base parameters. Lengths: see `fit`."
 )
-_PHYSICAL = "Masses and moments of inertia above 0, damping and friction not below it."
-_CUTOFF = "Low-pass for joint values whose rates are to be found, Hz, of zero phase."
 _SCENE = "Write the scene with the numbers found here; comments and order stay. - is stdout."
 _RESIDUALS = "Write the rows here, with residual1..: tau less what the numbers found give."
 LITTLE = 0.1  # of a torque's rms: where more is left, the scene does not tell the data
@@ -42,9 +41,9 @@ BELOW = 5.0  # standard errors by which what no body has below 0 is below it
 def identify(
     model: Model,
     data: Annotated[str, rows_argument("DATA", _DATA)],
-    of: Annotated[Text, Option("--of", metavar="NAMES", help=_OF)] = None,
-    physical: Annotated[bool, Option("--physical", help=_PHYSICAL)] = False,
-    cutoff: Annotated[Number, Option("--cutoff", metavar="HZ", help=_CUTOFF)] = None,
+    of: Text = option(_OF, "NAMES"),
+    physical: bool = switch(_PHYSICAL),
+    cutoff: Number = option(_CUTOFF, "HZ"),
     fitted: Annotated[Text, output_file("--out", "-o", help=_SCENE)] = None,
     residuals: Annotated[Text, output_file("--residuals", help=_RESIDUALS)] = None,
     format: OutputStructured = None,

@@ -6,10 +6,10 @@ import os
 import shlex
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument
 
 from robodyn.cli.files import output_file
-from robodyn.cli.options import OutputFormat, Text
+from robodyn.cli.options import OutputFormat, Text, option, switch
 from robodyn.cli.output import note, row_writer
 from robodyn.errors import InputError
 from robodyn.scene.example_scenes import example_options, scene_names, scene_text, summary
@@ -23,9 +23,9 @@ def init(
     name: Annotated[
         Text, Argument(metavar="[NAME]", help=_NAME, autocompletion=scene_names)
     ] = None,
-    names: Annotated[bool, Option("--list", help="List the names, as without NAME.")] = False,
+    names: bool = option("List the names, as without NAME.", default=False, flag="--list"),
     out: Annotated[Text, output_file("--out", "-o", help=_OUT)] = None,
-    force: Annotated[bool, Option("--force", help="Replace a file that exists.")] = False,
+    force: bool = switch("Replace a file that exists."),
     format: OutputFormat = None,
 ) -> None:
     """Write a commented scene to start from.

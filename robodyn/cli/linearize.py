@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.equilibrium import WORDS, joint_torques, tell_what_is_left_out
 from robodyn.cli.files import output_file
@@ -15,15 +14,14 @@ from robodyn.cli.options import (
     Model,
     Out,
     OutputStructured,
-    Q,
-    Qd,
     Tau,
     Text,
     named_options,
-    vector,
+    option,
+    switch,
 )
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
-from robodyn.cli.states import Quantity, remarks, single_state
+from robodyn.cli.states import StateOptions, remarks, single_state
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
@@ -32,7 +30,6 @@ from robodyn.rest.linear_model import linearize as linear_model
 from robodyn.scene.quantities import parse_vector
 from robodyn.tables.output_file import open_output
 
-_LQR = "The gain of least cost (LQR) too."
 _X = "Weights of coordinates and rates: one, one each, or a matrix row by row. Default: 1."
 _U = "Weights of the actuated joints' torques, likewise. Default: 1."
 _GAIN_OUT = "Write the gain here for simulate --gain, all or nothing."
@@ -41,12 +38,11 @@ GAIN_KEYS = ("coordinates", "q", "tau", "gain")
 
 def linearize(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
+    state: StateOptions = StateOptions(),
     tau: Tau = None,
-    lqr: Annotated[bool, Option("--lqr", help=_LQR)] = False,
-    weights_x: Annotated[Text, vector("--weights-x", _X)] = None,
-    weights_u: Annotated[Text, vector("--weights-u", _U)] = None,
+    lqr: bool = switch("The gain of least cost (LQR) too."),
+    weights_x: Text = option(_X, "VECTOR"),
+    weights_u: Text = option(_U, "VECTOR"),
     gain_out: Annotated[Text, output_file("--gain-out", help=_GAIN_OUT)] = None,
     format: OutputStructured = None,
     out: Out = None,
@@ -71,13 +67,12 @@ def linearize(
       robodyn linearize cart-pole --q 0,90deg --lqr --weights-x 1,10,1,1 --weights-u 0.1
     """
     mechanism = model.load()
-    given = [Quantity("q", q, True), Quantity("qd", qd)]
     weigh = {"--weights-x": weights_x, "--weights-u": weights_u}
     for flag, value in (weigh | {"--gain-out": gain_out}).items():
         if value is not None and not lqr:
             raise InputError(flag, value=value, limit="there is no gain without --lqr")
     weights = [parse_vector("1" if x is None else x, where=flag) for flag, x in weigh.items()]
-    pose, rates = single_state(mechanism, given)
+    pose, rates = single_state(mechanism, state.quantities())
     torques = None if tau is None else joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
     with remarks(), named_options(["weights_x", "weights_u"]):

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
-from robodyn.cli.found_rates import check_rising
+from robodyn.cli.found_rates import check_rising, lack_of, whole_table
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
-from robodyn.cli.states import Quantity, Source, complete, table_source
-from robodyn.errors import InputError, RobodynError
+from robodyn.cli.states import Quantity, complete, table_source
+from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.regression_matrix import balanced_mechanism
+from robodyn.parameters.zero_phase import how, rates
 from robodyn.pictures.column_units import scene_units
+from robodyn.tables.arrays import Array
 from robodyn.tables.csv_fields import shown
 from robodyn.tables.table import Reader
 
-Array = np.ndarray
 GAP = 5.0  # times the usual step: where t leaps by more, rows are missing
 
 
@@ -51,82 +53,40 @@ def read_motion(
         _check_joints(mechanism, reader.names, name)
         sources = [table_source(moving, x, reader.names, name) for x in wanted[:3]]
         sources += [table_source(mechanism, x, reader.names, name) for x in wanted[3:]]
-        absent = [x for x in sources if not x.given]
+        lack = lack_of(moving, sources)
         timed = "t" in reader.header
-        if cutoff is not None and not absent:
-            raise InputError(
-                "cutoff", value=cutoff, limit=f"is for rates that lack: {name} has qd, qdd"
-            )
-        if absent and not timed:
-            limit = f"no column t, to find {absent[0].quantity.name} by"
-            raise InputError("t", where=name, limit=limit)
+        if cutoff is not None and not lack.absent:
+            limit = f"is for rates that lack: {name} has qd, qdd"
+            raise InputError("cutoff", value=cutoff, limit=limit)
+        if lack.absent and not timed:
+            raise InputError("t", where=name, limit=f"no column t, to find {lack.absent[0]} by")
         columns = [x for source in sources for x in source.columns]
-        chunks = list(reader.chunks([*columns, *(["t"] if timed else [])]))
+        column, chunks = whole_table(reader, [*columns, *(["t"] if timed else [])])
     if not chunks:
         raise InputError("no rows", where=name, limit="the header is followed by no state")
-    values = np.concatenate([x.values for x in chunks])
     numbers = list(chain(*(x.line_numbers for x in chunks)))
-    t = values[:, -1] if timed else np.zeros(len(values))
+    t = column.get("t", np.zeros(len(numbers)))
     if timed:
         check_rising(t, numbers, name)
-        _check_gap(t, numbers, name) if absent else None
-    column = dict(zip(columns, values.T, strict=False))
-    given = {x.quantity.name: _columns(column, x.columns) for x in sources if x.columns}
-    found = []
-    for source in sources:
-        kind = source.quantity.name
-        if source.given:
-            found.append(source)
-            continue
-        base = next(x for x in reversed(sources[:2]) if x.given)
-        names = base.columns if base.whole and not mechanism.rows else None
-        names = names or base.quantity.columns(moving.actuated)
-        _tell(absent, names, base, cutoff) if source is absent[0] else None
-        order = len(kind) - len(base.quantity.name)
-        try:
-            given[kind] = _rates(t, _columns(column, names), order, cutoff)
-        except InputError as error:
-            if error.what in ("t", "rows"):
-                error.add_place(name)
-            raise
-        whole = len(names) == mechanism.n
-        found.append(Source(source.quantity, [], list(names), whole))
-    arrays = [given[source.quantity.name] for source in found]
+    if lack.absent:
+        _check_gap(t, numbers, name)
+        told = f"{' and '.join(lack.absent)} of {', '.join(lack.names)}"
+        note(f"Note: {told}: by {how(cutoff)}")
+    with at_place(name, "t", "rows"):
+        found, arrays = lack.filled(sources, column, partial(rates, cutoff=cutoff))
     if torques:
         source, tau = found.pop(), arrays.pop()
         tau = tau[:, list(mechanism.actuated)] if source.whole else tau
     else:
-        tau = np.zeros((len(values), 0))
+        tau = np.zeros((len(t), 0))
     try:
         states = complete(moving, found, arrays)
     except RobodynError:
         for k, number in enumerate(numbers):  # which of the rows it is
-            try:
+            with at_place(f"{name}: line {number}"):
                 complete(moving, found, [x[k : k + 1] for x in arrays])
-            except RobodynError as error:
-                error.add_place(f"{name}: line {number}")
-                raise
         raise
     return MotionFile(states, tau, t, list(chain(*(x.lines for x in chunks))), reader.header, name)
-
-
-def _columns(column: dict[str, Array], names: Sequence[str]) -> Array:
-    return np.stack([column[name] for name in names], axis=-1)
-
-
-def _rates(t: Array, x: Array, order: int, cutoff: float | None) -> Array:
-    from robodyn.parameters.zero_phase import rates
-
-    return rates(t, x, order, cutoff)
-
-
-def _tell(
-    absent: Sequence[Source], names: Sequence[str], base: Source, cutoff: float | None
-) -> None:
-    from robodyn.parameters.zero_phase import how
-
-    missing = " and ".join(x.quantity.name for x in absent)
-    note(f"Note: {missing} of {', '.join(names)}: by {how(cutoff)}")
 
 
 def _check_gap(t: Array, numbers: Sequence[int], source: str) -> None:

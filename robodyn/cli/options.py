@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Option
 
@@ -28,12 +28,28 @@ PictureFormat = Literal["text", "png", "svg", "pdf"]  # how a picture is written
 _SET = "A number of the scene in place of its own: links.forearm.m=1.1; repeatable."
 
 
+def option(
+    help: str, metavar: str | None = None, *, default: object = None, flag: str = "", **more: Any
+) -> Any:
+    """A field of a group of options, or a parameter of a command, that is an option.
+
+    Its name is the flag, max_step --max-step, where no other one is told.
+    """
+    declared = Option(..., *filter(None, [flag]), metavar=metavar, help=help, **more)
+    return field(default=default, metadata={"option": declared})
+
+
+def switch(help: str) -> Any:
+    """An option without a value, as `option`."""
+    return option(help, default=False)
+
+
 @dataclass(frozen=True)
 class Model:
     """The scene that a command is about."""
 
     model: Annotated[str, model_argument("Scene file (YAML), or the name of an example: 2r.")]
-    numbers: Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help=_SET)] = None
+    numbers: list[str] | None = option(_SET, "NAME=VALUE", flag="--set")
 
     def load(self) -> Mechanism:
         """The mechanism; InputError for a faulty scene, naming --set where that made it so."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from robodyn.cli.options import (
-    Differentiate,
     Extremes,
     Format,
     Out,
@@ -92,13 +91,6 @@ class RowOptions:
         """A writer of rows, or of what is asked for in their place: see `row_writer`."""
         summary = extremes_writer if self.extremes else summary
         return row_writer(self.format, self.out, columns, header, units, summary)
-
-
-@dataclass(frozen=True)
-class StateOptions(RowOptions):
-    """What becomes of rows of states."""
-
-    differentiate: Differentiate = False
 
 
 def extremes_writer(make: MakeWriter, columns: Sequence[str], header: Sequence[str] = ()) -> Writer:

@@ -8,7 +8,7 @@ from typer import Option
 
 from robodyn.cli.figures import check_dpi, parse_size, picture_format, write_characters
 from robodyn.cli.files import model_file, rows_argument
-from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size
+from robodyn.cli.options import Ascii, Degrees, Dpi, OutputPicture, PictureOut, Size, option, switch
 from robodyn.cli.output import note
 from robodyn.cli.row_files import open_input
 from robodyn.errors import InputError
@@ -35,9 +35,9 @@ def plot(
     y: Y = None,
     colour: Colour = None,
     model: Annotated[str | None, model_file("--model", _MODEL)] = None,
-    log: Annotated[bool, Option("--log", help="Logarithmic --colour.")] = False,
+    log: bool = switch("Logarithmic --colour."),
     degrees: Degrees = False,
-    title: Annotated[str | None, Option("--title", metavar="TEXT", help="Above it.")] = None,
+    title: str | None = option("Above it.", "TEXT"),
     size: Size = None,
     dpi: Dpi = DOTS,
     format: OutputPicture = None,

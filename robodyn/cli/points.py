@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from typer import Option
-
-from robodyn.cli.options import Model, Q, Qd, Qdd, States
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, option_source, overflow
+from robodyn.cli.options import Model, Qdd, option, switch
+from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.errors import InputError
 from robodyn.kinematics.named_points import (
     NamedPoint,
@@ -25,24 +22,18 @@ if TYPE_CHECKING:
 
 POINTS = "[NAME=]POINT"
 OF = "A link (its tip), tip2, centre1, joint3, LINK@x,y, or a point of the scene; repeatable."
-_LINKS = "Each link's angle, its rate and acceleration."
-_TRANSMISSION = "The transmission angle of each loop, rad."
 _RATIO = "The rate of one link over that of another, rocker/crank; repeatable."
-_JACOBIAN = "How far each point goes with each actuated joint."
 
 
 def points(
     model: Model,
-    states: States = None,
-    of: Annotated[list[str] | None, Option("--of", metavar=POINTS, help=OF)] = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
+    of: list[str] | None = option(OF, POINTS),
     qdd: Qdd = None,
-    links: Annotated[bool, Option("--links", help=_LINKS)] = False,
-    transmission: Annotated[bool, Option("--transmission", help=_TRANSMISSION)] = False,
-    ratio: Annotated[list[str] | None, Option("--ratio", metavar="A/B", help=_RATIO)] = None,
-    jacobian: Annotated[bool, Option("--jacobian", help=_JACOBIAN)] = False,
-    rows: StateOptions = StateOptions(),
+    links: bool = switch("Each link's angle, its rate and acceleration."),
+    transmission: bool = switch("The transmission angle of each loop, rad."),
+    ratio: list[str] | None = option(_RATIO, "A/B"),
+    jacobian: bool = switch("How far each point goes with each actuated joint."),
 ) -> None:
     """Where points are, how fast they move, and how they speed up.
 
@@ -65,11 +56,11 @@ def points(
     mechanism = model.load()
     named = named_points(mechanism, of or (), "--of")
     columns = point_columns(named)
-    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
-    more = jacobian or links or transmission or ratio or rows.differentiate
-    if states is None and not (more or mechanism.rows or mechanism.passive):
+    quantities = given.quantities(qdd=qdd)
+    more = jacobian or links or transmission or ratio or given.differentiate
+    if given.states is None and not (more or mechanism.rows or mechanism.passive):
         row = _single_row(mechanism, named, quantities)
-        with rows.writer(columns, units=scene_units(mechanism)) as writer:
+        with given.writer(columns, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
 
@@ -106,7 +97,7 @@ def points(
             parts.append(rate_ratios(mechanism, ratios, q, qd))
         return np.concatenate(parts, axis=-1)
 
-    evaluate(mechanism, states, quantities, columns, compute, rows, adds=True)
+    evaluate(mechanism, given, quantities, columns, compute, adds=True)
 
 
 def _loops(mechanism: Mechanism) -> list[str]:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Q, Qd, Qdd, States, Text, vector
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import Quantity, evaluate, overflow
+from robodyn.cli.options import Model, Qdd, Text, option, vector
+from robodyn.cli.states import Quantity, TableOptions, evaluate, overflow
 from robodyn.dynamics import dynamics, reaction_forces
 from robodyn.dynamics.state_columns import reaction_columns, reaction_values
 from robodyn.errors import InputError
@@ -28,14 +25,11 @@ AGREE = 1e-6  # part of the accelerations by which those given may miss those of
 
 def reactions(
     model: Model,
-    states: States = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
     qdd: Qdd = None,
     tau: Tau = None,
     force: Force = None,
-    harmonics: Annotated[int | None, Option("--harmonics", metavar="[N]", help=_HARMONICS)] = None,
-    rows: StateOptions = StateOptions(),
+    harmonics: int | None = option(_HARMONICS, "[N]"),
 ) -> None:
     """The force in every pin, and the shaking force and moment on the ground.
 
@@ -72,26 +66,14 @@ def reactions(
     mechanism = load_with(model, force)
     columns = reaction_columns(mechanism)
     compute = _Reactions(mechanism)
-    quantities = [Quantity("q", q, True), Quantity("qd", qd)]
+    quantities = given.quantities()
     either = [Quantity("qdd", qdd), Quantity("tau", tau)]
     if harmonics is None:
-        evaluate(mechanism, states, quantities, columns, compute, rows, either)
+        evaluate(mechanism, given, quantities, columns, compute, either)
         return
-    from robodyn.cli.fluctuation import driven_joint
-    from robodyn.cli.shaking_orders import FLAG, SHAKE, HarmonicsWriter, check
+    from robodyn.cli.turns import tell_shaking_orders
 
-    check(harmonics)
-    if rows.extremes:
-        raise InputError(f"--extremes and {FLAG}", limit="exclude each other")
-    if states is None:
-        raise InputError(FLAG, limit="needs STATES: rows over a turn")
-    k = driven_joint(mechanism, FLAG)
-
-    def shaken(q: np.ndarray, **motion: np.ndarray) -> np.ndarray:
-        return np.column_stack([q[:, k], compute(q, **motion)[:, -len(SHAKE) :]])
-
-    summary, told = partial(HarmonicsWriter, most=harmonics), [f"q{k + 1}", *SHAKE]
-    evaluate(mechanism, states, quantities, told, shaken, rows, either, summary=summary)
+    tell_shaking_orders(mechanism, given, quantities, either, compute, harmonics)
 
 
 @dataclass

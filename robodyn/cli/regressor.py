@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Q, Qd, Qdd, States
-from robodyn.cli.output import Grid, StateOptions, write_structure
-from robodyn.cli.states import Quantity, evaluate, remarks
+from robodyn.cli.options import Model, Qdd, switch
+from robodyn.cli.output import Grid, write_structure
+from robodyn.cli.states import Quantity, TableOptions, evaluate, remarks
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.base_parameters import base_parameters, excited, structural
@@ -17,25 +14,19 @@ from robodyn.parameters.linear_parameters import linear_parameters
 from robodyn.parameters.regression_matrix import balanced_joints, balanced_mechanism
 from robodyn.parameters.regression_matrix import regressor as matrix
 
-_BASE = (
-    "The fewest combinations of parameters that torques depend on, with the scene's numbers; "
-    "with states the columns of these alone."
-)
-_CONDITION = (
-    "In place of the rows: the condition of the base parameters' columns, each scaled to 1, and "
-    "the combinations that the motion does not excite."
-)
-
 
 def regressor(
     model: Model,
-    states: States = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
     qdd: Qdd = None,
-    base: Annotated[bool, Option("--base", help=_BASE)] = False,
-    condition: Annotated[bool, Option("--condition", help=_CONDITION)] = False,
-    rows: StateOptions = StateOptions(),
+    base: bool = switch(
+        "The fewest combinations of parameters that torques depend on, with the scene's numbers; "
+        "with states the columns of these alone."
+    ),
+    condition: bool = switch(
+        "In place of the rows: the condition of the base parameters' columns, each scaled to 1, "
+        "and the combinations that the motion does not excite."
+    ),
 ) -> None:
     """Y(q, qd, qdd): the torques are linear in masses, moments, dampers and springs, tau = Y pi.
 
@@ -57,12 +48,12 @@ def regressor(
     mechanism = model.load()
     if mechanism.rows:
         mechanism = balanced_mechanism(mechanism)
-    given = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    quantities = given.quantities(qdd=qdd)
     if condition:
-        _tell_condition(mechanism, states, given, rows)
+        _tell_condition(mechanism, given, quantities)
         return
-    if base and states is None and q is None:
-        _tell_base(mechanism, rows)
+    if base and given.states is None and given.q is None:
+        _tell_base(mechanism, given)
         return
     names = [x.name for x in linear_parameters(mechanism.description)]
     chosen = structural(mechanism).kept if base else list(range(len(names)))
@@ -76,10 +67,10 @@ def regressor(
         Y = found.Y[..., chosen].reshape(len(found.Y), -1)
         return np.concatenate([Y, found.known], axis=-1) if loaded else Y
 
-    evaluate(mechanism, states, given, columns, compute, rows)
+    evaluate(mechanism, given, quantities, columns, compute)
 
 
-def _tell_base(mechanism: Mechanism, rows: StateOptions) -> None:
+def _tell_base(mechanism: Mechanism, rows: TableOptions) -> None:
     with remarks():
         found = base_parameters(mechanism)
     columns = ["name", "text", "value", "unit"]
@@ -89,15 +80,13 @@ def _tell_base(mechanism: Mechanism, rows: StateOptions) -> None:
     write_structure(format, rows.out, {"base": content}, lambda: [Grid(columns[1:], content_rows)])
 
 
-def _tell_condition(
-    mechanism: Mechanism, states: str | None, given: list[Quantity], rows: StateOptions
-) -> None:
+def _tell_condition(mechanism: Mechanism, rows: TableOptions, quantities: list[Quantity]) -> None:
     from robodyn.cli.motion_files import read_motion
 
-    told = next((f"--{x.name}" for x in given if x.option is not None), None)
-    if states is None or told:
+    told = next((f"--{x.name}" for x in quantities if x.option is not None), None)
+    if rows.states is None or told:
         raise InputError(told or "--condition", limit="--condition takes a motion from STATES")
-    motion = read_motion(mechanism, states, torques=False)
+    motion = read_motion(mechanism, rows.states, torques=False)
     with remarks():
         base, kept = base_parameters(mechanism), structural(mechanism).kept
         q, qd, qdd = motion.states

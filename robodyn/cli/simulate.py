@@ -11,12 +11,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.event_options import EventOptions
 from robodyn.cli.files import output_file
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Extremes, Format, Model, Number, Q, Qd, Quiet, Text
+from robodyn.cli.options import Extremes, Format, Model, Number, Quiet, Text, option
 from robodyn.cli.output import default_format, extremes_writer, maker, note, told
 from robodyn.cli.run_summary import tell_run
 from robodyn.cli.signals import watching
@@ -27,7 +26,7 @@ from robodyn.cli.simulate_options import (
     named,
     torque_source,
 )
-from robodyn.cli.states import Quantity, assembled_state, remarks, single_state
+from robodyn.cli.states import Quantity, StateOptions, assembled_state, remarks, single_state
 from robodyn.cli.times import Points, output_times
 from robodyn.errors import RobodynError
 from robodyn.events.told import Event
@@ -57,8 +56,8 @@ class UnfinishedError(RobodynError):
 class TimeOptions:
     """When it ends, and where the rows are."""
 
-    duration: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None
-    every: Annotated[Number, Option("--every", metavar="S", help="Time between rows, s.")] = None
+    duration: Number = option(_TIME, "S", flag="--time")
+    every: Number = option("Time between rows, s.", "S")
     points: Points = None
 
 
@@ -86,8 +85,7 @@ class ResultOptions:
 
 def simulate(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
+    state: StateOptions = StateOptions(),
     when: TimeOptions = TimeOptions(),
     force: Force = None,
     sources: TorqueOptions = TorqueOptions(),
@@ -136,7 +134,7 @@ def simulate(
     torques, duration = torque_source(mechanism, sources, control, when.duration)
     watched = events.watch(mechanism, duration)
     times = output_times(duration, when.every, when.points)
-    begin = _start(mechanism, [Quantity("q", q, True), Quantity("qd", qd)], how.assemble)
+    begin = _start(mechanism, state.quantities(), how.assemble)
     settings, estimate = _accurate(mechanism, begin, duration, torques, settings, how)
     with named():
         torques = over_run(mechanism, torques, begin, duration, settings.atol)

@@ -10,10 +10,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.files import input_file, model_file, rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, vector
+from robodyn.cli.options import EACH, Number, Text, named_options, option, switch
 from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
@@ -23,7 +22,7 @@ from robodyn.cli.states import (
     option_source,
 )
 from robodyn.cli.times import value_from
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
@@ -40,18 +39,11 @@ DEFAULT_DURATION = 10.0  # s
 Law = Literal["pd", "pd+g", "computed-torque", "pid", "state-feedback"]
 
 _TAU = "Torques of the actuated joints, N m: numbers, or expressions in t, q1.., qd1.."
-_VOLT = "Voltages of the motors of the actuated joints, V: as --tau."
 _TAU_FROM = "CSV with t,tau1,.. (- for stdin), interpolated between its rows."
-_CONTROL = "Makes the torques track a reference, or keep to a pose."
 _TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for stdin), then held."
 _HOLD = "A set-point in place of it: rad, 90deg, m of the actuated joints."
-_KP = f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}."
-_KD = f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}."
 _KI = f"Gain of its integral, N m/(rad s), of pid and perhaps pd+g: {EACH}."
 _GAIN = "JSON with coordinates, q, tau, gain, of state-feedback (- for stdin)."
-_AT = "Pose of state-feedback, as --q. Default: that of --gain."
-_TAU_MAX = f"Where the controller's torques are cut off, N m: {EACH}."
-_SAMPLES = "Samples a second, each torque held. Default: continuous."
 _MODEL = "Scene that the controller believes. Default: MODEL."
 
 
@@ -59,25 +51,25 @@ _MODEL = "Scene that the controller believes. Default: MODEL."
 class TorqueOptions:
     """Where torque comes from."""
 
-    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
+    tau: Text = option(_TAU, "TORQUES")
     tau_from: Annotated[Text, rows_file("--tau-from", _TAU_FROM)] = None
-    volt: Annotated[Text, Option("--volt", metavar="VOLTS", help=_VOLT)] = None
+    volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
 @dataclass(frozen=True)
 class ControlOptions:
     """What makes the torques track a reference."""
 
-    control: Annotated[Law | None, Option("--control", help=_CONTROL)] = None
+    control: Law | None = option("Makes the torques track a reference, or keep to a pose.")
     track: Annotated[Text, rows_file("--track", _TRACK)] = None
-    hold: Annotated[Text, vector("--hold", _HOLD)] = None
-    kp: Annotated[Text, vector("--kp", _KP)] = None
-    kd: Annotated[Text, vector("--kd", _KD)] = None
-    ki: Annotated[Text, vector("--ki", _KI)] = None
+    hold: Text = option(_HOLD, "VECTOR")
+    kp: Text = option(f"Gain of the error, N m/rad (computed torque 1/s^2): {EACH}.", "VECTOR")
+    kd: Text = option(f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}.", "VECTOR")
+    ki: Text = option(_KI, "VECTOR")
     gain: Annotated[Text, input_file("--gain", _GAIN)] = None
-    at: Annotated[Text, vector("--at", _AT)] = None
-    tau_max: Annotated[Text, vector("--tau-max", _TAU_MAX)] = None
-    control_rate: Annotated[Text, Option("--control-rate", metavar="HZ", help=_SAMPLES)] = None
+    at: Text = option("Pose of state-feedback, as --q. Default: that of --gain.", "VECTOR")
+    tau_max: Text = option(f"Where the controller's torques are cut off, N m: {EACH}.", "VECTOR")
+    control_rate: Text = option("Samples a second, each torque held. Default: continuous.", "HZ")
     control_model: Annotated[Text, model_file("--control-model", _MODEL)] = None
 
 
@@ -90,22 +82,13 @@ def given_of(options: object, *names: str) -> list[str]:
 def check_no_control(options: ControlOptions, *but: str) -> None:
     """Raise InputError for an option of a controller where there is none."""
     names = [field.name for field in fields(options) if field.name not in but]
-    for option in given_of(options, *names):
-        raise InputError(option, limit=f"needs --control: one of {', '.join(get_args(Law))}")
+    for flag in given_of(options, *names):
+        raise InputError(flag, limit=f"needs --control: one of {', '.join(get_args(Law))}")
 
 
-_METHOD = "Integrator. Default: DOP853; with --accuracy the best."
-_RTOL = "Relative tolerance of a step. Default: 1e-9."
-_ATOL = "Absolute tolerance, rad, rad/s. Default: 1e-9."
 _STEP = "No step is longer, s. Default: none."
 _ACCURACY = "Largest error of q and qd over the whole run; chooses method and tolerance."
-_ORDER = "Order of the Taylor series. Default: by the tolerance."
-_ESTIMATE = "Run again, 100 times as tight: the error's size."
-_CLOSED = "What keeps loops closed."
-_RATE = "Decay rate of a gap."
-_ASSEMBLE = "Correct a start that does not close."
 _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scene, start values."
-_EVALS = "Give up after so many evaluations."
 _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 
 
@@ -113,23 +96,19 @@ _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 class RunOptions:
     """How to start and to integrate."""
 
-    method: Annotated[Method | None, Option("--method", help=_METHOD)] = None
-    rtol: Annotated[Number, Option("--rtol", help=_RTOL)] = None
-    atol: Annotated[Number, Option("--atol", help=_ATOL)] = None
-    max_step: Annotated[
-        float, Option("--max-step", metavar="S", help=_STEP, show_default=False)
-    ] = math.inf
-    accuracy: Annotated[Number, Option("--accuracy", metavar="RAD", help=_ACCURACY)] = None
-    estimate_error: Annotated[bool, Option("--estimate-error", help=_ESTIMATE)] = False
-    order: Annotated[int | None, Option("--order", metavar="N", help=_ORDER)] = None
-    engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
-    stabilize: Annotated[Stabilize, Option("--stabilize", help=_CLOSED)] = "projection"
-    baumgarte_rate: Annotated[float, Option("--baumgarte-rate", metavar="1/S", help=_RATE)] = 20.0
-    assemble: Annotated[bool, Option("--assemble", help=_ASSEMBLE)] = False
-    sensitivity: Annotated[Text, Option("--sensitivity", metavar="NAME,..", help=_SENSITIVITY)] = (
-        None
-    )
-    max_evals: Annotated[int, Option("--max-evals", metavar="N", help=_EVALS)] = MAX_EVALUATIONS
+    method: Method | None = option("Integrator. Default: DOP853; with --accuracy the best.")
+    rtol: Number = option("Relative tolerance of a step. Default: 1e-9.")
+    atol: Number = option("Absolute tolerance, rad, rad/s. Default: 1e-9.")
+    max_step: float = option(_STEP, "S", default=math.inf, show_default=False)
+    accuracy: Number = option(_ACCURACY, "RAD")
+    estimate_error: bool = switch("Run again, 100 times as tight: the error's size.")
+    order: int | None = option("Order of the Taylor series. Default: by the tolerance.", "N")
+    engine: Engine = option(_ENGINE, default="auto")
+    stabilize: Stabilize = option("What keeps loops closed.", default="projection")
+    baumgarte_rate: float = option("Decay rate of a gap.", "1/S", default=20.0)
+    assemble: bool = switch("Correct a start that does not close.")
+    sensitivity: Text = option(_SENSITIVITY, "NAME,..")
+    max_evals: int = option("Give up after so many evaluations.", "N", default=MAX_EVALUATIONS)
 
     def settings(self) -> Settings:
         """The settings of the run; InputError naming the option that is none."""
@@ -194,8 +173,8 @@ def controlled(
     assert law is not None
     tracks, feeds = ["track", "hold"], ["gain", "at"]
     aims, others = (feeds[:1], tracks) if law == "state-feedback" else (tracks, feeds)
-    for option in given_of(options, *others):
-        raise InputError(option, limit=f"is not for --control {law}")
+    for flag in given_of(options, *others):
+        raise InputError(flag, limit=f"is not for --control {law}")
     given = given_of(options, *aims)
     if len(given) > 1:
         raise InputError(" and ".join(given), limit="exclude each other")
@@ -257,11 +236,8 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
     if at is not None:
         given, name = option_source(mechanism, Quantity("at", at)), "--at"
         source = replace(given, quantity=source.quantity)
-    try:
+    with at_place(name):
         (pose,) = complete(mechanism, [source], [np.array(source.values)])
-    except RobodynError as error:
-        error.add_place(name)
-        raise
     return replace(found, q=pose.tolist())
 
 

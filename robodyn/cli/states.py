@@ -12,9 +12,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robodyn.cli.output import StateOptions, Summary, note, numbers_overflow_in_silence
+from robodyn.cli.options import Differentiate, Q, Qd, States
+from robodyn.cli.output import RowOptions, Summary, note, numbers_overflow_in_silence
 from robodyn.cli.row_files import open_input
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.loop_rows import loop_columns as loop_columns
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units, unit_of
@@ -36,6 +37,27 @@ class Quantity:
 
     def columns(self, joints: Sequence[int]) -> list[str]:
         return [f"{self.name}{k + 1}" for k in joints]
+
+
+@dataclass(frozen=True)
+class StateOptions:
+    """A state by options."""
+
+    q: Q = None
+    qd: Qd = None
+
+    def quantities(self, **others: str | None) -> list[Quantity]:
+        """q, which must be given, qd, and `others` by their options."""
+        own = [Quantity("q", self.q, True), Quantity("qd", self.qd)]
+        return own + [Quantity(name, option) for name, option in others.items()]
+
+
+@dataclass(frozen=True)
+class TableOptions(StateOptions, RowOptions):
+    """A state by options, or a table of states, and what becomes of its rows."""
+
+    states: States = None
+    differentiate: Differentiate = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,16 +217,15 @@ def assembled_state(
 
 def evaluate(
     mechanism: Mechanism,
-    states: str | None,
+    options: TableOptions,
     quantities: Sequence[Quantity],
     columns: Sequence[str],
     compute: Callable[..., Array],
-    options: StateOptions,
     either: Sequence[Quantity] = (),
     adds: bool = False,
     summary: Summary | None = None,
 ) -> None:
-    """Compute `columns` (T, k) at the state of the options, or at each row of the CSV `states`.
+    """Compute `columns` (T, k) at the state of the options, or at each row of its table.
 
     `compute` takes the quantities (T, n) by name, and where the scene's loads depend on the time t
     (T,): the column t of a table, else zero.  Of the quantities in `either` it takes those that are
@@ -239,7 +260,7 @@ def evaluate(
         t = values[:, begin] if times else np.zeros(len(values))
         return results(used, complete(mechanism, sources, given), t)
 
-    if states is None:
+    if options.states is None:
         if options.differentiate:
             raise InputError("--differentiate", limit="needs STATES with t: rows to go through")
         with remarks():
@@ -253,7 +274,7 @@ def evaluate(
     from robodyn.cli.found_rates import found_rates, taken_at_rest
     from robodyn.tables.table import Reader
 
-    with open_input(states) as (stream, name):
+    with open_input(options.states) as (stream, name):
         reader = Reader(stream, name, units)
         there = next((x for x in columns if adds and x in reader.header), None)
         if there is not None:
@@ -277,11 +298,8 @@ def evaluate(
                 except RobodynError:
                     # find the row, with those before it written: again, one by one
                     for k, line in enumerate(chunk.lines):
-                        try:
+                        with at_place(f"{name}: line {chunk.line_numbers[k]}"):
                             computed = results_of(chunk.values[k : k + 1])
-                        except RobodynError as error:
-                            error.add_place(f"{name}: line {chunk.line_numbers[k]}")
-                            raise
                         writer.write_rows([line], computed)
             if (adds or writer.needs_rows) and not rows:
                 raise InputError("no rows", where=name, limit="the header is followed by no state")

@@ -12,10 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Option
-
 from robodyn.cli.files import named, output_file
-from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options
+from robodyn.cli.options import Extremes, Model, Number, Quiet, Text, named_options, option, switch
 from robodyn.cli.output import RowOptions, note, told
 from robodyn.cli.progress import progress
 from robodyn.cli.simulate_options import ControlOptions
@@ -29,7 +27,6 @@ from robodyn.sweeps.sweep_workers import PATIENCE, results
 from robodyn.tables.table_writer import Writer
 
 Compute = Callable[[int, Callable[[Rows], object]], object]  # from a chunk on, into what writes
-_WORKERS = "Threads or processes. Default: processors."
 _SCHEDULER = "A Dask scheduler whose workers compute the chunks (the extra `cluster`)."
 _LOST = f"How long to wait for a worker where the scheduler has lost all. Default: {PATIENCE:g}."
 _CORRELATIONS = "In place of the rows, Spearman's rank correlation of each result with what varies."
@@ -42,11 +39,9 @@ _OUT = "Write here, by way of FILE.partial, from which a sweep cut off goes on."
 class WorkOptions:
     """Who computes."""
 
-    workers: Annotated[int | None, Option("--workers", metavar="N", help=_WORKERS)] = None
-    scheduler: Annotated[
-        Text, Option("--scheduler", metavar="ADDRESS", help=_SCHEDULER, callback=named)
-    ] = None
-    patience: Annotated[Number, Option("--patience", metavar="S", help=_LOST)] = None
+    workers: int | None = option("Threads or processes. Default: processors.", "N")
+    scheduler: Text = option(_SCHEDULER, "ADDRESS", callback=named)
+    patience: Number = option(_LOST, "S")
 
     def check(self) -> None:
         """InputError naming the option that is wrong."""
@@ -71,7 +66,7 @@ def sweep(
     control: ControlOptions = ControlOptions(),
     work: WorkOptions = WorkOptions(),
     extremes: Extremes = False,
-    correlations: Annotated[bool, Option("--correlations", help=_CORRELATIONS)] = False,
+    correlations: bool = switch(_CORRELATIONS),
     quiet: Quiet = False,
     out: Annotated[Text, output_file("--out", "-o", help=_OUT, kept=True)] = None,
 ) -> None:
@@ -183,9 +178,10 @@ def _go_on(
 
 
 def _correlations(*given: Any, varied: int) -> Writer:
-    from robodyn.tables.rank_correlations import RankCorrelations
+    from robodyn.tables.rank_correlations import correlation_table
+    from robodyn.tables.summaries import KeptRows
 
-    return RankCorrelations(*given, varied=varied)
+    return KeptRows(*given, of=partial(correlation_table, varied=varied))
 
 
 class _Lines:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
-
-from typer import Option
+from dataclasses import MISSING, dataclass
+from typing import Any, Literal
 
 from robodyn.cli.event_options import EVENT, named_events
-from robodyn.cli.options import Model, Number, Text, named_options, vector
+from robodyn.cli.options import Model, Number, Text, named_options, option
 from robodyn.cli.simulate_options import (
     DEFAULT_DURATION,
     ControlOptions,
@@ -42,23 +40,11 @@ MOST_NAMED = 60  # names that a message lists
 DRAWN = {"normal": "normal(mean, deviation)", "uniform": "uniform(low, high)"}
 
 Kind = Literal["motion", "torque"]  # what is computed at each point
-_VARY = (
-    "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), a,b,c, "
-    "or with --sample low:high, uniform(low,high), normal(mean,deviation). Once for each NAME."
-)
 _Q = "Angles of the actuated joints, rad, or 30deg (the rest is assembled). Default: zero."
-_QD = "Rates of the actuated joints, rad/s or 30deg. Default: zero."
 _QDD = "Accelerations of the actuated joints, rad/s^2, for torques. Default: zero."
-_TAU = "Constant torques of the actuated joints, N m. Default: zero."
 _TIME = "End time, s; negative runs backwards. Default: 10, or the end of --track."
-_RESULT = (
-    f"Of motions {', '.join(RESULTS)}, and {EVENTS} with --event. Of torques at a state columns of "
-    f"torque, reactions, points; of many rows what is taken of one: {', '.join(TAKEN)}, max(tau1)."
-)
 _OF = "The points of such columns, as `points` has them; repeatable."
 _ROWS = f"Even rows of a motion that columns are taken of. Default: {DEFAULT_POINTS}."
-_FLIP = "The link whose flip is told. Default: the last."
-_STEPS = "A motion gives up after so many."
 _ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
 
 
@@ -66,26 +52,35 @@ _ENGINE = "auto: compiled, with the extra `fast`, from 200 points on."
 class SweepOptions:
     """What is computed, and at which points."""
 
-    vary: Annotated[list[str], Option("--vary", metavar="NAME=VALUES", help=_VARY)]
-    sample: Annotated[
-        int | None, Option("--sample", metavar="N", help="Draw N points at random; no grid.")
-    ] = None
-    seed: Annotated[int, Option("--seed", metavar="S", help="Of the random sample.")] = 0
-    kind: Annotated[Kind, Option("--kind", help="Motions, or torques at states.")] = "motion"
-    q: Annotated[Text, vector("--q", _Q)] = None
-    qd: Annotated[Text, vector("--qd", _QD)] = None
-    qdd: Annotated[Text, vector("--qdd", _QDD)] = None
-    tau: Annotated[Text, vector("--tau", _TAU)] = None
-    time: Annotated[Number, Option("--time", metavar="S", help=_TIME)] = None
-    result: Annotated[Text, Option("--result", metavar="NAMES", help=_RESULT)] = None
-    of: Annotated[list[str] | None, Option("--of", metavar="[NAME=]POINT", help=_OF)] = None
-    points: Annotated[int | None, Option("--points", metavar="N", help=_ROWS)] = None
-    event: Annotated[list[str] | None, Option("--event", metavar="NAME=EXPR", help=EVENT)] = None
-    flip: Annotated[Text, Option("--flip", metavar="LINK", help=_FLIP)] = None
-    rtol: Annotated[float, Option("--rtol", help="Relative tolerance of a step.")] = 1e-9
-    atol: Annotated[float, Option("--atol", help="Absolute one, rad, rad/s.")] = 1e-9
-    max_steps: Annotated[int, Option("--max-steps", metavar="N", help=_STEPS)] = 100_000
-    engine: Annotated[Engine, Option("--engine", help=_ENGINE)] = "auto"
+    vary: list[str] = option(
+        "What varies: NAME=first:last:count, first:last:step (with a unit or a decimal point), "
+        "a,b,c, or with --sample low:high, uniform(low,high), normal(mean,deviation). Once for "
+        "each NAME.",
+        "NAME=VALUES",
+        default=MISSING,
+    )
+    sample: int | None = option("Draw N points at random; no grid.", "N")
+    seed: int = option("Of the random sample.", "S", default=0)
+    kind: Kind = option("Motions, or torques at states.", default="motion")
+    q: Text = option(_Q, "VECTOR")
+    qd: Text = option("Rates of the actuated joints, rad/s or 30deg. Default: zero.", "VECTOR")
+    qdd: Text = option(_QDD, "VECTOR")
+    tau: Text = option("Constant torques of the actuated joints, N m. Default: zero.", "VECTOR")
+    time: Number = option(_TIME, "S")
+    result: Text = option(
+        f"Of motions {', '.join(RESULTS)}, and {EVENTS} with --event. Of torques at a state "
+        "columns of torque, reactions, points; of many rows what is taken of one: "
+        f"{', '.join(TAKEN)}, max(tau1).",
+        "NAMES",
+    )
+    of: list[str] | None = option(_OF, "[NAME=]POINT")
+    points: int | None = option(_ROWS, "N")
+    event: list[str] | None = option(EVENT, "NAME=EXPR")
+    flip: Text = option("The link whose flip is told. Default: the last.", "LINK")
+    rtol: float = option("Relative tolerance of a step.", default=1e-9)
+    atol: float = option("Absolute one, rad, rad/s.", default=1e-9)
+    max_steps: int = option("A motion gives up after so many.", "N", default=100_000)
+    engine: Engine = option(_ENGINE, default="auto")
 
 
 def plan_of(model: Model, given: SweepOptions, control: ControlOptions) -> Plan:
@@ -161,8 +156,8 @@ def _acting(
             return {"track": None, "control": ()}, end
         if given.kind == "motion":
             raise InputError("--track", limit="needs --control, or --kind torque")
-        for option in given_of(given, "time", "q", "qd", "qdd"):
-            raise InputError(f"{option} and --track", limit="exclude each other")
+        for flag in given_of(given, "time", "q", "qd", "qdd"):
+            raise InputError(f"{flag} and --track", limit="exclude each other")
         joints = [f"{x}{k + 1}" for x in ("q", "qd", "qdd") for k in range(mechanism.n)]
         for axis in (axis for axis in axes if axis.name in joints):
             raise InputError("--vary", value=axis.name, limit="is told by --track")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from typer import Option
 
-from robodyn.cli.options import Model, Out, OutputStructured, Q, Qd, Qdd, Tau
+from robodyn.cli.options import Model, Out, OutputStructured, Qdd, Tau, option, switch
 from robodyn.cli.output import Grid, in_told_units, note, write_structure
-from robodyn.cli.states import Quantity, overflow, remarks, single_state
+from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.errors import InputError, RobodynError
@@ -18,16 +15,14 @@ from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_un
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
 _BY = "By a number of the scene too, links.forearm.m; repeatable."
-_DERIVATIVES = "Those of torques and accelerations too."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
 def terms(
     model: Model,
-    q: Q = None,
-    qd: Qd = None,
-    derivatives: Annotated[bool, Option("--derivatives", help=_DERIVATIVES)] = False,
-    by: Annotated[list[str] | None, Option("--by", metavar="NUMBER", help=_BY)] = None,
+    state: StateOptions = StateOptions(),
+    derivatives: bool = switch("Those of torques and accelerations too."),
+    by: list[str] | None = option(_BY, "NUMBER"),
     qdd: Qdd = None,
     tau: Tau = None,
     format: OutputStructured = None,
@@ -59,8 +54,7 @@ def terms(
             raise InputError(name, value=value, limit="is for --derivatives: give that too")
     if mechanism.switches:
         note("Note: dry friction and ends of joints are left out of D, G and Q")
-    state = [Quantity("q", q, True), Quantity("qd", qd)]
-    q_, qd_ = single_state(mechanism, state)
+    q_, qd_ = single_state(mechanism, state.quantities())
     np.seterr(all="ignore")  # what leaves the range of floats is told below
     content: dict[str, tuple[str, np.ndarray]] = {  # the unit and the value
         "q": ("rad", q_),
@@ -78,8 +72,8 @@ def terms(
         content["Psidot_qd"] = "m/s²", closed_form.closure_bias(mechanism, q_, qd_)
         content["gap"] = "m", closed_form.closure_gap(mechanism, q_)
     if derivatives:
-        qdd_ = single_state(mechanism, [*state, Quantity("qdd", qdd)])[2]
-        tau_ = single_state(mechanism, [*state, Quantity("tau", tau)])[2]
+        qdd_ = single_state(mechanism, state.quantities(qdd=qdd))[2]
+        tau_ = single_state(mechanism, state.quantities(tau=tau))[2]
         with remarks():
             content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, by or [])
     energies = {

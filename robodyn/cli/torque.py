@@ -5,44 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Annotated
-
-from typer import Option
 
 from robodyn.cli.loads import Force, load_with
-from robodyn.cli.options import Model, Number, Q, Qd, Qdd, States
-from robodyn.cli.output import StateOptions
-from robodyn.cli.states import (
-    Quantity,
-    evaluate,
-    option_source,
-    overflow,
-)
+from robodyn.cli.options import Model, Number, Qdd, option, switch
+from robodyn.cli.states import Quantity, TableOptions, evaluate, option_source, overflow
 from robodyn.engines.formulas import MAX_GENERATED
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.motors import motor_columns, motor_values
 from robodyn.pictures.column_units import scene_units
 
-_POWER = "The power of each actuated joint's torque."
-_FLUCTUATION = (
-    "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
-    "flywheel that holds this fluctuation of speed, such as 0.02."
-)
-
 
 def torque(
     model: Model,
-    states: States = None,
-    q: Q = None,
-    qd: Qd = None,
+    given: TableOptions = TableOptions(),
     qdd: Qdd = None,
     force: Force = None,
-    power: Annotated[bool, Option("--power", help=_POWER)] = False,
-    fluctuation: Annotated[
-        Number, Option("--fluctuation", metavar="DELTA", help=_FLUCTUATION)
-    ] = None,
-    rows: StateOptions = StateOptions(),
+    power: bool = switch("The power of each actuated joint's torque."),
+    fluctuation: Number = option(
+        "In place of the rows, which are a turn of the one actuated joint: its mean torque and the "
+        "flywheel that holds this fluctuation of speed, such as 0.02.",
+        "DELTA",
+    ),
 ) -> None:
     """The torques that a motion needs, and the pin forces.
 
@@ -74,23 +58,23 @@ def torque(
         robodyn torque four-bar - --fluctuation 0.02
     """
     mechanism = load_with(model, force)
-    quantities = [Quantity("q", q, True), Quantity("qd", qd), Quantity("qdd", qdd)]
+    quantities = given.quantities(qdd=qdd)
     if fluctuation is not None:
-        from robodyn.cli.fluctuation import tell_flywheel
+        from robodyn.cli.turns import tell_flywheel
 
         if power:
             raise InputError("--power and --fluctuation", limit="exclude each other")
-        tell_flywheel(mechanism, states, quantities, fluctuation, rows)
+        tell_flywheel(mechanism, given, quantities, fluctuation)
         return
 
     columns = [f"tau{k + 1}" for k in mechanism.actuated]
     loops = mechanism.rows or mechanism.passive or mechanism.switches
     motors = motor_columns(mechanism)
     powers = [f"power{k + 1}" for k in mechanism.actuated if power]
-    plain = states is None and not (loops or rows.differentiate)
+    plain = given.states is None and not (loops or given.differentiate)
     if plain and mechanism.n <= MAX_GENERATED:
         row = _single_row(mechanism, quantities, power)
-        with rows.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
+        with given.writer(columns + motors + powers, units=scene_units(mechanism)) as writer:
             writer.write_row(row)
         return
 
@@ -107,7 +91,7 @@ def torque(
             return found
         return np.concatenate([found, power_values(mechanism, qd, tau)], axis=-1)
 
-    evaluate(mechanism, states, quantities, torque_columns(mechanism) + powers, compute, rows)
+    evaluate(mechanism, given, quantities, torque_columns(mechanism) + powers, compute)
 
 
 def _single_row(mechanism: Mechanism, quantities: list[Quantity], power: bool) -> list[float]:

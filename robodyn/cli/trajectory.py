@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from typing import Annotated
+from contextlib import nullcontext
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli import trajectory_options as ways
-from robodyn.cli.options import Model, Text
+from robodyn.cli.options import Model, Text, option
 from robodyn.cli.output import RowOptions, note
 from robodyn.cli.progress import progress
 from robodyn.cli.states import overflow, remarks
 from robodyn.cli.times import Points, output_times, value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, refuse
 from robodyn.dynamics.switching import AT_REST_REMARK
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import scene_units
 from robodyn.simulation.even_times import EvenTimes
@@ -36,9 +35,7 @@ WORK = 1 << 24  # of n^3 a row: of large mechanisms fewer rows
 def trajectory(
     model: Model,
     given: TrajectoryOptions = TrajectoryOptions(),
-    every: Annotated[
-        Text, Option("--every", metavar="S", help="Time between rows, s, or 10ms.")
-    ] = None,
+    every: Text = option("Time between rows, s, or 10ms.", "S"),
     points: Points = None,
     rows: RowOptions = RowOptions(),
 ) -> None:
@@ -133,15 +130,11 @@ def _motion(
         raise InputError("--time", limit="missing: give seconds, or min and a limit")
     alpha = ACCELERATION if given.acceleration is None else given.acceleration
     how = given.profile or "quintic", alpha, given.ends == "natural"
-    try:
+    with at_place(points.source, "times", "point") if points.source else nullcontext():
         if minimal:
             q, times = points.q, points.times
             return _told(time_scaling.shortest_through(mechanism, q, limits, times, *how, watch))
         path = path_through(points.q[:, list(mechanism.actuated)], points.times, *how)
-    except InputError as error:
-        if points.source and error.what.startswith(("times", "point")):
-            error.add_place(points.source)
-        raise
     begin = 0.0
     if points.times is not None:
         begin, duration = float(points.times[0]), float(np.ptp(points.times))

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from typer import Option
 
 from robodyn.cli.files import rows_file
-from robodyn.cli.options import EACH, Number, Text, named_options, vector
+from robodyn.cli.options import EACH, Number, Text, named_options, option
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, joint_values, option_source, table_source
 from robodyn.cli.times import value_from
@@ -31,61 +30,52 @@ ProfileName = Literal["cubic", "quintic", "trapezoidal", "cycloidal", "sweep"]
 Ends = Literal["rest", "natural"]  # what a cubic spline does at its ends
 
 _WHICH = "all joints, or the actuated ones"
-_FROM = f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}."
 _VIA = (
     "CSV of points q1.. (rad) to go through, - for stdin; with a column t (s) at these times. "
     "Without t, --from and --to may add the ends."
 )
-_TIME = "Duration, s, 2s or 500ms; min: the shortest within the limits."
-_PART = (
-    "Part of the time in which a trapezoidal profile speeds up, and in which it slows down, "
-    "> 0, <= 0.5. Default: 1/3."
-)
-_ENDS = "Of a cubic spline: at rest, or qdd = 0. Default: rest."
-_SPEED = (
-    "Constant speed of the actuated joints, rad/s, or 60rpm, 360deg/s; begins at --from "
-    "(default: 0), ends after --turns or --time."
-)
 _TURNS = "Turns of the fastest joint at --speed; without it, of each actuated joint in --time."
-_AMPLITUDE = f"Of a sweep about --from, rad or 10deg: {EACH}."
-_MAX_QD = f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}."
-_MAX_QDD = f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}."
 _OF = "The point that is led in the plane: a link (its tip), tip2, LINK@x,y, a scene's point."
-_TO_XY = "Straight from where the point is at --from to here, m."
 _ARC = "On a circle about CENTRE (x,y, m) from where the point is at --from."
 _PATH = (
     "CSV of points x,y (m) to lead it through, perhaps with t (s), angle (rad) of its link; "
     "- for stdin. It begins at the first, on the branch of --from."
 )
 _POSTURE = "Of a redundant arm: stay as near to it as the point lets. Default: least motion."
-_MAX_SPEED = "Largest speed of the point, m/s."
-_BAND = "Of a sweep: at its start and at its end, Hz."
 
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
     """The way, the time that it takes, and what must not be exceeded on it."""
 
-    from_: Annotated[Text, vector("--from", _FROM)] = None
-    to: Annotated[Text, vector("--to", f"Angles at the end: {_WHICH}.")] = None
+    from_: Text = option(f"Angles at the start, rad, or 30deg, pi/2: {_WHICH}.", "VECTOR")
+    to: Text = option(f"Angles at the end: {_WHICH}.", "VECTOR")
     via: Annotated[Text, rows_file("--via", _VIA)] = None
-    time: Annotated[Text, Option("--time", metavar="S|min", help=_TIME)] = None
-    profile: Annotated[ProfileName | None, Option("--profile", help="Default: quintic.")] = None
-    acceleration: Annotated[Number, Option("--acceleration", metavar="PART", help=_PART)] = None
-    ends: Annotated[Ends | None, Option("--ends", help=_ENDS)] = None
-    speed: Annotated[Text, vector("--speed", _SPEED)] = None
-    turns: Annotated[Text, vector("--turns", _TURNS)] = None
-    amplitude: Annotated[Text, vector("--amplitude", _AMPLITUDE)] = None
-    frequencies: Annotated[Text, Option("--frequencies", metavar="F0,F1", help=_BAND)] = None
-    max_qd: Annotated[Text, vector("--max-qd", _MAX_QD)] = None
-    max_qdd: Annotated[Text, vector("--max-qdd", _MAX_QDD)] = None
-    max_tau: Annotated[Text, vector("--max-tau", f"Largest torque, N m: {EACH}.")] = None
-    of: Annotated[Text, Option("--of", metavar="POINT", help=_OF)] = None
-    to_xy: Annotated[Text, Option("--to-xy", metavar="X,Y", help=_TO_XY)] = None
-    arc: Annotated[Text, Option("--arc", metavar="CENTRE:ANGLE", help=_ARC)] = None
+    time: Text = option("Duration, s, 2s or 500ms; min: the shortest within the limits.", "S|min")
+    profile: ProfileName | None = option("Default: quintic.")
+    acceleration: Number = option(
+        "Part of the time in which a trapezoidal profile speeds up, and in which it slows down, "
+        "> 0, <= 0.5. Default: 1/3.",
+        "PART",
+    )
+    ends: Ends | None = option("Of a cubic spline: at rest, or qdd = 0. Default: rest.")
+    speed: Text = option(
+        "Constant speed of the actuated joints, rad/s, or 60rpm, 360deg/s; begins at --from "
+        "(default: 0), ends after --turns or --time.",
+        "VECTOR",
+    )
+    turns: Text = option(_TURNS, "VECTOR")
+    amplitude: Text = option(f"Of a sweep about --from, rad or 10deg: {EACH}.", "VECTOR")
+    frequencies: Text = option("Of a sweep: at its start and at its end, Hz.", "F0,F1")
+    max_qd: Text = option(f"Largest speed, rad/s, or 60rpm, 90deg/s: {EACH}.", "VECTOR")
+    max_qdd: Text = option(f"Largest acceleration, rad/s^2, or 90deg/s^2: {EACH}.", "VECTOR")
+    max_tau: Text = option(f"Largest torque, N m: {EACH}.", "VECTOR")
+    of: Text = option(_OF, "POINT")
+    to_xy: Text = option("Straight from where the point is at --from to here, m.", "X,Y")
+    arc: Text = option(_ARC, "CENTRE:ANGLE")
     path: Annotated[Text, rows_file("--path", _PATH)] = None
-    posture: Annotated[Text, vector("--posture", _POSTURE)] = None
-    max_speed: Annotated[Text, Option("--max-speed", metavar="V", help=_MAX_SPEED)] = None
+    posture: Text = option(_POSTURE, "VECTOR")
+    max_speed: Text = option("Largest speed of the point, m/s.", "V")
 
     @property
     def task(self) -> dict[str, str]:

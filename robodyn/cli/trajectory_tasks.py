@@ -11,7 +11,7 @@ import numpy as np
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.times import value_from
 from robodyn.cli.trajectory_options import TrajectoryOptions, given_angles, refuse
-from robodyn.errors import AssemblyError, InputError, RobodynError
+from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.kinematics.named_points import named_point
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.scene import quantities
@@ -90,11 +90,8 @@ def task_motion(
     if given.posture is not None:
         posture = pose_of(task, given_angles(mechanism, given.posture, "posture"))
     if file is not None:
-        try:
+        with at_place("--path, from --from to its first point"):
             pose = along_branch(task, file.points[:1], pose)[0]
-        except AssemblyError as error:
-            error.add_place("--path, from --from to its first point")
-            raise
     whole = TaskPath(task, path, pose, posture, watch)
     least = 0.0 if most is None else whole.fastest() / most
     if shortest:
@@ -116,18 +113,11 @@ def _path(task: Task, given: TrajectoryOptions, file: _File | None, pose: Array)
     begin = task.place(pose)[:2]
     if file is not None and file.times is not None:
         options = file.times, how.name, alpha, given.ends == "natural"
-        try:
+        with at_place(file.source, "times"):
             return path_through(file.points, *options)
-        except InputError as error:
-            if error.what == "times":
-                error.add_place(file.source)
-            raise
     if file is not None:
-        try:
+        with at_place(file.source):
             return AlongCurve(*spline_curve(file.points), how)
-        except InputError as error:
-            error.add_place(file.source)
-            raise
     if given.arc is not None:
         text, colon, turn = given.arc.partition(":")
         centre = _vector(text if colon else "", "--arc", given.arc, "CENTRE:ANGLE, 0.3,0.2:90deg")

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robodyn.tables.summaries import SummaryWriter
-
-if TYPE_CHECKING:
-    from robodyn.tables.table import Array
+from robodyn.tables.arrays import Array
+from robodyn.tables.summaries import Rows
 
 
-class RankCorrelations(SummaryWriter):
+def correlation_table(
+    header: Sequence[str], rows: Array, _: Array, varied: int
+) -> tuple[Sequence[str], Rows]:
     """Of each column after the first `varied` ones its rank correlation with each of these.
 
     It is 1 where the one never falls as the other grows, -1 where it never grows, and empty where
-    one of them is constant.  Rows in which the column has no value do not count; all rows are kept.
+    one of them is constant.  Rows (T, columns) in which the column has no value do not count.
     """
-
-    def __init__(self, *given: Any, varied: int) -> None:
-        super().__init__(*given)
-        self._varied, self._rows = varied, list[np.ndarray]()
-
-    def write_columns(self, values: Array) -> None:
-        self._rows.append(values)
-
-    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
-        found = correlations(self._header, self._varied, self._rows)
-        rows: list[list[float | str | None]] = [[name, *row] for name, row in found.items()]
-        return ["column", *self._header[: self._varied]], rows
+    found = correlations(header, varied, [rows])
+    return ["column", *header[:varied]], [[name, *row] for name, row in found.items()]
 
 
 def correlations(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from robodyn.tables.table_writer import Writer
 if TYPE_CHECKING:
     from robodyn.tables.table import Array
 
+Rows = list[list[float | str | None]]
 EXTREMES = ("column", "min", "min_t", "min_q1", "max", "max_t", "max_q1", "mean", "rms")
 
 
@@ -41,7 +42,7 @@ class SummaryWriter(Writer):
         self._worded: set[int] = set()  # computed columns with a text
 
     @abstractmethod
-    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
+    def tell(self) -> tuple[Sequence[str], Rows]:
         """What is told of the rows: columns and rows."""
 
     @abstractmethod
@@ -93,6 +94,28 @@ class SummaryWriter(Writer):
         return found
 
 
+class KeptRows(SummaryWriter):
+    """Keeps all rows, and writes what `of` tells of them: columns and rows.
+
+    It takes the names of all columns, their values (T, columns), and those that are computed.
+    """
+
+    def __init__(
+        self,
+        *given: Any,
+        of: Callable[[Sequence[str], Array, Array], tuple[Sequence[str], Rows]],
+    ) -> None:
+        super().__init__(*given)
+        self._of, self._kept = of, [np.zeros((0, len(self._header)))]
+
+    def write_columns(self, values: Array) -> None:
+        self._kept.append(values)
+
+    def tell(self) -> tuple[Sequence[str], Rows]:
+        rows = np.concatenate(self._kept)
+        return self._of(self._header, rows, rows[:, self._places])
+
+
 class Extremes(SummaryWriter):
     """Of each column but t: least and greatest, the t and q1 of that row, mean and rms.
 
@@ -137,8 +160,8 @@ class Extremes(SummaryWriter):
         )  # whose range holds the squares of all floats
         self._sums += [wide.sum(axis=0), np.square(wide).sum(axis=0)]
 
-    def tell(self) -> tuple[Sequence[str], list[list[float | str | None]]]:
-        rows: list[list[float | str | None]] = []
+    def tell(self) -> tuple[Sequence[str], Rows]:
+        rows: Rows = []
         mean, square = self._sums / np.maximum(self._count, 1)
         t, q1 = self.numeric("t"), self._q1
         for name in self._header:
