@@ -39,9 +39,10 @@ os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-
 
 # the files that take the longest, the longest first; the others follow by their number of tests
 LONGEST = (
-    "hard_cases sensitivity near_misses accuracy sweep_columns cli_sweep sweep cli_bench notebook readme "
-    "simulation lanes pipes shown_text identify motors prismatic benchmark shortest fit equations"
-).split()
+    "hard_cases", "sensitivity", "near_misses", "accuracy", "sweep_columns", "cli_sweep",
+    "sweep", "cli_bench", "notebook", "readme", "simulation", "lanes", "pipes", "shown_text",
+    "identify", "motors", "prismatic", "benchmark", "shortest", "fit", "equations",
+)  # fmt: skip
 
 # the scenes of robots/ as the oracles take them
 TWO_LINK = oracles.TwoLink(
