@@ -6,6 +6,7 @@ import os
 import random
 from functools import cache, lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -339,3 +340,12 @@ def test_an_accuracy_is_kept_past_hard_stops(asked):
     far = np.abs(times[:, None] - np.array(hits)).min(axis=1) > asked
     assert np.abs(found.q - exact.q).max() <= asked
     assert np.abs((found.qd - exact.qd)[far]).max() <= asked
+
+
+def test_how_far_times_are_from_the_nearest_contact():
+    motion = SimpleNamespace(_of=(mechanism(BUMPED),), times=np.array([0.0, 0.9, 1.2, 2.5, 9.0]))
+    recorder = SimpleNamespace(contacts=[SimpleNamespace(t=t) for t in (1.0, 2.0)])
+    found = accuracy._Motion._apart(motion, recorder)
+    assert found == pytest.approx([1.0, 0.1, 0.2, 0.5, 7.0])
+    recorder.contacts = []
+    assert np.isinf(accuracy._Motion._apart(motion, recorder)).all()
