@@ -32,11 +32,11 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 hard: $(READY)
 	$(BIN)/python tests/hard_cases/run.py
-	FRESH=1 $(BIN)/python -m pytest -n auto --dist loadfile $$(grep -lE "FRESH|hypothesis|mark.thinned" tests/test_*.py)
+	FRESH=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $$(grep -lE "FRESH|hypothesis|mark.thinned" tests/test_*.py)
 
 bench: $(READY)
 	$(BIN)/python tests/bench.py

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -35,6 +36,13 @@ settings.load_profile("fresh" if FRESH else "fixed")
 
 # machine code that tests make is kept, but not among the user's
 os.environ["ROBODYN_CACHE"] = str(Path(tempfile.gettempdir()) / f"robodyn-tests-{os.geteuid()}")
+
+# the files that take the longest, the longest first; the others follow by their number of tests
+LONGEST = (
+    "hard_cases", "sensitivity", "near_misses", "accuracy", "sweep_columns", "cli_sweep",
+    "sweep", "cli_bench", "notebook", "readme", "simulation", "lanes", "pipes", "shown_text",
+    "identify", "motors", "prismatic", "benchmark", "shortest", "fit", "equations",
+)  # fmt: skip
 
 # the scenes of robots/ as the oracles take them
 TWO_LINK = oracles.TwoLink(
@@ -75,6 +83,17 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Files that take long come first; fewer combinations of parameters are kept.
+
+    A worker takes whole files in this order: a long one taken last would leave the others idle.
+    """
+    count = Counter(item.path for item in items)
+    place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda x: (place.get(x.path.stem, len(place)), -count[x.path], x.path))
+    _thin(config, items)
+
+
+def _thin(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of a test marked `thinned` the diagonal of the product of its parameters.
 
     Value k of the longest list meets value k, modulo their count, of the next one; a third goes on

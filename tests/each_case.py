@@ -7,6 +7,8 @@ import inspect
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
+from named_case import case
+
 
 def each(names: str | Sequence[str], cases: Collection[Any]) -> Callable[[Callable], Callable]:
     """As `pytest.mark.parametrize`, but in one test: for cases that are quick and share fixtures.
@@ -19,14 +21,10 @@ def each(names: str | Sequence[str], cases: Collection[Any]) -> Callable[[Callab
     def decorate(test: Callable) -> Callable:
         @functools.wraps(test)
         def run(*arguments: Any, **fixtures: Any) -> None:
-            for case in cases:
-                values = case if len(known) > 1 else [case]
-                given = dict(zip(known, values, strict=True))
-                try:
+            for values in cases:
+                given = dict(zip(known, values if len(known) > 1 else [values], strict=True))
+                with case(given):
                     test(*arguments, **fixtures, **given)
-                except BaseException as error:
-                    error.add_note("where " + ", ".join(f"{k} = {x!r}" for k, x in given.items()))
-                    raise
 
         own = inspect.signature(test)
         left = [x for name, x in own.parameters.items() if name not in known]

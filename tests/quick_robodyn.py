@@ -1,9 +1,9 @@
 """`robodyn` as a command that starts at once: a copy of a process that has imported it already.
 
 A server imports the package once.  A small program named `robodyn` hands it its own streams,
-arguments, directory and environment; the server forks, and the copy runs the command line on them
-as a new process would.  What starting itself does (imports, closed streams, signals that come
-early) is for real processes to test.
+arguments, directory, environment and limit of a file's size; the server forks, and the copy runs
+the command line on them as a new process would.  What starting and ending do (imports, closed
+streams, signals that come early, a last flush that fails) is for real processes to test.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import locale
 import marshal
 import os
 import pkgutil
+import resource
 import selectors
 import shutil
 import signal
@@ -34,12 +35,13 @@ LATE = ("scipy.integrate", "scipy.optimize", "scipy.linalg", "rich.table", "llvm
 LATE += ("matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_svg")
 SIZE = 1 << 20  # bytes that a call may have
 
-# it must start in a few milliseconds: nothing but built-in modules
+# it must start in a few milliseconds: nothing but modules in C
 CLIENT = """#!{python} -IS
-import _socket, marshal, posix, sys
+import _socket, marshal, posix, resource, sys
 link = _socket.socket(_socket.AF_UNIX, _socket.SOCK_STREAM)
 link.connect({address!r})
-call = marshal.dumps((sys.argv[1:], posix.getcwd(), posix.environ))
+size = resource.getrlimit(resource.RLIMIT_FSIZE)
+call = marshal.dumps((sys.argv[1:], posix.getcwd(), posix.environ, size))
 streams = b"".join(n.to_bytes(4, sys.byteorder) for n in (0, 1, 2))
 link.sendmsg([len(call).to_bytes(4, "big")], [(_socket.SOL_SOCKET, _socket.SCM_RIGHTS, streams)])
 while call:
@@ -126,12 +128,13 @@ def _become(link: socket.socket) -> None:
     call = b""
     while len(call) < int.from_bytes(length, "big"):
         call += link.recv(SIZE)
-    arguments, directory, environment = marshal.loads(call)
+    arguments, directory, environment, size = marshal.loads(call)
     for number, stream in enumerate(streams):
         os.dup2(stream, number)
         os.close(stream)
     link.close()
     os.chdir(directory)
+    resource.setrlimit(resource.RLIMIT_FSIZE, size)
     os.environ.clear()
     os.environb.update(environment)
     locale.setlocale(locale.LC_CTYPE, "")

@@ -6,6 +6,7 @@ import os
 import random
 from functools import cache, lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def random_motion(name, tau):
     torques = at_rest(scene.n)
     if tau:
         torques = actuation.constant(mech, [0.5] * len(mech.actuated))
-    times = np.linspace(0.0, 0.4, 41)[1:]
+    times = np.linspace(0.0, 0.2, 21)[1:]
     return mech, start, times, tightest(mech, start, times, torques), torques
 
 
@@ -161,11 +162,11 @@ def test_torques_without_a_series_take_dop853():
     mech, torques = arm("abs(q2), 0")
     assert best_method(mech, torques) == "DOP853"
     assert best_method(*arm("sin(t), -qd2")) == "taylor"
-    start = np.array([-1.3, -0.02, 0.5, 0.25])  # q2 changes its sign at 0.1 s
-    times = [0.1, 0.2]
+    start = np.array([-1.3, -0.01, 0.5, 0.25])  # q2 changes its sign at 0.05 s
+    times = [0.05, 0.1]
     exact = reference(mech, start, np.array(times), torques).y
     assert (exact[:, 1] > 0.0).any()
-    settings, _ = settings_for(mech, start, 0.2, torques, Settings(AUTO), 1e-8)
+    settings, _ = settings_for(mech, start, 0.1, torques, Settings(AUTO), 1e-8)
     assert settings.method == "DOP853"
     assert error(mech, start, times, exact, torques, settings) <= 1e-8
 
@@ -339,3 +340,12 @@ def test_an_accuracy_is_kept_past_hard_stops(asked):
     far = np.abs(times[:, None] - np.array(hits)).min(axis=1) > asked
     assert np.abs(found.q - exact.q).max() <= asked
     assert np.abs((found.qd - exact.qd)[far]).max() <= asked
+
+
+def test_how_far_times_are_from_the_nearest_contact():
+    motion = SimpleNamespace(_of=(mechanism(BUMPED),), times=np.array([0.0, 0.9, 1.2, 2.5, 9.0]))
+    recorder = SimpleNamespace(contacts=[SimpleNamespace(t=t) for t in (1.0, 2.0)])
+    found = accuracy._Motion._apart(motion, recorder)
+    assert found == pytest.approx([1.0, 0.1, 0.2, 0.5, 7.0])
+    recorder.contacts = []
+    assert np.isinf(accuracy._Motion._apart(motion, recorder)).all()

@@ -114,7 +114,7 @@ def test_what_is_kept_beside_an_output_is_no_input_either(
         assert path.read_text() == ARM
 
 
-def test_streams_are_files_too(robodyn: Run, shell: Run, tmp_path: Path) -> None:
+def test_streams_are_files_too(robodyn: Run, quick_shell: Run, tmp_path: Path) -> None:
     rows = tmp_path / "rows.csv"
     rows.write_text("q1,q2\n1,2\n")
     torque = "robodyn torque robots/2r.yaml"
@@ -124,9 +124,9 @@ def test_streams_are_files_too(robodyn: Run, shell: Run, tmp_path: Path) -> None
         f"{torque} - <{rows} >>{rows}",
         f"robodyn simulate robots/2r.yaml --q 0,0 --report {rows} >>{rows}",
     ):
-        shell(line).fails(2, "would write over")
+        quick_shell(line).fails(2, "would write over")
         assert rows.read_text() == "q1,q2\n1,2\n"
-    shell(f"{torque} - <{rows} | {torque} - -o {rows}.new").succeeds()
+    quick_shell(f"{torque} - <{rows} | {torque} - -o {rows}.new").succeeds()
     given = robodyn("simulate", "robots/2r.yaml", "--q", "0,0", "--report", "-")
     given.fails(2, "would write over")
 

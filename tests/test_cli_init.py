@@ -121,7 +121,7 @@ def test_schema(robodyn: Run, tmp_path: Path) -> None:
 # Completion
 
 
-def completed(shell: Run, words: str) -> list[str]:
+def completed(quick_shell: Run, words: str) -> list[str]:
     """What bash is offered after these words, the last of them to be completed."""
     count = len(words.split(" ")) - 1
     environment = {
@@ -129,17 +129,17 @@ def completed(shell: Run, words: str) -> list[str]:
         "COMP_WORDS": words,
         "COMP_CWORD": str(count),
     }
-    return shell("robodyn", env=environment).succeeds().out.split()
+    return quick_shell("robodyn", env=environment).succeeds().out.split()
 
 
-def test_completion_lists_the_commands(shell: Run) -> None:
-    assert completed(shell, "robodyn ") == list(cli.COMMANDS)
-    assert completed(shell, "robodyn an") == ["animate"]
+def test_completion_lists_the_commands(quick_shell: Run) -> None:
+    assert completed(quick_shell, "robodyn ") == list(cli.COMMANDS)
+    assert completed(quick_shell, "robodyn an") == ["animate"]
 
 
-def test_completion_lists_options_and_scenes(shell: Run) -> None:
-    assert {"--labels", "--forces", "--q"} <= set(completed(shell, "robodyn draw --"))
-    assert completed(shell, "robodyn init f") == ["five-bar", "four-bar"]
+def test_completion_lists_options_and_scenes(quick_shell: Run) -> None:
+    assert {"--labels", "--forces", "--q"} <= set(completed(quick_shell, "robodyn draw --"))
+    assert completed(quick_shell, "robodyn init f") == ["five-bar", "four-bar"]
 
 
 @pytest.mark.parametrize(
