@@ -19,6 +19,7 @@ from robodyn.errors import InputError, RobodynError
 from robodyn.loops.assembly import assemble
 from robodyn.loops.closing import close_positions
 from robodyn.loops.loop_rates import check_closed, loop_velocities
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, build
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.fit_problem import Problem
@@ -43,7 +44,7 @@ def fit_motion(
     t: ArrayLike,
     q: ArrayLike,
     qd: ArrayLike | None = None,
-    tau: Sequence[float] | str | None = None,
+    tau: Sequence[float] | str | Actuation | None = None,
     *,
     target: ArrayLike | None = None,
     of: Sequence[str] = (),
