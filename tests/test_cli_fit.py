@@ -195,6 +195,8 @@ def test_wrong_options(robodyn: Run, arguments: list[str], told: str) -> None:
         ("q1,P_x\n1,0.2\n", ["--q", "1"], "has the column q1; leave one of them out"),
         ("q1,P_x\n1,0.2\n", ["--simulate"], "column t is missing"),
         ("q1,P_x\n1,0.2\n", [], "stdin: rows = 1: 1 values are too few"),
+        ("t,q1\n0,1\n1,1\n", ["--simulate", "--q", "1,0,0"], "the loops are open: gap in position"),
+        ("t,q1\n1,1\n2,1\n", ["--simulate", "--tau", "t"], "stdin: t = 1.0: must begin at 0"),
         ("t,q1\n0,1\n0,1\n", ["--simulate"], "stdin: t: must be two times or more that increase"),
     ],
 )

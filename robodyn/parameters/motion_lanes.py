@@ -69,6 +69,8 @@ def fit_motion(
     begin = {"q": np.array(q, float)}
     begin["qd"] = np.zeros(len(begin["q"])) if qd is None else np.array(qd, float)
     whole = len(begin["q"]) == n
+    if whole and (fault := check_closed(mechanism, begin["q"])):
+        raise fault[1]
     first = close_positions(mechanism, begin["q"]) if whole else assemble(mechanism, begin["q"])
     if whole and len(begin["qd"]) < n:
         begin["qd"] = loop_velocities(mechanism, first, begin["qd"])
