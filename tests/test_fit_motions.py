@@ -99,3 +99,9 @@ def test_conditions_on_motions() -> None:
     for text in ("tau1 <= 1", "qdd1 <= 2"):
         with pytest.raises(InputError, match=f"--subject-to = {text}: .*no column of a motion"):
             robodyn.fit_motion(*given, subject_to=[text])
+
+
+def test_change_points_of_dependent_closures_are_told() -> None:
+    given = load(ROOT / "tests/hard_cases/third-crank.yaml"), {"links[1].m": (0.1, 3.0)}, ["q1"]
+    with pytest.raises(InputError, match=r"closures depend on one another: .* no change point"):
+        robodyn.fit_motion(*given, [0.0, 0.5, 1.0], [1.0], [2.0], starts=1)

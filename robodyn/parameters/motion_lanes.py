@@ -161,10 +161,16 @@ def fit_motion(
             except RobodynError:  # does not close
                 if S == 1 and not np.any(each):
                     raise
-        alone = np.isfinite(starts).all(axis=(0, 2)) & (len(kept) == len(mechanism.rows))
+        alone = np.isfinite(starts).all(axis=(0, 2))
         if lanes is not None and (lanes.fast or S >= FEW or len(kept) < len(mechanism.rows)):
             y, s = lanes(changes[:, order], *starts)
             alone &= ~np.isfinite(y[:, -1]).all(axis=1)
+        if len(kept) < len(mechanism.rows):  # no run alone has derivatives
+            if alone.any() and not np.any(changes):
+                limit = "closures depend on one another: no stop, no dry friction, no torque or"
+                limit += " load that switches, and no change point may be on the way"
+                raise InputError("a fit of motions", where=mechanism.source, limit=limit)
+            alone[:] = False
         for i in np.flatnonzero(alone).tolist():
             try:
                 y[i], s[i] = of_one(changes[i])
