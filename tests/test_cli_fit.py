@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -123,6 +124,35 @@ def test_a_motion_that_goes_least_far(robodyn: Run) -> None:
     assert told["rms"]["q1"] < told["rms_before"]["q1"]
 
 
+def test_a_motion_of_a_free_joint(robodyn: Run) -> None:
+    """Its start is in the table, or in options, and may be varied; torques may be expressions."""
+    run = ("--tau", "sin(3*t)", "--time", "1", "--points", "9", "--quiet")
+    rows = robodyn("simulate", "cart-pole", "--q", "0.1,70deg", *run).out
+    given = ("fit", "cart-pole", "--simulate", "--match", "-", "--tau", "sin(3*t)", "--starts", "1")
+    vary = ("--columns", "q1,q2", "--vary", "links.pole.m=0.05:0.3")
+    for more in (), ("--q", "0.1,1.3", "--qd", "0,0", "--vary", "q2=1.2:1.3"):
+        told = json.loads(robodyn(*given, *vary, *more, stdin=rows).out)["numbers"]
+        assert told.pop("links.pole.m") == pytest.approx(0.1, rel=1e-6)
+        assert list(told.values()) == pytest.approx([math.radians(70)][: len(more)], rel=1e-6)
+    more = ("--subject-to", "q2 >= 20deg")
+    wrong = robodyn(*given, *vary, *more, stdin=rows.replace("q2", "p2"))
+    assert (wrong.code, "column q2 is missing" in wrong.err) == (2, True)
+
+
+def test_rates_that_are_missing(robodyn: Run) -> None:
+    """Are zero, with a warning where times run on and a column feels them."""
+    told = "Warning: stdin: t runs on, but no qd and qdd given: taken as zero\n"
+    table = "t,q1,tau1,rod_x\n0,0,1,0.3\n1,0.1,1,0.3\n"
+    for columns, more, warned in (
+        ("tau1", (), True),
+        ("rod_x", (), False),
+        ("tau1", ("--qd", "0"), False),
+    ):
+        line = ("fit", PENDULUM, "--match", "-", "--columns", columns, "--vary", "links.rod.r=0:1")
+        line = (*line, "--vary", "links.rod.l=0.1:1") if columns == "rod_x" else line
+        assert (told in robodyn(*line, *more, stdin=table).err) == warned
+
+
 COLUMN = ["--minimize", "tau1", "--q", "1"]
 
 
@@ -165,6 +195,8 @@ def test_wrong_options(robodyn: Run, arguments: list[str], told: str) -> None:
         ("q1,P_x\n1,0.2\n", ["--q", "1"], "has the column q1; leave one of them out"),
         ("q1,P_x\n1,0.2\n", ["--simulate"], "column t is missing"),
         ("q1,P_x\n1,0.2\n", [], "stdin: rows = 1: 1 values are too few"),
+        ("t,q1\n0,1\n1,1\n", ["--simulate", "--q", "1,0,0"], "the loops are open: gap in position"),
+        ("t,q1\n1,1\n2,1\n", ["--simulate", "--tau", "t"], "stdin: t = 1.0: must begin at 0"),
         ("t,q1\n0,1\n0,1\n", ["--simulate"], "stdin: t: must be two times or more that increase"),
     ],
 )

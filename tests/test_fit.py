@@ -506,6 +506,7 @@ def test_starts_advance_as_lanes(machine: bool, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(motion_lanes, "solved", lambda mech, values, problem, *rest: problem)
     if not machine:
         monkeypatch.setattr(lane_runs.Rows, "compile", lambda self: None)
+        monkeypatch.setattr(motion_lanes, "FEW", 1)
     changes = np.array([[0.0, 0.0, 0.0], [0.3, 0.05, -1.0], [-0.2, 0.02, 2.0]])
     for name in ("four-bar", "spring-slider-crank") if machine else ("2r",):
         mech = load(ROOT / f"robots/{name}.yaml")
@@ -518,7 +519,7 @@ def test_starts_advance_as_lanes(machine: bool, monkeypatch: pytest.MonkeyPatch)
         def lanes(alone: bool, given=given):
             with monkeypatch.context() as patch:
                 if alone:
-                    patch.setattr(motion_lanes, "serves", lambda mech: False)
+                    patch.setattr(motion_lanes, "serves", lambda *given: False)
                 else:
                     patch.setattr(motion_lanes, "simulate", None)
                 return robodyn.fit_motion(*given).states(changes)

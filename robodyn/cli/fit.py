@@ -13,7 +13,7 @@ from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
-from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, vector
+from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
@@ -37,7 +37,7 @@ _COLUMNS = "Those columns of --match, A,B. Default: all that can be fitted."
 _MINIMIZE = "Columns whose sum of squares is to be least at the rows given, A,B; repeatable."
 _SUBJECT = "A condition, such as 'links.crank.l + links.rocker.l <= 1.2'; repeatable."
 _SIMULATE = "The columns are those of a motion from --q, --qd or the first row, at the times t."
-_TAU = "Constant torques of that motion, N m, of the actuated joints. Default: zero."
+_TAU = "Torques of that motion, as those of `simulate`: numbers, or expressions. Default: zero."
 _STARTS = "Where to search from, at random within the bounds. Default: 30, for motions 4."
 _RESIDUALS = "In place of the summary, rows: the columns as they are now, and less the wanted."
 _OUT = "Write the scene with these numbers here; comments and order stay."
@@ -60,7 +60,7 @@ class FitOptions:
     qd: Qd = None
     qdd: Qdd = None
     simulate: Annotated[bool, Option("--simulate", help=_SIMULATE)] = False
-    tau: Annotated[Text, vector("--tau", _TAU)] = None
+    tau: Annotated[Text, Option("--tau", metavar="TORQUES", help=_TAU)] = None
     starts: Annotated[int | None, Option("--starts", metavar="N", help=_STARTS)] = None
     seed: Annotated[int, Option("--seed", metavar="S", help="Of the random starts.")] = 0
 
@@ -74,9 +74,8 @@ class FitOptions:
             raise InputError("STATES", value=states, limit=limit)
         if self.columns is not None and self.match is None:
             raise InputError("--columns", limit="is for --match")
-        if self.simulate and (self.subject_to or (self.match is None and states is None)):
-            limit = "needs --match or STATES, for its times, and is without --subject-to"
-            raise InputError("--simulate", limit=limit)
+        if self.simulate and self.match is None and states is None:
+            raise InputError("--simulate", limit="needs --match or STATES, for its times")
         if self.tau is not None and not self.simulate:
             raise InputError("--tau", limit="is for --simulate")
 
@@ -96,17 +95,16 @@ class FitOptions:
         common: dict[str, Any] = {
             "target": rows.target,
             "of": self.of or (),
+            "subject_to": self.subject_to or (),
             "seed": self.seed,
             "tell": tell,
         }
         if self.simulate:
-            from robodyn.cli.states import Quantity, option_source
+            from robodyn.mechanics.actuation import expressions
             from robodyn.parameters.motion_lanes import STARTS as FEW
             from robodyn.parameters.motion_lanes import fit_motion
 
-            torques = None
-            if self.tau:
-                torques = option_source(mechanism, Quantity("tau", self.tau)).values
+            torques = expressions(mechanism, self.tau, "--tau") if self.tau else None
             motion = rows.columns, rows.t, rows.q[0], rows.qd[0], torques
             starts = FEW if self.starts is None else self.starts
             return fit_motion(mechanism, bounds, *motion, starts=starts, **common)
@@ -114,9 +112,8 @@ class FitOptions:
         from robodyn.parameters.fitting import fit as fitted
 
         states = rows.columns, rows.q, rows.qd, rows.qdd, rows.t
-        conditions = self.subject_to or ()
         starts = STARTS if self.starts is None else self.starts
-        return fitted(mechanism, bounds, *states, starts=starts, subject_to=conditions, **common)
+        return fitted(mechanism, bounds, *states, starts=starts, **common)
 
 
 def fit(

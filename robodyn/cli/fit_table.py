@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robodyn.cli.found_rates import tell_at_rest
 from robodyn.cli.output import note
 from robodyn.cli.row_files import read_columns
 from robodyn.cli.states import Quantity, option_source
@@ -59,11 +60,11 @@ def rows_of_options(
     )
 
 
-def _driven(mechanism: Mechanism, quantity: Quantity) -> Array:
-    """An option's values of the actuated joints."""
+def _driven(mechanism: Mechanism, quantity: Quantity, whole: bool = False) -> Array:
+    """An option's values of the actuated joints, or as they are if they may be `whole`."""
     source = option_source(mechanism, quantity)
     values = np.array(source.values)
-    return values[list(mechanism.actuated)] if source.whole else values
+    return values[list(mechanism.actuated)] if source.whole and not whole else values
 
 
 def rows_given(
@@ -82,7 +83,9 @@ def rows_given(
     """
     from robodyn.parameters.column_formulas import ColumnFormulas
 
-    driven = {kind: [f"{kind}{k + 1}" for k in mechanism.actuated] for kind in KINDS}
+    free = moving and len(mechanism.passive) > len(mechanism.rows)
+    joints = range(mechanism.n) if free else mechanism.actuated  # that a motion begins with
+    driven = {kind: [f"{kind}{k + 1}" for k in joints] for kind in KINDS}
     states: dict[str, list[str]] = {}
     columns = wanted
 
@@ -119,19 +122,33 @@ def rows_given(
     if not len(values):
         raise InputError("no rows", where=name, limit="the header is followed by no row")
     place = {x: k for k, x in enumerate(names)}
-    T, width = len(values), len(mechanism.actuated)
+    T = len(values)
     state: dict[str, Array] = {}
     for kind in KINDS:
         if kind in states:
             state[kind] = values[:, [place[x] for x in states[kind]]]
         else:
-            own = _driven(mechanism, Quantity(kind, options[kind]))
-            state[kind] = np.tile(own, (T, 1)).reshape(T, width)
+            own = _driven(mechanism, Quantity(kind, options[kind]), moving)
+            state[kind] = np.tile(own, (T, 1)).reshape(T, len(own))
     t = values[:, place["t"]] if "t" in place else np.zeros(T)
+    given = {*states, *(kind for kind in KINDS if options[kind] is not None)}
+    if not moving and np.ptp(t) and given == {"q"} and _moves(mechanism, of or (), columns):
+        tell_at_rest(name, ("qd", "qdd"))
     target = values[:, [place[x] for x in columns]] if match else np.zeros((T, len(columns)))
     shown = [x for x in names if x not in columns or not match or x in ("t",)]
     known = values[:, [place[x] for x in shown]]
     return FitRows(state["q"], state["qd"], state["qdd"], t, columns, target, shown, known, name)
+
+
+def _moves(mechanism: Mechanism, of: Sequence[str], columns: Sequence[str]) -> bool:
+    """Whether any of the columns depends on rates, accelerations or forces."""
+    from robodyn.engines.tangents import tangents
+    from robodyn.parameters.column_formulas import ColumnFormulas
+
+    formulas = ColumnFormulas(mechanism, [], of)
+    nodes = [formulas.column(name) for name in columns]
+    moving = [x for x in formulas.inputs[mechanism.n :] if x != "t"]
+    return any(tangents(nodes, moving))
 
 
 def _fitted(

@@ -32,11 +32,16 @@ def taken_at_rest(
             first, last = (finite(unquoted(split_fields(chunk.lines[k])[place])) for k in (0, -1))
             begin = first if begin is None else begin
             if begin is not None and last is not None and last != begin:
-                names = " and ".join(x.quantity.name for x in rates)
-                text = f"t runs on, but no {names} given: taken as zero; --differentiate finds them"
-                note(f"Warning: {reader.source}: {text}")
+                names = [x.quantity.name for x in rates]
+                tell_at_rest(reader.source, names, "; --differentiate finds them")
                 place = None
         yield chunk
+
+
+def tell_at_rest(source: str, names: Sequence[str], more: str = "") -> None:
+    """Warn that a table with times has none of these rates."""
+    text = f"t runs on, but no {' and '.join(names)} given: taken as zero{more}"
+    note(f"Warning: {source}: {text}")
 
 
 class Lack(NamedTuple):

@@ -226,7 +226,7 @@ def solved(
     alike = dependence(J, [problem.names[k] for k in free], EXCITED)
     room = {
         text: 0.0
-        - problem.sizes[i] * float(np.max(np.abs(c[here]) if problem.equal[i] else c[here]))
+        - float(problem.sizes[i]) * float(np.max(np.abs(c[here]) if problem.equal[i] else c[here]))
         for i, text in enumerate(subject_to)
         if (here := problem.places[1] == i).any()
     }

@@ -11,47 +11,80 @@ of E. Hairer's DOP853 with its dense output; each accepted state is moved back o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.dynamics import PIVOT_CUT
 from robodyn.engines.derivative_formulas import KINDS, residuals
-from robodyn.engines.expression import Value
+from robodyn.engines.expression import Graph, Value
 from robodyn.engines.factors import Factors
 from robodyn.engines.formula_rows import FormulaRows
 from robodyn.engines.formulas import Formula, Recorded, cheapest, closure_pivots
 from robodyn.engines.frames import relative
 from robodyn.engines.machine_rows import Rows
 from robodyn.engines.tangents import Tangents, slopes_by, substituted
-from robodyn.loops.closing import regular_rank
+from robodyn.errors import InputError
+from robodyn.loops.change_points import rank_beside
+from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import compiled, solved_lanes
+from robodyn.scene.expressions import check_smooth
+from robodyn.simulation.varied_motion import torque_nodes
 from robodyn.tables.arrays import Array
 
 Places = NDArray[np.int64]
-Start = tuple[str, int] | None  # what is varied: q or qd of a joint that is driven, or a number
+Start = tuple[str, int] | None  # what is varied: q or qd of a joint that is held, or a number
 
 STEPS = 20_000  # of a lane, which then ends
+BESIDE = 1e-3  # rad from a start, where it is no change point
+FIRST = 1e3  # actuated joints go so far before others among those that tell all
 WIDE = 8  # lanes of one call at least: fewer would be padded with more to do
 WAY = "p"
 
 
-def serves(mechanism: Mechanism) -> bool:
-    """Whether one formula has all accelerations, and driven joints tell where the others are."""
-    rows = len(mechanism.rows)
-    if mechanism.switches or mechanism.timed or mechanism.n != rows + len(mechanism.actuated):
+def serves(mechanism: Mechanism, actuation: Actuation) -> bool:
+    """Whether one smooth formula has all accelerations."""
+    if mechanism.switches or mechanism.has_tables or actuation.linear or actuation.control:
         return False
-    return elimination_is_safe(mechanism) and (not rows or regular_rank(mechanism) == rows)
+    try:
+        for line in actuation.lines:
+            check_smooth([line.partition(" = ")[2]])
+        torque_nodes(mechanism, actuation, Graph(), timed=True)
+    except (ValueError, InputError):
+        return False
+    return elimination_is_safe(mechanism)
+
+
+def freedoms(mechanism: Mechanism, q: Array) -> tuple[list[int], list[int]]:
+    """Rows of closures that have no other's meaning at q (n,), and joints that tell all others.
+
+    These are the actuated ones, with others where they do not suffice.
+    """
+    from scipy.linalg import null_space, qr
+
+    n, driven, kept = mechanism.n, list(mechanism.actuated), list(range(len(mechanism.rows)))
+    Psi = scaled_jacobian(mechanism, q)
+    if kept:
+        rank = rank_beside(mechanism, q, BESIDE, 4)
+        kept = sorted(qr(Psi.T, mode="r", pivoting=True)[1][:rank].tolist())
+    if len(driven) + len(kept) == n:
+        return kept, driven
+    free = null_space(Psi[kept]) if kept else np.eye(n)
+    free[driven] *= FIRST
+    return kept, sorted(qr(free.T, mode="r", pivoting=True)[1][: n - len(kept)].tolist())
 
 
 class LaneRuns:
-    """Runs of a mechanism under constant torques tau (n) to times (T,).
+    """Runs of a mechanism under torques to times (T,).
 
-    `varied` tells of each of the k names what it is, `sizes` (k,) their sizes.
+    `varied` tells of each of the k names what it is, `sizes` (k,) their sizes.  The rows `kept` of
+    closures have the others' meaning; joints `held` begin as they are given.
     """
 
     def __init__(
@@ -59,34 +92,44 @@ class LaneRuns:
         formulas: ColumnFormulas,
         varied: Sequence[Start],
         sizes: Array,
-        tau: Sequence[float],
+        actuation: Actuation,
         times: Array,
         tolerance: float,
+        kept: Sequence[int],
+        held: Sequence[int],
     ) -> None:
         self.formulas, self.varied, self.sizes = formulas, list(varied), sizes
-        self.times, self.tolerance = times, tolerance
+        self.times, self.tolerance, self.kept, self.held = times, tolerance, kept, list(held)
+        ends = np.array(actuation.leaves)  # no step is longer than a leaf that it enters
+        self.leaves = ends, np.append(np.diff(ends, prepend=0.0), np.inf)
         self.n, self.k = formulas.mechanism.n, len(sizes)
         self.numbers = [j for j, x in enumerate(varied) if x is None]
-        self._rates = self._code(tau)
+        self._rates = self._code(actuation)
         f, n = formulas, self.n
-        q, p, r = f.state.inputs[:n], [f"p{i}" for i in range(len(f.p))], len(f.gap)
-        Psi = [x for row in f.Psi for x in row]
-        parts = ((f.gap, p), (f.gap_rate, q), (f.gap_rate, p))
+        q, p, r = f.state.inputs[:n], [f"p{i}" for i in range(len(f.p))], len(kept)
+        Psi = [x for i in kept for x in f.Psi[i]]
+        gap, rate = ([x[i] for i in kept] for x in (f.gap, f.gap_rate))
+        parts = ((gap, p), (rate, q), (rate, p))
         slopes = [((r, len(by)), slopes_by(nodes, by)) for nodes, by in parts]
         self._begin = compiled(f.inputs, [((r, n), Psi), *slopes])
-        self._loops = compiled(f.inputs, [((r,), f.gap), ((r, n), Psi)])
+        self._loops = compiled(f.inputs, [((r,), gap), ((r, n), Psi)])
 
-    def _code(self, tau: Sequence[float]) -> Callable[..., Any]:
+    def _code(self, actuation: Actuation) -> Callable[..., Any]:
         """Accelerations of the motion and of each s (1 + k, n), and the lanes without any."""
-        n, k, mechanism = self.n, self.k, self.formulas.mechanism
+        n, k, graph = self.n, self.k, self.formulas.graph
+        mechanism, named = (
+            replace(x, rows=tuple(x.rows[i] for i in self.kept))
+            for x in (self.formulas.mechanism, self.formulas.named)
+        )
         p = [f"p{i}" for i in range(len(self.numbers))]
         states = [f"z{i}" for i in range(2 * n * k)]
-        acting: dict[str, Value] = {f"tau{j}": float(x) for j, x in enumerate(tau)}
+        tau = actuation.constants or torque_nodes(mechanism, actuation, graph, timed=True)
+        acting: dict[str, Value] = {f"tau{j}": x for j, x in enumerate(tau)}
 
         def write(way: bool) -> Formula:
-            graph = self.formulas.graph
-            state = Recorded(self.formulas.named, KINDS[1:], way, graph=graph)
+            state = Recorded(named, KINDS[1:], way, graph=graph)
             series, r, _, R = residuals(state)
+            r, R = substituted(r, acting), substituted(R, acting)
             factors = series.factorise()
             assert isinstance(factors, Factors)
             unknown = factors.solve([-x for x in r])
@@ -103,13 +146,13 @@ class LaneRuns:
                 right = [-x for x in substituted(slopes_by(R, by, [WAY]), held)]
                 outputs += relative(mechanism, factors.solve(right)[:n])
             own_sizes = Recorded(mechanism, KINDS[1:], way, graph=graph)
-            every = substituted([*outputs, *closure_pivots(own_sizes, factors)], acting)
             inputs = (*state.inputs[: 2 * n], *states, "t", *p)
-            return Formula(inputs, tuple(every[: len(outputs)]), tuple(every[len(outputs) :]))
+            return Formula(inputs, tuple(outputs), closure_pivots(own_sizes, factors))
 
         formula = cheapest(write)
         assert formula is not None
         machine = Rows([formula.inputs], [formula.outputs], formula.pivots, PIVOT_CUT).compile()
+        self.fast = machine is not None
         rows = FormulaRows(formula, lambda _: formula, (n * (1 + k),), PIVOT_CUT)
 
         def run(x: Array) -> tuple[Array, Places]:
@@ -149,11 +192,11 @@ class LaneRuns:
         return x
 
     def _start(self, changes: Array, q: Array, qd: Array) -> Array:
-        """d(q, qd)/dp (S, 2n, k): loops stay closed, and driven joints as they are given."""
-        n, driven = self.n, list(self.formulas.mechanism.actuated)
+        """d(q, qd)/dp (S, 2n, k): loops stay closed, and held joints as they are given."""
+        n = self.n
         Psi, gap_p, rate_q, rate_p = self._begin(self._x(changes, np.hstack([q, qd])))
         r = Psi.shape[1]
-        A = np.concatenate([Psi, np.broadcast_to(np.eye(n)[driven], (len(q), n - r, n))], axis=1)
+        A = np.concatenate([Psi, np.broadcast_to(np.eye(n)[self.held], (len(q), n - r, n))], axis=1)
         right = np.zeros((2, len(q), n, self.k))
         for j, start in enumerate(self.varied):
             if start is not None:
@@ -168,7 +211,7 @@ class LaneRuns:
         """States moved to the nearest that close, and Psi."""
         y, n = y.copy(), self.n
         Psi = np.zeros((len(y), 0, n))
-        for _ in range(passes if self.formulas.gap else 0):
+        for _ in range(passes if self.kept else 0):
             gap, Psi = self._loops(self._x(changes, y))
             opening = np.stack([gap, (Psi @ y[:, n : 2 * n, None])[..., 0]], axis=-1)
             back = np.swapaxes(Psi, 1, 2)
@@ -210,7 +253,8 @@ class LaneRuns:
                 y, f, Psi = y[ahead], f[ahead], Psi[ahead]
             if not len(lanes):
                 break
-            numbers, step = changes[lanes], np.minimum(h, times[-1] - t)
+            widest = self.leaves[1][np.searchsorted(self.leaves[0], t, "right")]
+            numbers, step = changes[lanes], np.minimum(np.minimum(h, widest), times[-1] - t)
             K = np.empty((len(C), len(lanes), N))
             K[0] = f
 

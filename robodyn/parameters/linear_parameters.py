@@ -91,7 +91,7 @@ def with_parameters(mechanism: Mechanism, values: Mapping[str, Any]) -> Mechanis
     m, mx, my, J = ([values[f"{x}{k + 1}"] for k in range(len(links))] for x in INERTIAL)
     own = Bodies(m, [Planar(x, y) for x, y in zip(mx, my, strict=True)], J)  # type: ignore[misc]
     scene = base._replace(links=tuple(links), springs=tuple(springs))
-    made = constants(_planar(scene), own)
+    made = constants(with_formulas(scene), own)
     stops = zip(made.damping, mechanism.damping, joint_damping(base), strict=True)
     pressed = mechanism.joint_springs[_kept(base) :]
     return replace(
@@ -112,9 +112,9 @@ def _kept(description: Description) -> int:
     return sum(bool(x.stiffness or x.law) for x in springs)
 
 
-def _planar(value: Any) -> Any:
+def with_formulas(value: Any) -> Any:
     """What a scene holds, with complex numbers that take formulas."""
     if isinstance(value, tuple):
-        parts = map(_planar, value)
+        parts = map(with_formulas, value)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return Planar(value.real, value.imag) if isinstance(value, complex) else value

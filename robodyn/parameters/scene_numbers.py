@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from robodyn.engines.expression import Graph
+from robodyn.engines.planar_numbers import Planar
+from robodyn.engines.tangents import slopes_by, substituted
 from robodyn.errors import InputError
-from robodyn.parameters.linear_parameters import linear_parameters
+from robodyn.parameters.linear_parameters import linear_parameters, with_formulas
 from robodyn.scene.scene import Description, Spring
 from robodyn.scene.scene_values import SceneValues
 from robodyn.scene.yaml_values import nearest
@@ -24,9 +27,6 @@ Place = tuple[str | int, ...]
 POSITIVE = ("m", "I")  # of a body; all others but r are not negative
 ROUNDED = 1e-12  # that numbers without noise are off by
 LEAST = 1e-9  # of a mass or an inertia, beside the scene's largest, that counts as positive
-STEP = (
-    0.25  # of a number, or of 1 where it is zero: pi is a quadratic in each, so any step is exact
-)
 
 
 def places(description: Description) -> dict[str, Place]:
@@ -96,8 +96,9 @@ def replaced(value: Any, place: Place, number: Any) -> Any:
     if not place:
         return number
     step, rest = place[0], place[1:]
-    if isinstance(value, complex):
-        return complex(number, value.imag) if step == "real" else complex(value.real, number)
+    if isinstance(value, complex | Planar):
+        both = (number, value.imag) if step == "real" else (value.real, number)
+        return type(value)(*both)
     if isinstance(step, int):
         return (*value[:step], replaced(value[step], rest, number), *value[step + 1 :])
     return value._replace(**{step: replaced(getattr(value, step), rest, number)})
@@ -116,14 +117,14 @@ def values_of(description: Description) -> Array:
 
 
 def slopes(description: Description, where: Sequence[Place]) -> Array:
-    """d pi by the numbers there, (p, k), exact but for rounding."""
-    columns = []
-    for place in where:
-        now = number_at(description, place)
-        step = STEP * (abs(now) or 1.0)
-        ends = [values_of(replaced(description, place, now + x)) for x in (step, -step)]
-        columns.append((ends[0] - ends[1]) / (2.0 * step))
-    return np.stack(columns, axis=-1) if columns else np.zeros((len(values_of(description)), 0))
+    """d pi by the numbers there, (p, k)."""
+    graph, scene = Graph(), with_formulas(description)
+    names = [f"p{k}" for k in range(len(where))]
+    for place, name in zip(where, names, strict=True):
+        scene = replaced(scene, place, number_at(description, place) + graph.variable(name))
+    pi: list[Any] = [x.value for x in linear_parameters(scene)]
+    found = substituted(slopes_by(pi, names), dict.fromkeys(names, 0.0))
+    return np.array(found, float).reshape(len(pi), len(where))
 
 
 def least_of(description: Description, place: Place) -> float:

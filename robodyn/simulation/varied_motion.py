@@ -151,14 +151,14 @@ def thrown_back(
 def torque_nodes(
     mechanism: Mechanism, actuation: Actuation, graph: Graph, timed: bool = False
 ) -> list[Value]:
-    """Those of the torques (n) that depend on the state, or on time too, as nodes; 0 for others."""
+    """Those of the torques (n) that depend on the state as nodes, 0 for others; or all, `timed`."""
     found: list[Value] = [0.0] * mechanism.n
     if actuation.constants is not None or actuation.linear or actuation.control is not None:
         return found
     for line in (actuation.given or actuation).lines:
         names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
         state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
-        if not state and not (timed and "t" in names):
+        if not state and not timed:
             continue
         target, _, code = line.partition(" = ")
         variables = {x: graph.variable(x) for x in (*state, "t")}
