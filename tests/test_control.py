@@ -533,8 +533,10 @@ def test_the_slopes_of_a_law_are_those_of_its_torques(control: str) -> None:
     rng = np.random.default_rng(5)
     for qd in ([0.3, -0.4], [2.92, 2.9], [-2.9, -2.93]):
         y = np.array([*rng.uniform(-0.3, 0.3, 2), *qd, *rng.uniform(-0.1, 0.1, acting.states)])
-        h = 1e-6 * np.eye(wide)
-        ahead, behind = (np.array([asked(0.4, y + sign * x) for x in h]) for sign in (1, -1))
+        steps = 1e-6 * np.eye(wide + 1)  # time is last
+        ahead, behind = (
+            np.array([asked(0.4 + h[-1], y + h[:-1]) for h in sign * steps]) for sign in (1, -1)
+        )
         expected = (ahead - behind).T / 2e-6
         found = acting.control.slopes(0.4, y.tolist())
         assert np.abs(found - expected).max() < 1e-6 * (1.0 + np.abs(expected).max()), (control, qd)
