@@ -36,6 +36,7 @@ from robodyn.tables.arrays import Array
 
 Shift = Callable[[], Array]
 
+ORDER = "joints meet their ends at one instant, and what follows depends on the order"
 SAME = 1e-9  # part of accelerations by which they do not jump, and of T by which they are one
 
 
@@ -94,11 +95,21 @@ class Modes:
             self._refuse(self._gaps(joint, side, s), s, joint, "rests on its end")
             if phases.limits[joint].restitution == 1.0:
                 self._refuse(s[:, n + joint], s, joint, "rests on an end that takes no energy")
-        if held := list(phases.mode.held):
-            jumps = responses(self.mechanism, y[:n], held)
-            s[:, n : 2 * n] -= s[:, np.add(n, held)] @ np.linalg.solve(jumps[:, held], jumps)
+        self._hold(phases, s, 0.0, q)
         y[first], y[rest] = s[:, : 2 * n].ravel(), s[:, 2 * n :].ravel()
         return y
+
+    def _hold(self, phases: Phases, s: Array, t: float, q: Array) -> None:
+        """Let joints that are held have no rates, by impulses: also where several stop at once."""
+        n, held = self.mechanism.n, list(phases.mode.held)
+        if not held:
+            return
+        lost = s[:, np.add(n, held)]
+        jumps = responses(self.mechanism, q, held)
+        s[:, n : 2 * n] -= lost @ np.linalg.solve(jumps[:, held], jumps)
+        stopping = np.abs(lost).max(axis=0) > SAME * np.abs(s).max()
+        if np.any(jumps[stopping][:, [joint for joint, _ in phases.hits]]):
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
 
     def _refuse(self, change: Array, s: Array, joint: int, why: str) -> None:
         """Raise InputError for a number that changes what has no derivative at the start."""
@@ -142,6 +153,7 @@ class Modes:
                 s = self._impact(phases, s, t, y[:own], found[:own], before, after)
             else:
                 s = s + self.shift()[:, None] * (before - after)
+        self._hold(phases, s, t, found[: self.mechanism.n])
         found[first], found[rest] = s[:, :wide].ravel(), s[:, wide:].ravel()
         return found
 
@@ -176,8 +188,7 @@ class Modes:
             orders.append(np.concatenate([now[n : 2 * n], moved.ravel()]))
         one, other = orders
         if np.abs(one - other).max() > SAME * np.abs(one).max():
-            limit = "joints meet their ends at one instant, and what follows depends on the order"
-            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
         return np.reshape(one[n:], s.shape)
 
     def _reached(self, joint: int, side: int, rates: Array, s: Array) -> Array:
@@ -258,7 +269,7 @@ class Modes:
         if acting.control is not None and acting.linear:
             found[:-1, driven] = np.reshape(self.control.slopes_at(t), (len(ways) - 1, -1))
         elif acting.control is not None:
-            slopes = self.control.slopes(t, y[: ways.shape[1]].tolist())[: len(driven)]
+            slopes = self.control.slopes(t, y[: ways.shape[1]].tolist(), True)[: len(driven)]
             found[:, driven] = ways @ slopes[:, :-1].T
             found[-1, driven] += slopes[:, -1]
         elif acting.linear:
