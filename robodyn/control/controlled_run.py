@@ -18,8 +18,9 @@ from robodyn.tables.arrays import Array
 # torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
 Law = Callable[..., tuple[float, ...]]
 
-# d(what a law gives)/d(what it asks, t last) (joints + states, 2n + states + 1), of t and that
-Slopes = Callable[[float, Sequence[float]], Array]
+# d(what a law gives)/d(what it asks, t last) (joints + states, 2n + states + 1), of t and that;
+# the last column is right where `timed` is given and true
+Slopes = Callable[..., Array]
 
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 
@@ -59,7 +60,7 @@ class Tracked:
     """
 
     restarts = False
-    slopes: Slopes | None = None
+    slopes: Slopes
 
     def __init__(
         self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int

@@ -9,9 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from robodyn.control.controlled_run import Law, Slopes
-from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode, in_mode
-from robodyn.mechanics.parts import untimed
+from robodyn.control.driven_torques import Floats
 from robodyn.tables.arrays import Array
 
 
@@ -66,37 +64,54 @@ def remainder(x: Sloped, turn: float) -> Sloped:
 
 def slopes_of(
     compile_law: Callable[[Mapping[str, object]], Law],
-    model: Mechanism,
-    rest: Callable[..., Sequence[float]] | None,
+    limits: Sequence[float],
+    fades: bool,
+    torques: Floats | None,
+    torque_slopes: Floats | None,
 ) -> Slopes:
-    """d(what a law gives)/d(what it asks, t last), of a law compiled for what its scope has more.
+    """The slopes of a law compiled for what its scope has more.
 
-    `rest` are the torques at rest of the model, where the law asks for them.
+    It cuts torques off at `limits`, each; where no motor `fades`, it is linear but for that and for
+    the `torques` of its model, if it asks for them.
     """
-    n, driven = model.n, list(model.actuated)
-    untold = in_mode(untimed(model), Mode())  # no controller balances what a stop pushes
-    seeds: Array = np.zeros((0, 0))  # of what the law asks, then of the torques at rest
+    limited = min(limits) < math.inf
+    noted: list[float] = []  # what the law asked its model last
+    known: dict[tuple[bool, ...], tuple[Array, Array]] = {}  # by which torques are cut off
 
-    def at_rest(*q: Sloped) -> list[Sloped]:
-        assert rest is not None
-        return list(map(Sloped, rest(*(x.value for x in q)), seeds[-len(driven) :]))
+    def noting(*asked: float) -> Sequence[float]:
+        assert torques is not None
+        noted[:] = asked
+        return torques(*asked)
 
-    scope = {"remainder": remainder} | ({"model": at_rest} if rest else {})
-    law = cache(partial(compile_law, scope))  # when it is first asked for
+    plain = cache(lambda: compile_law({"model": noting} if torques else {}))  # when first asked for
+    seeds, rows = np.zeros((0, 0)), np.zeros((0, 0))  # by the state, t, then the model's torques
 
-    def slopes(t: float, y: Sequence[float]) -> Array:
+    def told(*asked: Sloped) -> list[Sloped]:
+        nonlocal rows
+        assert torques is not None
+        rows = np.array([x.slopes for x in asked])
+        return list(map(Sloped, torques(*(x.value for x in asked)), seeds[-len(limits) :]))
+
+    scope = {"remainder": remainder} | ({"model": told} if torques else {})
+    sloped = cache(partial(compile_law, scope))
+
+    def slopes(t: float, y: Sequence[float], timed: bool = False) -> Array:
         nonlocal seeds
-        asked = len(y) + 1
-        seeds = np.eye(asked + len(driven))
-        unmoved = np.zeros(len(seeds))
-        given = law()(Sloped(t, seeds[len(y)]), *map(Sloped, y, seeds))
-        found = np.array([getattr(x, "slopes", unmoved) for x in given]) + 0.0  # no -0.0
-        if rest is not None:
-            from robodyn.dynamics.derivatives import inverse_dynamics_derivatives
-
-            still = np.zeros(n)
-            by_q = inverse_dynamics_derivatives(untold, y[:n], still, still).by_q
-            found[:, :n] += found[:, asked:] @ by_q[driven]
-        return found[:, :asked]
+        cut: tuple[bool, ...] = ()
+        if torques or limited:
+            given = plain()(t, *y)
+        if limited:
+            cut = tuple(abs(u) >= most for u, most in zip(given, limits, strict=False))
+        if timed or fades or cut not in known:
+            seeds = np.eye(len(y) + 1 + len(limits))
+            unmoved = np.zeros(len(seeds))
+            given = sloped()(Sloped(t, seeds[len(y)]), *map(Sloped, y, seeds))
+            found = np.array([getattr(x, "slopes", unmoved) for x in given]) + 0.0  # no -0.0
+            known[cut] = found, rows
+        found, asked = known[cut]
+        if torque_slopes is not None:
+            by = np.array(torque_slopes(*noted)).reshape(len(limits), -1)
+            found = found + found[:, -len(limits) :] @ (by @ asked)
+        return found[:, : len(y) + 1]
 
     return slopes

@@ -34,8 +34,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled, Slopes
-from robodyn.control.driven_torques import driving_torques, rest_torques
+from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
+from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
 from robodyn.control.law_slopes import slopes_of
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
@@ -111,13 +111,13 @@ def controller(
         lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
     torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
-    slopes: Slopes | None = None  # of computed torque and of chains that hang loose not known
-    if control != "computed-torque" and (control != "pd+g" or model.rows or not model.passive):
 
-        def with_slopes(more: Mapping[str, object]) -> Law:
-            return _compile_law(mechanism, lines, {**scope, **more}, limits, gains)
+    def with_slopes(more: Mapping[str, object]) -> Law:
+        return _compile_law(mechanism, lines, {**scope, **more}, limits, gains)
 
-        slopes = slopes_of(with_slopes, model, scope.get("model"))
+    fades = min(rate_limits(mechanism)) < math.inf
+    asked_of = torque_slopes(model, control == "pd+g") if "model" in scope else None
+    slopes = slopes_of(with_slopes, limits, fades, scope.get("model"), asked_of)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]

@@ -37,10 +37,10 @@ class Steps(Protocol):
 class Control(Steps, Protocol):
     """What a controller is told of the run besides, and what it tells.
 
-    `slopes` are those of its law by the state; None where they are not known.
+    `slopes` are those of its law by the state and time.
     """
 
-    slopes: Callable[[float, Sequence[float]], NDArray[np.float64]] | None
+    slopes: Callable[..., NDArray[np.float64]]
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""

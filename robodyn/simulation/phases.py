@@ -82,7 +82,7 @@ class Phases:
         self.found: list[Event] = []
         self.begun, self.idle = 0.0, 0  # when the phase began, and how many took no time before
         self.thrown: dict[int, float] = {}  # how fast a joint left its end last
-        self.hits: list[End] = []  # the ends met as the phase began
+        self.hits: list[End]  # the ends met as the phase began
         self.doubts = 0  # times in a row that a joint which leaves its end was to meet it
         q, qd = self._split(y)
         for joint, side, end in beyond(mechanism, q.tolist()):
@@ -93,6 +93,7 @@ class Phases:
                 limit=f"is beyond the joint's {end_word(side)}, {end:.9g}",
             )
         hits = [end for end in touching(mechanism, q, qd) if end[1] * qd[end[0]] > 0.0]
+        self.given, self.hits = y, hits  # before an impact
         self.y = self._impact(0.0, y, hits, set()) if hits else y
         q, qd = self._split(self.y)
         pushing = pressed(mechanism, q.tolist(), qd.tolist())

@@ -75,9 +75,7 @@ def with_sensitivities(
     """
     where = mechanism.source
     limit = ""
-    if actuation.control is not None and actuation.control.slopes is None:
-        limit = "is not known for this law: computed torque asks for accelerations"
-    elif not elimination_is_safe(mechanism) or (
+    if not elimination_is_safe(mechanism) or (
         mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
     ):
         limit = "links without inertia of their own, or closures that depend on one another"

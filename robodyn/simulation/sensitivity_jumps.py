@@ -21,11 +21,13 @@ from typing import Any
 
 import numpy as np
 
+from robodyn.dynamics.dense_dynamics import responses
 from robodyn.dynamics.dynamics import forward_dynamics
-from robodyn.errors import RobodynError
+from robodyn.dynamics.sticking import mode_at, resting, touching
+from robodyn.errors import InputError, RobodynError
 from robodyn.mechanics.kinks import kink_at
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.mechanics.modes import Mode
+from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.simulation.impacts import impulses
 from robodyn.simulation.phases import Guard, Phases
@@ -34,6 +36,7 @@ from robodyn.tables.arrays import Array
 
 Shift = Callable[[], Array]
 
+ORDER = "joints meet their ends at one instant, and what follows depends on the order"
 SAME = 1e-9  # part of accelerations by which they do not jump, and of T by which they are one
 
 
@@ -72,26 +75,73 @@ class Modes:
         found: Sequence[float] = self.now(*values)
         return found
 
-    def next(self, phases: Phases, t: float, y: Array, place: int) -> Array:
-        """`phases.next`, with s."""
-        guard, wide = phases.guards[place], 2 * self.mechanism.n
+    def begin(self, phases: Phases) -> Array:
+        """The start of `phases`, with s: joints may meet their ends there, or be held.
+
+        What is held loses its rate within a time that goes with it, and by impulses so.
+        """
+        y, given, n = phases.y.copy(), phases.given, self.mechanism.n
+        self.enter(phases.mode)
+        (q, qd), (own, first, rest, s) = phases._split(given), self._parts(y)
+        if phases.hits:
+            sorts = resting(self.mechanism, qd), set(touching(self.mechanism, q, qd))
+            tau, ends = phases._torque(0.0, given), sorted(sorts[1] - set(phases.hits))
+            was = in_mode(self.mechanism, mode_at(self.mechanism, q, qd, tau, sorts[0], ends).mode)
+            rates = self._rates(phases, was, 0.0, given), self._rates(phases, phases.moving, 0.0, y)
+            s = self._impact(phases, s, 0.0, given[:own], y[:own], *rates)
+        for joint in sorted(phases.started):
+            self._refuse(s[:, n + joint], s, joint, "starts from rest, one way or the other")
+        for joint, side in sorted(phases.touches):
+            self._refuse(self._gaps(joint, side, s), s, joint, "rests on its end")
+            if phases.limits[joint].restitution == 1.0:
+                self._refuse(s[:, n + joint], s, joint, "rests on an end that takes no energy")
+        self._hold(phases, s, 0.0, q)
+        y[first], y[rest] = s[:, : 2 * n].ravel(), s[:, 2 * n :].ravel()
+        return y
+
+    def _hold(self, phases: Phases, s: Array, t: float, q: Array) -> None:
+        """Let joints that are held have no rates, by impulses: also where several stop at once."""
+        n, held = self.mechanism.n, list(phases.mode.held)
+        if not held:
+            return
+        lost = s[:, np.add(n, held)]
+        jumps = responses(self.mechanism, q, held)
+        s[:, n : 2 * n] -= lost @ np.linalg.solve(jumps[:, held], jumps)
+        stopping = np.abs(lost).max(axis=0) > SAME * np.abs(s).max()
+        if np.any(jumps[stopping][:, [joint for joint, _ in phases.hits]]):
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
+
+    def _refuse(self, change: Array, s: Array, joint: int, why: str) -> None:
+        """Raise InputError for a number that changes what has no derivative at the start."""
+        for k in np.flatnonzero(np.abs(change) > SAME * np.abs(s).max(initial=0.0)):
+            limit = f"joint {self.mechanism.link_names[joint]} {why} at the start: no derivative"
+            raise InputError(self.names[k], where=self.mechanism.source, limit=limit)
+
+    def _parts(self, y: Array) -> tuple[int, slice, slice, Array]:
+        """Where s begins in a state, where its d(q, qd) and its dz are, and s (k, 2n + states)."""
+        wide = 2 * self.mechanism.n
         own = wide + self.states
         first = slice(own, own + wide * self.count)
         rest = slice(first.stop, first.stop + self.states * self.count)
-        parts = (y[each].reshape(self.count, -1) for each in (first, rest))
-        s = np.concatenate(list(parts), axis=1)
-        act = phases.actuation.function(self.mechanism.n)
+        parts = [y[each].reshape(self.count, -1) for each in (first, rest)]
+        return own, first, rest, np.concatenate(parts, axis=1)
 
-        def rates(y: Array) -> Array:
-            q, qd = np.split(y[:wide], 2)
-            qdd = forward_dynamics(phases.moving, q, qd, phases._torque(t, y), t)
-            return np.concatenate([qd, qdd, act(max(t, phases.after), y.tolist())[len(q) :]])
+    def _rates(self, phases: Phases, moving: Mechanism, t: float, y: Array) -> Array:
+        """Of q, qd and z in a mode."""
+        q, qd = phases._split(y)
+        qdd = forward_dynamics(moving, q, qd, phases._torque(t, y), t)
+        act = phases.actuation.function(len(q))
+        return np.concatenate([qd, qdd, act(max(t, phases.after), y.tolist())[len(q) :]])
 
-        before, guards = rates(y), phases.guards
+    def next(self, phases: Phases, t: float, y: Array, place: int) -> Array:
+        """`phases.next`, with s."""
+        guard, wide = phases.guards[place], 2 * self.mechanism.n
+        own, first, rest, s = self._parts(y)
+        before, guards = self._rates(phases, phases.moving, t, y), phases.guards
         shift = self._shift(phases, guard, before, s, t, y)
         found = phases.next(t, y, place)
         self.enter(phases.mode)
-        after = rates(found)
+        after = self._rates(phases, phases.moving, t, found)
         again = self.ended is not None and guard.joint != self.ended.joint and guard in self.guards
         if not phases.idle or again:  # else what follows at once does so whenever that is
             self.shift = shift
@@ -103,6 +153,7 @@ class Modes:
                 s = self._impact(phases, s, t, y[:own], found[:own], before, after)
             else:
                 s = s + self.shift()[:, None] * (before - after)
+        self._hold(phases, s, t, found[: self.mechanism.n])
         found[first], found[rest] = s[:, :wide].ravel(), s[:, wide:].ravel()
         return found
 
@@ -137,15 +188,17 @@ class Modes:
             orders.append(np.concatenate([now[n : 2 * n], moved.ravel()]))
         one, other = orders
         if np.abs(one - other).max() > SAME * np.abs(one).max():
-            limit = "joints meet their ends at one instant, and what follows depends on the order"
-            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
         return np.reshape(one[n:], s.shape)
 
     def _reached(self, joint: int, side: int, rates: Array, s: Array) -> Array:
         """T (k,) of a joint that reaches its end."""
+        return np.asarray(-self._gaps(joint, side, s) / rates[joint])
+
+    def _gaps(self, joint: int, side: int, s: Array) -> Array:
+        """How far a joint moves beyond its end (k,)."""
         end = partial(_end, joint, side)
-        moved = s[:, joint] - by_numbers(self.mechanism, self.names, self.sizes, end)
-        return np.asarray(-moved / rates[joint])
+        return np.asarray(s[:, joint] - by_numbers(self.mechanism, self.names, self.sizes, end))
 
     def _thrown(self, y: Array, s: Array, struck: Sequence[Any]) -> Array:
         """What `thrown_back` has of those impulses that there are."""
@@ -216,7 +269,7 @@ class Modes:
         if acting.control is not None and acting.linear:
             found[:-1, driven] = np.reshape(self.control.slopes_at(t), (len(ways) - 1, -1))
         elif acting.control is not None:
-            slopes = self.control.slopes(t, y[: ways.shape[1]].tolist())[: len(driven)]
+            slopes = self.control.slopes(t, y[: ways.shape[1]].tolist(), True)[: len(driven)]
             found[:, driven] = ways @ slopes[:, :-1].T
             found[-1, driven] += slopes[:, -1]
         elif acting.linear:

@@ -273,7 +273,7 @@ def run(
 
         events = events or EventWatch([], t_end)
         phases = Phases(mechanism, actuation.alone or actuation, y, t_end, settings.atol)
-        y = phases.y
+        y = phases.y if actuation.modes is None else actuation.modes.begin(phases)
     smooth = SmoothMotions(actuation, settings, t_end, work)
     moving = mechanism if phases is None else phases.moving
     smooth.check_start(moving, y, report)

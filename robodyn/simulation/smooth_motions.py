@@ -124,8 +124,6 @@ class SmoothMotions:
 def in_phases(phases: Phases, smooth: SmoothMotions, y: Array, recorder: Recorder) -> Outcome:
     """From the state y at t = 0, phase by phase."""
     t, carried = 0.0, smooth.actuation.modes
-    if carried is not None:
-        carried.enter(phases.mode)
     while True:
         recorder.begin_phase(phases.moving, phases.functions)
         outcome = smooth.run(phases.moving, t, y, recorder)
