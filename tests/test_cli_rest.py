@@ -101,11 +101,11 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     ("line", "code", "parts"),
     [
         (f"equilibrium {BAR} --hold crnk", 2, ("--hold = crnk", "did you mean crank?")),
-        (f"equilibrium {BAR} --q 0.1,0.2,0.3", 2, ("the loops are open",)),
+        (f"equilibrium {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
         (f"equilibrium {BAR} --q 1 --tau 90", 1, ("no pose at rest near q = 1,",)),
         (f"equilibrium {CART} --all", 1, ("no end of poses at rest",)),
         (f"linearize {BAR}", 2, ("--q",)),
-        (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("the loops are open",)),
+        (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
         ("linearize robots/parallelogram.yaml --q 0,0,0", 1, ("change point", "two ways")),
         (f"linearize {BAR} --q 1 --weights-x 1", 2, ("--weights-x", "--lqr")),
         (f"linearize {BAR} --q 1 --gain-out x.json", 2, ("--gain-out", "--lqr")),

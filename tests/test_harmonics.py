@@ -59,6 +59,9 @@ def test_an_unbalanced_crank_has_its_weight_and_one_order(robodyn: Run, tmp_path
     weight = 2 * 9.81 * 0.05  # about the pivot: -m g (r cos(theta + ahead))
     assert given.column("shake_m_amp") == pytest.approx([0, weight, 0, 0], abs=1e-12)
     assert given.column("shake_m_phase")[1] == pytest.approx(ahead - math.pi, rel=1e-12)
+    turned = rows(robodyn, tmp_path, UNBALANCED, "--harmonics", 3, "--degrees").succeeds()
+    found = turned.column("shake_fx_phase_deg")[1]
+    assert found == pytest.approx(math.degrees(ahead), rel=1e-12)
 
 
 def test_a_piston_has_the_orders_of_textbooks(robodyn: Run, tmp_path: Path) -> None:

@@ -328,6 +328,16 @@ def test_several_joints_stop_at_once(scene: Scene) -> None:
     check(scene(COUPLED), *given)  # the second hits as the first rests on its end
 
 
+def test_closures_that_depend_on_one_another_are_refused() -> None:
+    """On the branch of a parallelogram with a third crank, where other branches have full rank."""
+    mech, ways = (
+        rd.load(ROOT / "tests/hard_cases/third-crank.yaml"),
+        np.array([1.0, -1.0, 1.0, 1.0]),
+    )
+    with pytest.raises(rd.InputError, match="closures that depend on one another"):
+        rd.simulate(mech, ways, ways, 0.1, sensitivity=["q1"])
+
+
 def test_coupled_joints_that_a_number_moves_apart_are_refused(scene: Scene) -> None:
     """Both meet their ends at 0.3 s; which is first would decide what follows, b riding on a."""
     text = BLOCKS.replace(", from: [0, 0]", "").replace("[0, 1]", "[1, 1]")

@@ -174,6 +174,8 @@ def complete(
             moving = (motion.get(name) for name in ("qd", "qdd"))
             fault = loop_rates.check_closed(mechanism, motion["q"], *moving)
             if fault is not None:
+                if sources[0].quantity.option is not None:
+                    fault[1].add_place(f"--{sources[0].quantity.name}")
                 raise fault[1]
     return list(motion.values())
 

@@ -65,16 +65,20 @@ def tell_shaking_orders(
         return np.column_stack([q[:, k], reactions(q, **motion)[:, -len(SHAKE) :]])
 
     def told(_: Sequence[str], __: Array, own: Array) -> tuple[Sequence[str], Rows]:
+        in_degrees = degrees.get()
         try:
-            amplitudes, phases = harmonics(own[:, 0], own[:, 1:], most)
+            theta = np.radians(own[:, 0]) if in_degrees else own[:, 0]
+            amplitudes, phases = harmonics(theta, own[:, 1:], most)
         except InputError as error:
             if error.what == "orders":
                 error.what = ORDERS
             else:
                 error.add_place(ORDERS)
             raise
-        each = np.stack([amplitudes, phases], axis=-1).reshape(len(amplitudes), -1)
-        header = ["order", *(f"{name}_{what}" for name in SHAKE for what in ("amp", "phase"))]
+        phase = "phase_deg" if in_degrees else "phase"
+        pairs = [amplitudes, np.degrees(phases) if in_degrees else phases]
+        each = np.stack(pairs, axis=-1).reshape(len(amplitudes), -1)
+        header = ["order", *(f"{name}_{what}" for name in SHAKE for what in ("amp", phase))]
         return header, [[str(order), *row] for order, row in enumerate(each.tolist())]
 
     names = [f"q{k + 1}", *SHAKE]

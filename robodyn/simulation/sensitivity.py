@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from robodyn.dynamics.closed_form import scaled_jacobian
 from robodyn.dynamics.dense_dynamics import elimination_is_safe
 from robodyn.dynamics.named_numbers import size_of, with_variable
 from robodyn.engines.expression import Graph, Value
@@ -25,7 +26,7 @@ from robodyn.engines.frames import relative
 from robodyn.engines.straightline import FloatFunction, compile_floats
 from robodyn.engines.tangents import Tangents, slopes_by, substituted, tangents
 from robodyn.errors import InputError
-from robodyn.loops.closing import regular_rank
+from robodyn.loops.change_points import rank, rank_beside
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.modes import Mode, in_mode
@@ -65,6 +66,14 @@ class Sensitivities:
         return found.swapaxes(1, 2).reshape(len(found), -1)
 
 
+def _dependent(mechanism: Mechanism, q: Array) -> bool:
+    """Whether closures depend on one another on the branch of q (n,), not just at q."""
+    rows = len(mechanism.rows)
+    if not rows or rank(mechanism, scaled_jacobian(mechanism, q)) == rows:
+        return False
+    return rank_beside(mechanism, q, 1e-2, 8) < rows
+
+
 def with_sensitivities(
     mechanism: Mechanism, actuation: Actuation, state: Array, names: Sequence[str], method: str
 ) -> Sensitivities:
@@ -74,14 +83,11 @@ def with_sensitivities(
     Raises InputError for a name that is none, and for what has no derivative.
     """
     where = mechanism.source
-    limit = ""
-    if not elimination_is_safe(mechanism) or (
-        mechanism.rows and regular_rank(mechanism) < len(mechanism.rows)
-    ):
+    limit, (q, qd) = "", np.split(state, 2)
+    if not elimination_is_safe(mechanism) or _dependent(mechanism, q):
         limit = "links without inertia of their own, or closures that depend on one another"
     if limit or not names or len(set(names)) < len(names):
         raise InputError("sensitivity", where=where, limit=limit or "needs names, each once")
-    q, qd = np.split(state, 2)
     n, sizes, starts = mechanism.n, [], []
     for name in names:
         sizes.append(1.0 if is_start(mechanism, name) else size_of(mechanism, name))
