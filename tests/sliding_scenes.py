@@ -48,3 +48,19 @@ closures:
   - [crank, {link: block, at: [0, 0]}]
 actuated: [crank]
 """
+
+TURNED = """
+gravity: 9.81
+links:
+  - {name: base, joint: prismatic, axis: [1, 2], m: 0.8, l: 0.1, r: 0.03, I: 0.002, from: [0.1, 0]}
+  - {name: slide, joint: prismatic, axis: [1, -1], m: 0.8, l: 0.1, r: [0.03, 0.01], I: 0.002}
+  - {name: arm, m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
+  - {name: out, joint: prismatic, axis: [2, 1], m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
+  - {name: fore, joint: prismatic, axis: [2, -1], m: 0.3, l: 0.1, r: [0.02, 0.3], I: 0.0005}
+  - {name: other, m: 0.3, l: 0.3, r: 0.02, I: 0.0005, from: [0.5, 0.5]}
+  - {name: far, m: 0.3, l: 0.3, r: [0.02, 0.1], I: 0.0005}
+closures:
+  - {point: other, on: {link: fore, through: [0.1, 0.01], along: [3, -1]}, aligned: 30deg}
+couplings: ["q1 = 0.3 q3 - 0.1", "q6 = 2 q4 + 0.2", "q2 = q5"]
+"""
+SLIDING_SCENES = {"mixed": COUPLED, "block": BLOCK, "sliding block": SLIDING, "turned": TURNED}

@@ -10,7 +10,8 @@ import pytest
 import sympy as sp
 from conftest import FRESH
 from hypothesis import HealthCheck, given, settings
-from sliding_scenes import BLOCK, COUPLED, SLIDING
+from read_equations import lines, module
+from sliding_scenes import BLOCK, SLIDING_SCENES
 
 import oracles
 from random_mechanisms import (
@@ -34,42 +35,9 @@ from robodyn.equations.text import as_json, text
 from robodyn.equations.written import equations
 from robodyn.mechanics.mechanism import Mechanism, load
 
-TURNED = """
-gravity: 9.81
-links:
-  - {name: base, joint: prismatic, axis: [1, 2], m: 0.8, l: 0.1, r: 0.03, I: 0.002, from: [0.1, 0]}
-  - {name: slide, joint: prismatic, axis: [1, -1], m: 0.8, l: 0.1, r: [0.03, 0.01], I: 0.002}
-  - {name: arm, m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
-  - {name: out, joint: prismatic, axis: [2, 1], m: 0.3, l: 0.1, r: 0.02, I: 0.0005}
-  - {name: fore, joint: prismatic, axis: [2, -1], m: 0.3, l: 0.1, r: [0.02, 0.3], I: 0.0005}
-  - {name: other, m: 0.3, l: 0.3, r: 0.02, I: 0.0005, from: [0.5, 0.5]}
-  - {name: far, m: 0.3, l: 0.3, r: [0.02, 0.1], I: 0.0005}
-closures:
-  - {point: other, on: {link: fore, through: [0.1, 0.01], along: [3, -1]}, aligned: 30deg}
-couplings: ["q1 = 0.3 q3 - 0.1", "q6 = 2 q4 + 0.2", "q2 = q5"]
-"""
-SLIDING_SCENES = {"mixed": COUPLED, "block": BLOCK, "sliding block": SLIDING, "turned": TURNED}
 ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 NAMES = sorted(path.stem for path in ROBOTS.glob("*.yaml"))
 FEW = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
-
-
-def module(mech: Mechanism, numeric: bool = False) -> dict:
-    """The names that the written Python module defines."""
-    names: dict = {}
-    exec(compile(python(recorded(mech, numeric)), "equations.py", "exec"), names)
-    return names
-
-
-def lines(text_of: str) -> list[str]:
-    """The formulas of a text, broken ones joined."""
-    joined: list[str] = []
-    for line in text_of.split("\nwhere\n")[0].splitlines():
-        if line.startswith("     ") and joined:
-            joined[-1] += " " + line.strip()
-        else:
-            joined.append(" ".join(line.split()))
-    return joined
 
 
 # Against the closed form in numbers, which other tests hold against Lagrange and Newton-Euler

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_library import compiled, needs_compiler
-from test_equations import SLIDING_SCENES
+from sliding_scenes import SLIDING_SCENES
 
 from random_mechanisms import (
     LOOPS,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import FRESH
 from matplotlib.mathtext import MathTextParser
-from test_equations import SLIDING_SCENES
+from sliding_scenes import SLIDING_SCENES
 
 from random_mechanisms import LOOPS, forced, mechanism, seeded_scene, seeded_tree
 from robodyn.equations.latex import latex, measure, subscripted

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from c_library import compiled, needs_compiler
-from test_equations import lines, module
+from read_equations import lines, module
 
 from random_mechanisms import assert_close, mechanism
 from robodyn.dynamics import dynamics

@@ -3,25 +3,22 @@
 import math
 import re
 from dataclasses import replace
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import FRESH
+from example_starts import start
 from numpy.typing import NDArray
 
 from robodyn.events import single_zeros
 from robodyn.events.functions import EventFunction, event_function
 from robodyn.events.signs import Budget
 from robodyn.events.watch import EventWatch
-from robodyn.loops import loop_rates
-from robodyn.loops.assembly import assemble
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
 from robodyn.scene.expressions import FUNCTIONS
-from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.simulation import simulate
 from robodyn.taylor import run
 
@@ -94,22 +91,6 @@ def test_no_value_in_a_box_is_further_off(seed: int) -> None:
                 assert (np.sign(there) == np.sign(value))[:, steady].all()
         certain += int(steady.sum())
     assert certain > 100  # it does tell something
-
-
-loaded = lru_cache(load)  # one mechanism of a scene: what is made for it is made once
-
-
-def start(scene: str, rate: float) -> tuple[Mechanism, Array, Array]:
-    """A scene at rest where it is tried, or its actuated joints at a rate."""
-    mechanism = loaded(f"robots/{scene}.yaml")
-    text = Path(f"robots/{scene}.yaml").read_text()
-    tried = re.search(r"^# try:.*--q (\S+)", text, re.MULTILINE)
-    given = parse_vector(tried[1] if tried else "50deg", where="q", unit="rad")
-    if not mechanism.rows:
-        return mechanism, np.array(given), np.full(mechanism.n, rate)
-    q = assemble(mechanism, given)
-    rates = np.full(len(mechanism.actuated), rate)
-    return mechanism, q, loop_rates.loop_velocities(mechanism, q, rates)
 
 
 RTOLS = (1e-6, 1e-9, 1e-13)

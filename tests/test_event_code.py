@@ -6,8 +6,8 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from example_starts import start
 from numpy.typing import NDArray
-from test_event_boxes import start
 
 import robodyn
 from robodyn.dynamics.placed import relative_matrix

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from example_starts import start
 from named_case import case
 from numpy.typing import NDArray
-from test_event_boxes import start
 
 import robodyn
 from robodyn.engines import machine

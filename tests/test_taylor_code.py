@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from mpmath import mp, mpf
-from test_simulation import reference, scene, slope
+from reference_motions import reference, scene, slope
 
 import oracles
 from random_mechanisms import LOOPS, mechanism, seeded_scene, seeded_tree

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import FRESH, ROOT
-from test_simulation import DAMPED, START, reference, scene
+from reference_motions import DAMPED, START, reference, scene
 
 import oracles
 from hard_cases.cases import n_four_bar, scaled

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from reference_motions import SENSITIVITY, reference, scene
 from scipy.integrate import solve_ivp
-from test_simulation import SENSITIVITY, reference, scene
 
 from random_mechanisms import seeded_tree
 from robodyn import closure_gap, simulate

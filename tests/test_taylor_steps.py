@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from conftest import FRESH
-from test_simulation import SENSITIVITY, reference, scene
+from reference_motions import SENSITIVITY, reference, scene
 
 from random_mechanisms import mechanism
 from robodyn import closure_gap, closure_jacobian

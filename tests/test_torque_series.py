@@ -11,7 +11,7 @@ import mpmath
 import numpy as np
 import pytest
 from mpmath import mp, mpf
-from test_simulation import START, scene
+from reference_motions import START, scene
 
 from robodyn import simulate
 from robodyn.engines.series import FLOATS, Series, State
