@@ -246,18 +246,6 @@ def test_an_error_that_is_not_estimated_is_told(robodyn):
     robodyn(*ARM, "--time", 1, *tightest, "--quiet").succeeds()
 
 
-@pytest.mark.parametrize("option", ["--rtol", "--atol"])
-def test_accuracy_excludes_tolerances(robodyn, option):
-    robodyn(*ARM, "--accuracy", "1e-6", option, "1e-9").fails(2, "--accuracy", "exclude")
-
-
-@pytest.mark.parametrize("asked", ["0", "-1", "nan", "2", "much"])
-def test_values_that_are_no_accuracy(robodyn, asked):
-    given = robodyn(*ARM, f"--accuracy={asked}")
-    given.fails(2, "--accuracy")
-    assert given.out == ""
-
-
 @pytest.mark.parametrize("time", [-1, 0])
 def test_accuracy_backwards_and_at_once(robodyn, time):
     given = robodyn(*ARM, "--time", time, "--accuracy", "1e-6", "--quiet").succeeds()

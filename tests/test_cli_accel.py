@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, RP_ARM, TWO_LINK, Outcome, relative_error
-from named_case import case
 
 import oracles
 
@@ -156,39 +155,6 @@ def test_a_joint_without_inertia_is_named(robodyn: Run, scene: Callable[[str], P
 
 
 # Errors
-
-
-WRONG_USAGE = [
-    ("robots/2r.yaml", ["--q", "missing"]),
-    ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-    (
-        "robots/2r.yaml --q 1,2 --tau 30deg,1",
-        ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
-    ),
-    ("robots/2r.yaml --q 1,2 --tau 1,inf", ["--tau", "entry 2 = inf", "finite"]),
-    ("robots/2r.yaml --q 1,2 --qdd 1,2", ["--qdd"]),
-    ("robots/four-bar.yaml --q 1 --tau 1,2", ["--tau", "2 values", "(crank)"]),
-    ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-    ("none.yaml --q 1", ["none.yaml", "no such file"]),
-    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-]
-
-
-def test_wrong_usage(robodyn: Run) -> None:
-    for arguments, parts in WRONG_USAGE:
-        with case(arguments, parts):
-            assert robodyn("accel", *arguments.split()).fails(2, *parts).out == ""
-
-
-@pytest.mark.parametrize(
-    ("stdin", "parts"),
-    [
-        ("q1,q2,tau1\n1,2,3\n", ["column tau2 is missing", "the header has q1, q2, tau1"]),
-        ("q1,q2,tau1,tau2\n1,2,3,4\n1,2,x,4\n", ["line 3: tau1 = x", "finite"]),
-    ],
-)
-def test_wrong_tables(robodyn: Run, stdin: str, parts: list[str]) -> None:
-    robodyn("accel", "robots/2r.yaml", "-", stdin=stdin).fails(2, "stdin", *parts)
 
 
 @pytest.mark.parametrize("arguments", [[], ["--qd", "1"], ["--tau", "0.5"]])

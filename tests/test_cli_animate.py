@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, RP_ARM, SCOTCH_YOKE, Outcome
-from each_case import each
 
 import oracles
 from robodyn.pictures import animation_files, chart_figure
@@ -309,48 +308,3 @@ def test_rows_of_simulate_and_torque(shell: Run, tmp_path: Path) -> None:
 def test_a_progress_bar_is_for_terminals(robodyn: Run, tmp_path: Path) -> None:
     given = robodyn("animate", BAR, "-", "-o", tmp_path / "x.html", stdin=TURN)
     assert (given.code, given.out, given.err) == (0, "", "")
-
-
-@each(
-    ("options", "parts"),
-    [
-        (("-o", "x.avi"), ("--out = x.avi", ".gif, .mp4, .html")),
-        (("-o", ""), ("empty",)),
-        (("-o", "nowhere/x.gif"), ("no such directory",)),
-        (("-o", "x.gif", "--fps", "0"), ("--fps", "> 0")),
-        (("-o", "x.gif", "--fps", "60"), ("--fps = 60", "at most 50 in a gif")),
-        (("-o", "x.html", "--fps", "nan"), ("--fps",)),
-        (("-o", "x.html", "--speed", "0"), ("--speed", "> 0")),
-        (("-o", "x.html", "--speed", "inf"), ("--speed",)),
-        (("-o", "x.html", "--trace", "elbow"), ("--trace = elbow", "crank, coupler, rocker")),
-        (("-o", "x.html", "--size", "big"), ("--size = big",)),
-        (("-o", "x.html", "--speed", "1e-9"), ("frames", "at most")),
-        ((), ("--out",)),
-    ],
-)
-def test_what_is_refused(robodyn: Run, options: tuple[str, ...], parts: tuple[str, ...]) -> None:
-    assert robodyn("animate", BAR, "-", *options, stdin=TURN).fails(2, *parts).out == ""
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("", ("stdin", "empty")),
-        ("q1\n1\n2\n", ("stdin: column t is missing", "there are q1")),
-        ("t\n1\n2\n", ("stdin", "column q1 is missing")),
-        ("t,q1\n", ("stdin: rows = 0", "two or more")),
-        ("t,q1\n0,1\n", ("stdin: rows = 1",)),
-        ("t,q1\n0,1\n0,2\n", ("stdin: t = 0", "must differ")),
-        ("t,q1\n0,1\n1,2\n0.5,2\n", ("stdin: t = 0.5",)),
-        ("t,q1\n0,1\n1,nan\n", ("stdin: line 3", "q1 = nan")),
-        ("t,q1,q2,q3\n0,1,1,1\n1,1,1,1\n", ("stdin", "closed")),
-    ],
-)
-def test_rows_that_are_refused(
-    robodyn: Run, tmp_path: Path, text: str, parts: tuple[str, ...]
-) -> None:
-    old = tmp_path / "x.html"
-    old.write_text("older")
-    robodyn("animate", BAR, "-", "-o", old, stdin=text).fails(2, *parts)
-    assert old.read_text() == "older"
-    assert list(tmp_path.iterdir()) == [old]

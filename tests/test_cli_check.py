@@ -298,21 +298,6 @@ def test_too_few_actuators_say_why_there_is_no_sample(
     given.fails(given.code, str(path), "q2 (b)", "name more in `actuated`")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("", ["MODEL"]),
-        ("none.yaml", ["none.yaml", "no such file"]),
-        ("robots", ["robots", "directory"]),
-        ("robots/2r.yaml --format csv", ["--format", "csv", "json"]),
-        ("robots/2r.yaml --q 1,2", ["--q"]),
-        ("robots/2r.yaml extra", ["extra"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("check", *arguments.split()).fails(2, *parts).out == ""
-
-
 def test_all_faults_of_a_scene_are_told_one_a_line(
     robodyn: Run, scene: Callable[[str], Path]
 ) -> None:

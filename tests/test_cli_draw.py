@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, RP_ARM, SCOTCH_YOKE, TWO_LINK, Outcome
-from each_case import each
 
 from robodyn.cli import draw
 from robodyn.pictures import chart_figure
@@ -230,44 +229,6 @@ def test_text_needs_no_matplotlib(shell: Run) -> None:
 
 
 # Refused
-
-
-@each(
-    ("options", "parts"),
-    [
-        ((*ARM,), ("--out", "--format text")),
-        ((*ARM, "-o", "x.gif"), ("--out = x.gif",)),
-        ((*ARM, "-o", "nowhere/x.svg"), ("no such directory",)),
-        ((*ARM, "-o", "x.svg", "--size", "8"), ("--size",)),
-        ((*ARM, "-o", "x.svg", "--qd", "1,1"), ("--qd", "--forces")),
-        ((*ARM, "-o", "x.svg", "--tau", "1,1"), ("--tau", "--forces")),
-        ((*ARM, "-o", "x.svg", "--forces", "--tau", "1,1", "--qdd", "1,1"), ("exclude",)),
-        ((*ARM, "--format", "text", "--forces"), ("--forces", "needs a picture")),
-        ((*ARM, "-", "-o", "x.svg"), ("STATES",)),
-        ((*ARM[:2], "-o", "x.svg", "--forces"), ("--q", "--forces needs a state")),
-        ((*ARM[:2], "-", "-o", "x.svg", "--forces"), ("STATES",)),
-        ((*ARM, "-o", "x.svg", "--poses", "0"), ("--poses", "from 1 to 200")),
-        ((*ARM, "-o", "x.svg", "--labels", "all"), ("names", "numbers")),
-        (("draw", "robots/2r.yaml", "--q", "1", "-o", "x.svg"), ("--q = 1", "2 values")),
-        (("draw", "robots/none.yaml", "-o", "x.svg"), ("no such file",)),
-    ],
-)
-def test_what_is_refused(robodyn: Run, options: tuple[str, ...], parts: tuple[str, ...]) -> None:
-    assert robodyn(*options).fails(2, *parts).out == ""
-    assert not (ROOT / "x.svg").exists()
-
-
-@pytest.mark.parametrize(
-    ("stdin", "parts"),
-    [
-        ("", ("stdin", "empty")),
-        ("q1,q2\n", ("stdin: no rows",)),
-        ("q1\n1\n", ("column q2 is missing",)),
-        ("q1,q2\n1,x\n", ("line 2", "q2 = x")),
-    ],
-)
-def test_tables_that_are_refused(robodyn: Run, stdin: str, parts: tuple[str, ...]) -> None:
-    robodyn("draw", "robots/2r.yaml", "-", "--format", "text", stdin=stdin).fails(2, *parts)
 
 
 @pytest.mark.parametrize("form", ["text", "svg"])

@@ -103,26 +103,6 @@ def test_json_and_table(robodyn: Run) -> None:
         assert f"{value:.6g}" in table
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--q", "missing"]),
-        ("robots/2r.yaml --q 1,2 --qd 1,2,3", ["--qd", "3 values", "2 values"]),
-        ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-        ("none.yaml --q 1", ["none.yaml", "no such file"]),
-        ("robots/2r.yaml robots", ["robots", "directory"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("energy", *arguments.split()).fails(2, *parts).out == ""
-
-
-def test_a_bad_row_names_its_line(robodyn: Run) -> None:
-    failed = robodyn("energy", "robots/2r.yaml", "-", stdin="q1,q2\n1,2\n1,\n")
-    failed.fails(2, "stdin: line 3: q2", "empty")
-    assert len(failed.rows) == 1
-
-
 @pytest.mark.parametrize("batch", [False, True])
 def test_an_energy_beyond_the_floats_is_an_error(process: Run, batch: bool) -> None:
     states = ["-"] if batch else ["--q", "1,2"]

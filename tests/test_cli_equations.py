@@ -84,23 +84,6 @@ def test_a_file_is_written(robodyn: Run, tmp_path: Path, format: str) -> None:
     assert file.read_text(encoding="utf-8") == robodyn(*arguments).out
 
 
-def test_a_file_that_cannot_be_written(robodyn: Run) -> None:
-    robodyn("equations", "robots/2r.yaml", "-o", "/nowhere/x").fails(2, "/nowhere/x")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("nothing.yaml", ["nothing.yaml", "no such file"]),
-        ("robots/2r.yaml --format csv", ["--format", "csv", "latex"]),
-        ("robots/2r.yaml --out=", ["--out", "empty"]),
-        ("", ["MODEL"]),
-    ],
-)
-def test_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("equations", *arguments.split()).fails(2, *parts).out == ""
-
-
 def test_numbers_that_overflow(robodyn: Run, scene: Callable[[str], Path]) -> None:
     """A of the closed form is finite, the sum of its entries in M is not."""
     link = "{{name: {}, m: 1, l: 1, r: 1, I: 1e308}}"

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from conftest import Outcome
-from named_case import case
 
 
 def done(outcome: Outcome) -> Outcome:
@@ -83,52 +82,6 @@ def test_units(robodyn: Run, text: str, value: float) -> None:
     assert given.column("t")[-1] == pytest.approx(value, abs=1e-14)
 
 
-WHAT_IS_REFUSED = [
-    (("--event", "apex"), "--event = apex: must be NAME=EXPR"),
-    (("--event", "apex="), "--event = apex=: must be NAME=EXPR"),
-    (("--event", "=qd1"), "--event = =qd1: must be NAME=EXPR"),
-    (("--event", "a==qd1"), "--event = a==qd1: must be NAME=EXPR"),
-    (("--event", "a=qd1", "--event", "a=qd2"), "--event = a: each event needs a name"),
-    (("--event", "until=qd1"), "--event = until: each event needs a name"),
-    (("--event", "1a=qd1"), "--event: name of an event = 1a: must be a letter"),
-    (("--event", "a b=qd1"), "--event: name of an event = a b: must be a letter"),
-    (("--event", "a=q9"), "--event a: an event does not allow name q9"),
-    (("--event", "a=x"), "--event a: an event does not allow name x; known: t, q1..q2"),
-    (("--event", "a=3"), "never changes"),
-    (("--event", "a=q1,q2"), "without a comma"),
-    (("--event", "a=q1 == 2"), "does not allow"),
-    (("--event", "a=0 < q1 < 1"), "does not allow"),
-    (("--event", "a=(q1 > 0) > 0.5"), "compares a comparison"),
-    (("--event", "a=q1 > 0 and q2 > 0"), "does not allow"),
-    (("--event", "a=not q1"), "does not allow"),
-    (("--event", "a=qd1.real"), "does not allow"),
-    (("--event", "a=__import__('os')"), "does not allow"),
-    (("--event", "a=q1 >"), "is no expression"),
-    (("--event", "a=q1 > 30degrees"), "is no expression"),
-    (("--event", "a=q1 > 2 )"), "unmatched ')' at character 8"),
-    (("--event", "a=q1 > 90 mm"), "does not allow a comparison of rad and m"),
-    (("--event", "a=q1 + 1 > t - sin(3 m)"), "does not allow sin of m"),
-    (("--event", "a=1 - 2 s + t"), "a sum of a plain number and s"),
-    (("--event", "a=min(t, 3 m)"), "min of s and m"),
-    (("--event", "a=°q1"), "name degq1"),
-    (("--until", ""), "--until"),
-    (("--until", "1 > 0"), "never changes"),
-    (("--until", "q3 > 0"), "--until: an event does not allow name q3"),
-    (("--until", "foo(q1)"), "function foo"),
-    (("--events", "x.csv"), "--events: there are none"),
-]
-
-
-def test_what_is_refused(robodyn: Run, tmp_path: Path) -> None:
-    for options, named in WHAT_IS_REFUSED:
-        with case(options, named):
-            given = robodyn(*ARM, *[str(tmp_path / x) if x == "x.csv" else x for x in options])
-            assert given.code == 2
-            assert named in given.err
-            assert not given.out
-            assert not list(tmp_path.iterdir())
-
-
 def test_the_file_of_events_is_never_half_written(robodyn: Run, tmp_path: Path) -> None:
     events = tmp_path / "events.csv"
     events.write_text("before\n")
@@ -178,20 +131,3 @@ def test_a_sweep_with_events_goes_on(robodyn: Run, tmp_path: Path) -> None:
     text = out.read_text()
     assert text == whole.out
     assert any(x for x in whole.column("line_count"))
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        (("--event", "a=qd1"), "--event: needs --result events"),
-        (("--result", "events"), "--result = events: needs --event"),
-        (("--event", "a=q9", "--result", "events"), "--event a: an event does not allow name q9"),
-        (("--event", "a=qd1", "--result", "events", "--kind", "torque"), "is for --kind motion"),
-        (("--event", "a=qd1", "--result", "events", "--engine", "compiled"), "--engine = compiled"),
-        (("--result", "nothing"), "known: final, extremes, drift, flip, events"),
-    ],
-)
-def test_what_a_sweep_refuses(robodyn: Run, options: tuple[str, ...], named: str) -> None:
-    given = robodyn(*SWEEP, *options)
-    assert given.code == 2
-    assert named in given.err

@@ -92,39 +92,6 @@ def test_out(robodyn: Run, tmp_path: Path, format: str) -> None:
     given = robodyn(*arguments, "--out", file)
     assert (given.code, given.out) == (0, "")
     assert file.read_text() == robodyn(*arguments).out
-    file.write_text("older")
-    robodyn("export", "robots/four-bar.yaml", "--format", "urdf", "-o", file).fails(2, "closures")
-    assert file.read_text() == "older"
-    assert list(tmp_path.iterdir()) == [file]
-
-
-@each(
-    ("arguments", "parts"),
-    [
-        ("robots/2r.yaml", ["--format", "urdf", "mjcf"]),
-        ("robots/2r.yaml --format sdf", ["--format", "sdf", "urdf", "mjcf"]),
-        ("robots/none.yaml --format urdf", ["none.yaml", "no such file"]),
-        ("robots/2r.yaml --format urdf --q 1,2", ["--q = 1,2", "mjcf"]),
-        ("robots/2r.yaml --format urdf --timestep 0.01", ["--timestep = 0.01", "mjcf"]),
-        ("robots/2r.yaml --format mjcf --q 1", ["--q", "1 value", "2 values"]),
-        ("robots/2r.yaml --format mjcf --q 1,x", ["--q", "entry 2 = x"]),
-        ("robots/four-bar.yaml --format mjcf --q 1,1,1", ["gap in position", "open"]),
-        ("robots/2r.yaml --format mjcf --timestep 0", ["--timestep = 0.0", "> 0"]),
-        ("robots/2r.yaml --format mjcf --timestep nan", ["--timestep = nan", "finite"]),
-        ("robots/2r.yaml --format mjcf --timestep inf", ["--timestep = inf", "finite"]),
-        ("robots/2r.yaml --format mjcf --timestep x", ["--timestep", "x"]),
-        ("robots/2r.yaml --format mjcf --out /no/such/dir/a", ["/no/such/dir/a", "cannot be"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn("export", *arguments.split()).fails(2, *parts).out == ""
-
-
-def test_a_massless_link_is_named(robodyn: Run, scene: Callable[[str], Path]) -> None:
-    path = scene("gravity: 9.81\nlinks: [{name: rod, m: 1.5, l: 1, r: 1, I: 0}]\n")
-    given = robodyn("export", path, "--format", "mjcf")
-    given.fails(2, str(path), "links[0] (rod).I = 0.0", "MuJoCo")
-    assert robodyn("export", path, "--format", "urdf").code == 0
 
 
 def test_notes_on_ends_of_joints(robodyn: Run, scene: Callable[[str], Path]) -> None:

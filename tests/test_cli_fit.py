@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome
-from each_case import each
 
 import robodyn as package
 
@@ -151,70 +150,3 @@ def test_rates_that_are_missing(robodyn: Run) -> None:
         line = ("fit", PENDULUM, "--match", "-", "--columns", columns, "--vary", "links.rod.r=0:1")
         line = (*line, "--vary", "links.rod.l=0.1:1") if columns == "rod_x" else line
         assert (told in robodyn(*line, *more, stdin=table).err) == warned
-
-
-COLUMN = ["--minimize", "tau1", "--q", "1"]
-
-
-@each(
-    ("arguments", "told"),
-    [
-        (VARY, "--match and --minimize: give one of them"),
-        (["--vary", "links.coupler.l", *COLUMN], "write NAME=LOW:HIGH"),
-        (["--vary", "links.coupler.l=a:2", *COLUMN], "is not a number"),
-        (["--vary", "links.coupler.l=2:1", *COLUMN], "needs LOW < HIGH"),
-        (["--vary", "links.copler.l=1:2", *COLUMN], "links.coupler.l"),
-        ([*VARY, *VARY, *COLUMN], "is named twice"),
-        ([*VARY, "--minimize", "tau1"], "needs STATES, or --q"),
-        ([*VARY, "--minimize", "tau1,tau1", "--q", "1"], "each once"),
-        ([*VARY, "--minimize", "tau7", "--q", "1"], "tau7: is no column"),
-        ([*VARY, *COLUMN, "--columns", "tau1"], "--columns: is for --match"),
-        ([*VARY, *COLUMN, "--simulate"], "--simulate: needs --match or STATES"),
-        ([*VARY, *COLUMN, "--tau", "1"], "--tau: is for --simulate"),
-        ([*VARY, *COLUMN, "--starts", "0"], "--starts = 0"),
-        ([*VARY, *COLUMN, "--subject-to", "1 < 2 < 3"], "one comparison"),
-        ([*VARY, *COLUMN], "values are too few for 2 numbers"),
-    ],
-)
-def test_wrong_options(robodyn: Run, arguments: list[str], told: str) -> None:
-    done = robodyn("fit", FOUR_BAR, *arguments)
-    assert (done.code, done.out) == (2, "")
-    assert told in done.err
-    assert len(done.err.strip().splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("table", "more", "told"),
-    [
-        ("q2,P_x\n1,2\n", [], "column q1 is missing"),
-        ("q1,P_x\n", [], "no rows"),
-        ("q1,P_x\n1,0.2\n2,\n", [], "line 3"),
-        ("q1,P_x\n1,0.2\n2,nan\n", [], "line 3"),
-        ("q1,foo\n1,0.2\n", [], "no column that can be fitted"),
-        ("q1,P_x\n1,0.2\n", ["--columns", "P_y"], "column P_y of --columns is missing"),
-        ("q1,P_x\n1,0.2\n", ["--q", "1"], "has the column q1; leave one of them out"),
-        ("q1,P_x\n1,0.2\n", ["--simulate"], "column t is missing"),
-        ("q1,P_x\n1,0.2\n", [], "stdin: rows = 1: 1 values are too few"),
-        ("t,q1\n0,1\n1,1\n", ["--simulate", "--q", "1,0,0"], "the loops are open: gap in position"),
-        ("t,q1\n1,1\n2,1\n", ["--simulate", "--tau", "t"], "stdin: t = 1.0: must begin at 0"),
-        ("t,q1\n0,1\n0,1\n", ["--simulate"], "stdin: t: must be two times or more that increase"),
-    ],
-)
-def test_wrong_tables(robodyn: Run, table: str, more: list[str], told: str) -> None:
-    of = ["--of", "P=coupler"]
-    done = robodyn("fit", FOUR_BAR, "--match", "-", *of, *VARY, *more, stdin=table)
-    assert (done.code, done.out) == (2, "")
-    assert told in done.err
-
-
-def test_bounds_that_never_close(robodyn: Run, path: str) -> None:
-    vary = ["--vary", "links.coupler.l=0.1:0.2"]
-    done = robodyn("fit", FOUR_BAR, "--match", path, "--of", "P=coupler@0.3,0.2", *vary)
-    assert done.code == 2
-    assert "links.coupler.l: within these bounds the loops never close at every row" in done.err
-    assert "m are missing at best" in done.err
-
-
-def test_the_model_is_not_written_over(robodyn: Run) -> None:
-    done = robodyn("fit", PENDULUM, "--vary", "links.rod.r=0:1", *COLUMN, "-o", PENDULUM)
-    assert done.code == 2

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from conftest import ROOT, Outcome
-from named_case import case
 
 Run = Callable[..., Outcome]
 Scene = Callable[[str], Path]
@@ -68,31 +67,3 @@ def test_on_a_link_that_slides(robodyn: Run) -> None:
     tau = robodyn(*yoke).succeeds().row["tau2"]
     pulled = robodyn(*yoke, "--force", "tip2=7,0").succeeds().row["tau2"]
     assert pulled == pytest.approx(tau - 7, abs=1e-12)
-
-
-WHAT_IS_NO_FORCE_2 = [
-    ("rocker", ("--force = rocker", "POINT=FX,FY")),
-    ("", ("--force", "POINT=FX,FY")),
-    ("=1,2", ("--force = =1,2", "POINT=FX,FY")),
-    ("rocker=1", ("--force rocker = 1", "FX,FY")),
-    ("rocker=1,2,3", ("--force rocker = 1,2,3", "FX,FY")),
-    ("rocker=1,up", ("--force rocker", "entry 2 = up")),
-    ("rocker=1,nan", ("--force rocker", "finite")),
-    ("rocker=1,1e999", ("--force rocker", "too large")),
-    ("roker=1,2", ("--force = roker", "did you mean rocker?")),
-    ("tip4=1,2", ("--force = tip4", "names no point")),
-    ("tip2,tip1=1,2", ("--force = tip2,tip1", "names 2 points; give one")),
-    ("coupler@0.5=1,2", ("--force = coupler@0.5", "x,y (m)")),
-]
-
-
-def test_what_is_no_force(robodyn: Run, tmp_path: Path) -> None:
-    for command in ["torque", "accel", "reactions", "energy", "simulate"]:
-        for text, parts in WHAT_IS_NO_FORCE_2:
-            with case(command, text, parts):
-                path = tmp_path / "out.csv"
-                given = robodyn(
-                    command, "robots/four-bar.yaml", "--q", "1", "--force", text, "-o", path
-                )
-                given.fails(2, *parts)
-                assert not path.exists()

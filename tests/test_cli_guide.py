@@ -64,14 +64,6 @@ def test_a_new_page_needs_no_entry_anywhere(
     assert robodyn("guide", "draw").out == "# First\n\nGo.\n"
 
 
-def test_what_is_no_page(robodyn: Run) -> None:
-    robodyn("guide", "Grashof").fails(2, "PAGE = Grashof", "stands in", "first-hour")
-    robodyn("guide", "xyzzy").fails(2, "PAGE = xyzzy", "must be one of", "scene")
-    robodyn("guide", "scen").fails(2, "PAGE = scen: is no page; did you mean scene?")
-    robodyn("guide", "../README").fails(2, "PAGE = ../README")
-    robodyn("guide", "scene", "--format", "csv").fails(2, "--format", "is for the list")
-
-
 @each("command", COMMANDS)
 def test_every_help_names_its_page(robodyn: Run, command: str) -> None:
     page = guide.page_of(command)

@@ -62,21 +62,6 @@ def test_an_existing_file_is_kept(robodyn: Run, tmp_path: Path) -> None:
     assert path.read_text() == (ROOT / "robots/2r.yaml").read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        (("4r",), ("NAME = 4r", "2r, 3r", "slider-crank")),
-        (("../robots/2r",), ("NAME",)),
-        (("2r", "--list"), ("--list",)),
-        (("-o", "x.yaml"), ("--list", "--out")),
-        (("2r", "--format", "csv"), ("--format", "list")),
-        (("2r", "-o", "nowhere/2r.yaml"), ("nowhere/2r.yaml", "cannot be written")),
-    ],
-)
-def test_what_is_refused(robodyn: Run, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
-    assert robodyn("init", *arguments).fails(2, *parts).out == ""
-
-
 def test_an_installation_without_scenes_says_so(
     robodyn: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Outcome
-from each_case import each
 
 from robodyn.pictures import chart_figure
 from robodyn.pictures.colour_scale import NONE, rgb, viridis
@@ -259,42 +258,3 @@ def test_text_needs_no_matplotlib(shell: Run, sweep: Path) -> None:
 
 
 # Refused
-
-
-@each(
-    ("options", "parts"),
-    [
-        (("--colour", "flip"), ("--colour = flip", "needs --x and --y")),
-        (("--x", "q1", "--colour", "flip"), ("needs --x and --y",)),
-        (("--x", "q1", "--y", "q2", "--log"), ("--log", "give --colour")),
-        ((*MAP, "flop"), ("--colour = flop", "is no column; there are q1, q2, flip, outcome")),
-        (("--x", "q3", "--y", "q2", "--colour", "flip"), ("--x = q3", "is no column")),
-        (("--x", "q1", "--y", "q3", "--colour", "flip"), ("--y = q3", "is no column")),
-        (("--x", "q1", "--y", "q*", "--colour", "flip"), ("--y = q1, q2", "one column")),
-        (("--x", "q1", "--y", "outcome", "--colour", "flip"), ("line 2", "outcome = stays")),
-        (("--x", "q1", "--y", "flip", "--colour", "q2"), ("line 2", "flip", "empty")),
-        ((*MAP, "q1", "--log"), ("sweep.csv: line 2: q1 = -3.14", "> 0 for --log")),
-        ((*MAP, "outcome", "--log"), ("--log = outcome", "numbers")),
-    ],
-)
-def test_what_is_refused(
-    robodyn: Run, sweep: Path, options: tuple[str, ...], parts: tuple[str, ...]
-) -> None:
-    given = robodyn("plot", sweep, *options, "--format", "text").fails(2, *parts)
-    assert given.out == ""
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("q1,q2,c\n", ("no rows", "nothing to draw")),
-        ("q1,q2,c\n1,2,3\n1,2,x\n", ("stdin: line 3: c = x", "finite number or empty")),
-        ("q1,q2,c\n1,2,nan\n", ("line 2: c = nan",)),
-        ("q1,q2,c\n1,,3\n", ("line 2: q2", "empty")),
-        ("q1,q2,c\n1,2\n", ("line 2", "number of fields")),
-        ("q1,q2,c\n" + "".join(f"1,{k},w{k}\n" for k in range(30)), ("--colour = c", "20")),
-    ],
-)
-def test_tables_that_are_refused(robodyn: Run, text: str, parts: tuple[str, ...]) -> None:
-    given = robodyn("plot", "-", *MAP, "c", "--format", "text", stdin=text).fails(2, *parts)
-    assert given.out == ""

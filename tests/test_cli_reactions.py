@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, TWO_LINK, Outcome, relative_error
-from named_case import case
 
 import oracles
 
@@ -199,15 +198,6 @@ def test_what_simulate_writes(robodyn: Run, model: str) -> None:
         assert relative_error(again.column(name), given.column(name)) < 1e-8
 
 
-def test_a_motion_that_its_torques_do_not_cause(robodyn: Run) -> None:
-    stdin = "q1,q2,qdd1,qdd2,tau1,tau2\n1,2,3,4,5,6\n"
-    fault = robodyn("reactions", "robots/2r.yaml", "-", stdin=stdin)
-    fault.fails(2, "stdin: line 2", "qdd1 = 3", "torques", "give one of qdd and tau")
-    stdin = "q1,q2,qdd1,qdd2\n1,2,3,4\n"
-    fault = robodyn("reactions", "robots/2r.yaml", "-", "--tau", "1,1", stdin=stdin)
-    fault.fails(2, "stdin: line 2", "qdd1 = 3")
-
-
 @pytest.mark.parametrize("options", [[], ["--tau", "0,0"]])
 def test_joints_that_are_free_need_their_torque(
     robodyn: Run, scene: Callable[[str], Path], options: list[str]
@@ -324,51 +314,6 @@ def test_too_many_actuators(robodyn: Run, scene: Callable[[str], Path], four_bar
 
 
 # Errors
-
-
-WRONG_USAGE = [
-    ("robots/2r.yaml", ["--q", "missing"]),
-    ("robots/2r.yaml --q 1,2 --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-    ("robots/2r.yaml states.csv --qdd 1,2 --tau 1,2", ["--qdd", "--tau", "both"]),
-    ("robots/2r.yaml --q 1,2 --tau 1", ["--tau", "1 value", "2 values"]),
-    ("robots/2r.yaml --q 1,2 --tau=", ["--tau", "the vector is empty"]),
-    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd", "the vector is empty"]),
-    (
-        "robots/2r.yaml --q 1,2 --tau 30deg,1",
-        ["--tau", "entry 1 = 30deg", "must be in N m, not in rad"],
-    ),
-    ("robots/2r.yaml --q 1,2 --qdd 1,inf", ["--qdd", "entry 2 = inf", "finite"]),
-    ("robots/2r.yaml --q 1,2 --qdd=", ["--qdd"]),
-    ("robots/four-bar.yaml --q 1,1,1", ["gap in position", "open"]),
-    ("none.yaml --q 1", ["none.yaml", "no such file"]),
-    ("robots/2r.yaml none.csv", ["none.csv", "no such file"]),
-]
-
-
-def test_wrong_usage(robodyn: Run) -> None:
-    for arguments, parts in WRONG_USAGE:
-        with case(arguments, parts):
-            assert robodyn("reactions", *arguments.split(" ")).fails(2, *parts).out == ""
-
-
-@pytest.mark.parametrize(
-    ("stdin", "parts"),
-    [
-        ("q1,tau1,tau2\n1,2,3\n", ["column q2 is missing"]),
-        ("q1,q2,tau1\n1,2,3\n", ["column tau2 is missing", "the header has q1, q2, tau1"]),
-        ("q1,q2,qdd2\n1,2,3\n", ["column qdd1 is missing"]),
-        ("q1,q2,tau1,tau2\n1,2,3,4\n1,2,x,4\n", ["line 3: tau1 = x", "finite"]),
-    ],
-)
-def test_wrong_tables(robodyn: Run, stdin: str, parts: list[str]) -> None:
-    robodyn("reactions", "robots/2r.yaml", "-", stdin=stdin).fails(2, "stdin", *parts)
-
-
-@pytest.mark.parametrize("option", ["--qdd", "--tau"])
-def test_an_option_for_columns_that_are_there(robodyn: Run, option: str) -> None:
-    stdin = f"q1,q2,{option[2:]}1,{option[2:]}2\n1,2,3,4\n"
-    failed = robodyn("reactions", "robots/2r.yaml", "-", option, "1,2", stdin=stdin)
-    failed.fails(2, option, "leave one of them out")
 
 
 @pytest.mark.parametrize("arguments", [["--qd", "1e200,1"], ["--tau", "1e308,-1e308"]])

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Outcome
-from named_case import case
 
 from robodyn import InputError, inverse_dynamics_derivatives, load
 from robodyn.cli import COMMANDS
@@ -89,41 +88,6 @@ def test_values_are_written_as_in_scenes(robodyn: Run) -> None:
             for x in (value, plain)
         ]
         assert rows[0] == rows[1]
-
-
-WHAT_IS_WRONG_IS_TOLD = [
-    (["links.coupler.mass=1"], ["four-bar.yaml: --set links.coupler.mass: is no number"]),
-    (["links.couple.m=1"], ["--set links.couple.m", "did you mean links.coupler.m?"]),
-    (
-        ["links.crank.l=0.3", "links.coupler.m=-1"],
-        [
-            "four-bar.yaml with --set links.crank.l=0.3 --set links.coupler.m=-1: "
-            "links[1] (coupler).m = -1: must be >= 0"
-        ],
-    ),
-    (["links.coupler.m=1m"], ["links[1] (coupler).m = 1m: must be in kg, not in m"]),
-    (["links.coupler.m='1'"], [".m = '1': is quoted text, not a number"]),
-    (["links.coupler.m=[1, 2]"], [".m = a list: must be a number"]),
-    (["links.coupler.m=[1, 2"], ["--set links.coupler.m=[1, 2", "is not YAML"]),
-    (["links.coupler.m=#"], ["links[1] (coupler).m", "must be a number"]),
-    (["links.coupler.m"], ["--set = links.coupler.m: write NAME=VALUE"]),
-    (["=3"], ["--set = =3: write NAME=VALUE"]),
-    (["links.crank.m=1", "links[0].m=2"], ["links.crank.m and links[0].m", "are one number"]),
-]
-
-
-def test_what_is_wrong_is_told(robodyn: Run) -> None:
-    for given, parts in WHAT_IS_WRONG_IS_TOLD:
-        with case(given, parts):
-            options = [word for text in given for word in ("--set", text)]
-            robodyn("torque", "robots/four-bar.yaml", *options, "--q", "1").fails(2, *parts)
-
-
-def test_a_faulty_file_is_told_as_it_is(robodyn: Run, tmp_path: Path) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text("links:\n  - {name: a, m: -1, l: 1, r: 0.5, I: 0.1}\n")
-    given = robodyn("torque", str(path), "--set", "links.a.m=1", "--q", "1")
-    given.fails(2, f"{path}:2: links[0] (a).m = -1")
 
 
 def test_a_sweep_goes_on_with_the_same_numbers_alone(robodyn: Run, tmp_path: Path) -> None:

@@ -123,57 +123,6 @@ def test_flip_of_a_link(robodyn: Run) -> None:
 # Refusals
 
 
-WRONG_OPTIONS_ARE_TOLD = [
-    (["--vary", "mass=1:2:3"], ["mass", "known: q1, q2", "links.forearm.m"]),
-    (["--vary", "links.forearm.mm=1:2:3"], ["did you mean links.forearm.m?"]),
-    (["--vary", "q1"], ["NAME=VALUES"]),
-    (["--vary", "q1="], ["NAME=VALUES"]),
-    (["--vary", "q1=0:1"], ["--vary q1", "--sample"]),
-    (["--vary", "q1=1:0", "--sample", "3"], ["below"]),
-    (["--vary", "q1=0:1:0"], ["count"]),
-    (["--vary", "q1=0:1:-0.1"], ["leads nowhere"]),
-    (["--vary", "q1=0:1:1e-9"], ["makes more than"]),
-    (["--vary", "q1=0:1:2:3"], ["first:last:count"]),
-    (["--vary", "q1=0,x"], ["x: is not a number", "30deg"]),
-    (["--vary", "links.forearm.m=30deg"], ["30deg"]),
-    (["--vary", "q1=0", "--vary", "q1=1"], ["twice"]),
-    (["--vary", "links.forearm.m=1", "--vary", "links[1].m=1"], ["one number"]),
-    (["--vary", "links.forearm.m=-1:1:3"], ["links[1] (forearm).m = -1.0", ">= 0"]),
-    (["--vary", "q1=0", "--sample", "0"], ["--sample = 0"]),
-    (["--vary", "q1=0:1", "--sample", "3", "--seed", "-1"], ["--seed = -1"]),
-    (["--vary", "q1=0", "--time", "0"], ["--time = 0"]),
-    (["--vary", "q1=0", "--rtol", "0"], ["--rtol"]),
-    (["--vary", "q1=0", "--max-steps", "0"], ["--max-steps"]),
-    (["--vary", "q1=0", "--result", "final,speed"], ["--result = speed", "extremes"]),
-    (["--vary", "q1=0", "--flip", "hand"], ["--flip = hand", "no link"]),
-    (["--vary", "q1=0", "--workers", "0"], ["--workers = 0"]),
-    (["--vary", "q1=0", "--workers", "2", "--scheduler", "tcp://x"], ["exclude"]),
-    (["--vary", "q1=0", "--patience", "9"], ["--patience", "--scheduler"]),
-    (
-        ["--vary", "q1=0", "--patience", "nan", "--scheduler", "tcp://x"],
-        ["--patience = nan", ">= 0"],
-    ),
-    (["--vary", "q1=0", "--q", "1"], ["--q", "2 values", "upper arm, forearm"]),
-    (["--vary", "q1=0", "--qdd", "1,1"], ["--qdd", "torque"]),
-    (["--vary", "q1=0", "--kind", "torque", "--tau", "1,1"], ["--tau"]),
-    (["--vary", "tau1=0", "--kind", "torque"], ["tau1", "known: q1"]),
-]
-
-
-def test_wrong_options_are_told(robodyn: Run) -> None:
-    for options, parts in WRONG_OPTIONS_ARE_TOLD:
-        with case(options, parts):
-            robodyn(*ARM, *options).fails(2, *parts)
-
-
-def test_a_passive_joint_cannot_vary(robodyn: Run) -> None:
-    robodyn(*BAR, "--vary", "q2=0,1").fails(2, "q2", "coupler is passive")
-
-
-def test_missing_vary_is_a_usage_error(robodyn: Run) -> None:
-    assert robodyn(*ARM).code == 2
-
-
 # Files
 
 

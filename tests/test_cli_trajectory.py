@@ -13,7 +13,6 @@ from time import sleep
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, RP_ARM, Outcome, relative_error
-from each_case import each
 
 import oracles
 import robodyn as api
@@ -351,85 +350,6 @@ def test_scipy_is_not_imported(shell: Run) -> None:
 # Errors
 
 
-@each(
-    ("arguments", "parts"),
-    [
-        ("", ["--from", "missing"]),
-        ("--from 0,0", ["--to", "missing"]),
-        ("--from 0,0 --to 1,1", ["--time", "missing", "min"]),
-        ("--from 0,0 --to 1 --time 1", ["--to = 1 (1 value)", "2 values"]),
-        ("--from 0,0 --to 1,x --time 1", ["--to", "entry 2 = x"]),
-        ("--from 0,0 --to 1,1 --time 0", ["--time = 0", "> 0"]),
-        ("--from 0,0 --to 1,1 --time=-1", ["--time = -1", "> 0"]),
-        ("--from 0,0 --to 1,1 --time 2kg", ["--time = 2kg", "must be in s", "min"]),
-        ("--from 0,0 --to 1,1 --time inf", ["--time = inf", "finite"]),
-        ("--from 0,0 --to 1,1 --time min", ["--time = min", "needs a limit"]),
-        ("--from 1,1 --to 1,1 --time min --max-qd 1", ["--time = min", "nothing moves"]),
-        ("--from 0,0 --to 1,1 --time 1 --profile jerk", ["--profile"]),
-        ("--from 0,0 --to 1,1 --time 1 --acceleration 0.2", ["--acceleration", "trapezoidal"]),
-        (
-            "--from 0,0 --to 1,1 --time 1 --profile trapezoidal --acceleration 0.7",
-            ["--acceleration = 0.7", "<= 0.5"],
-        ),
-        ("--from 0,0 --to 1,1 --time 1 --ends natural", ["--ends = natural", "cubic spline"]),
-        ("--from 0,0 --to 1,1 --time 1 --max-qd 1,2,3", ["--max-qd = 3 values", "2"]),
-        ("--from 0,0 --to 1,1 --time 1 --max-tau=-1", ["--max-tau = -1", "> 0"]),
-        ("--from 0,0 --to 1,1 --time 1 --max-tau 3deg", ["--max-tau", "entry 1 = 3deg"]),
-        ("--from 0,0 --to 1,1 --time 1 --every 0", ["--every = 0", "> 0"]),
-        ("--from 0,0 --to 1,1 --time 1 --every 1 --points 2", ["--every and --points"]),
-        ("--from 0,0 --to 1,1 --time 1 --every 1ns", ["--every = 1ns"]),
-        ("--from 0,0 --to 1,1 --time 1 --every 1e-12", ["--every = 1e-12", "too many"]),
-        ("--speed 1", ["--speed", "needs --turns, or --time"]),
-        ("--speed 1 --time min --max-qd 1", ["--speed", "in seconds"]),
-        ("--speed 1 --turns 1 --time 1", ["--speed, --turns and --time"]),
-        ("--speed 0 --turns 1", ["--speed = 0"]),
-        ("--speed 1rpmx --turns 1", ["--speed", "entry 1 = 1rpmx"]),
-        ("--speed 1 --turns 1,2", ["--turns = 1,2", "one number > 0"]),
-        ("--speed 1,2,3 --turns 1", ["--speed = 3 values"]),
-        ("--speed 1 --turns 1 --to 1,1", ["--to", "does not go with --speed"]),
-        ("--speed 1 --turns 1 --profile cubic", ["--profile", "does not go with --speed"]),
-        ("--turns 1", ["--turns", "needs --speed or --time"]),
-        ("--profile sweep --time 1", ["--from", "missing", "the sweep"]),
-        ("--profile sweep --from 0,0 --time 1", ["--profile sweep", "needs --amplitude"]),
-        ("--amplitude 1 --from 0,0 --to 1,1 --time 1", ["are for --profile sweep"]),
-        (
-            "--profile sweep --from 0,0 --amplitude 1 --frequencies 1 --time 1",
-            ["--frequencies = 1", "two frequencies"],
-        ),
-        (
-            "--profile sweep --from 0,0 --amplitude 1 --frequencies 1,2 --time min --max-qd 1",
-            ["--time", "of a sweep"],
-        ),
-        (
-            "--profile sweep --from 0,0 --amplitude 1 --frequencies 1,1e9 --time 1",
-            ["--frequencies = 1,1e9", "too many"],
-        ),
-        ("--via none.csv --time 1", ["none.csv", "no such file"]),
-    ],
-)
-def test_wrong_usage(robodyn: Run, arguments: str, parts: list[str]) -> None:
-    assert robodyn(*ARM, *arguments.split()).fails(2, *parts).out == ""
-
-
-@pytest.mark.parametrize(
-    ("stdin", "arguments", "parts"),
-    [
-        ("q1\n1\n2\n", "--time 1", ["stdin", "column q2 is missing"]),
-        ("q1,q2\n1,1\n", "--time 1", ["stdin: points = 1", "two points"]),
-        ("q1,q2\n", "--time 1", ["stdin: points = 0", "two points"]),
-        ("q1,q2\n1,1\n1,1\n2,2\n", "--time 1", ["stdin: points 1 and 2", "give times"]),
-        ("q1,q2\n1,1\n1,x\n", "--time 1", ["stdin: line 3: q2 = x"]),
-        ("t,q1,q2\n0,1,1\n0,2,2\n", "", ["stdin: times = 0, 0", "increase"]),
-        ("t,q1,q2\n0,1,1\n1,2,2\n", "--time 1", ["--time = 1", "stdin has the times"]),
-        ("t,q1,q2\n0,1,1\n1,2,2\n", "--from 0,0", ["--from", "does not go with the times"]),
-        ("q1,q2\n0,1\n1,1\n", "", ["--time", "missing"]),
-    ],
-)
-def test_wrong_tables(robodyn: Run, stdin: str, arguments: str, parts: list[str]) -> None:
-    given = robodyn(*ARM, "--via", "-", *arguments.split(), stdin=stdin)
-    assert given.fails(2, *parts).out == ""
-
-
 def test_too_fast_for_floats(process: Run) -> None:
     process(*ARM, *TO, "--time", "1e-200").fails(1, "not finite")
 
@@ -442,21 +362,6 @@ def test_an_end_at_a_change_point_is_refused(rows: int, robodyn: Run) -> None:
     assert "too near a change point" in given.err
 
 
-def test_durations_beyond_squares(robodyn: Run) -> None:
-    ends = ["--from", "0,0", "--to", "1,1", "--time", "1e300"]
-    given = robodyn("trajectory", ROOT / "robots/2r.yaml", *ends)
-    assert given.code == 2
-    assert "--time" in given.err
-    assert given.out == ""
-
-
-def test_no_way_has_no_shortest_time(robodyn: Run) -> None:
-    ends = ["--from", "0,0", "--to", "0,0", "--time", "min", "--max-tau", "30"]
-    given = robodyn("trajectory", ROOT / "robots/2r.yaml", *ends)
-    assert given.code == 2
-    assert "nothing moves" in given.err
-
-
 # Long motions
 
 
@@ -466,47 +371,6 @@ def test_many_turns_of_a_closed_mechanism(robodyn: Run) -> None:
     assert q[:, 0] == pytest.approx(2 * np.pi * np.array([0.0, 5e5, 1e6]), rel=1e-15)
     assert np.exp(1j * q) == pytest.approx(np.exp(1j * q[[0, 0, 0]]), abs=1e-8)
     assert qd[1:] == pytest.approx(qd[[0, 0]], rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("scene", "arguments", "parts"),
-    [
-        ("four-bar", "--speed 1 --turns 1e9", ["--turns = 1e9", "6.28319e+09 rad", "1e+09 rad"]),
-        ("four-bar", "--speed 1 --time 1e10", ["--time = 1e10", "1e+10 rad", "at most"]),
-        ("four-bar", "--from 0 --to 1e6 --time 1", ["--to = 1e6", "500,000 closed states"]),
-        (
-            "five-bar",
-            "--from 120deg,60deg --speed 1,0.7071 --turns 1e5",
-            ["--turns = 1e5", "500,000 closed states", "does not repeat"],
-        ),
-        (
-            "four-bar",
-            "--profile sweep --from 1 --amplitude 0.1 --frequencies 1,999 --time 190",
-            ["--amplitude = 0.1", "190000 pieces", "71,428"],
-        ),
-        ("four-bar", "--from 0 --to 49000 --time 1", ["--to = 49000", "500,000 closed states"]),
-        (
-            "four-bar",
-            "--profile sweep --from 1 --amplitude 0.4 --frequencies 1,1 --time 35000",
-            ["--amplitude = 0.4", "55999.2 rad", "500,000 closed states"],
-        ),
-        (
-            "2r",
-            "--profile sweep --from 0,0 --amplitude 1 --frequencies 1,1 --time 99999 --max-qd 9",
-            ["--amplitude = 1", "1,000,000 samples"],
-        ),
-        (
-            "2r",
-            "--speed 1,0.7071 --turns 1e6 --max-tau 100",
-            ["--turns = 1e6", "6.28319e+06 rad", "1,000,000 samples"],
-        ),
-    ],
-)
-def test_a_motion_that_is_too_long(
-    robodyn: Run, scene: str, arguments: str, parts: list[str]
-) -> None:
-    given = robodyn("trajectory", f"robots/{scene}.yaml", *arguments.split())
-    assert given.fails(2, *parts).out == ""
 
 
 @pytest.mark.parametrize("format", ["csv", "json", "table"])

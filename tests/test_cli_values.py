@@ -108,39 +108,6 @@ def test_scenes_with_units_are_the_same_numbers(robodyn: Run, tmp_path: Path) ->
     assert outputs[0] == outputs[1]
 
 
-A_WRONG_UNIT_IS_REFUSED_BY_NAME = [
-    ("torque rp-arm.yaml --q 10deg,30deg", ["--q: entry 2 = 30deg", "must be in m", "slides"]),
-    ("torque 2r.yaml --q 1kg,0", ["--q: entry 1 = 1kg: must be in rad, not in kg"]),
-    ("torque 2r.yaml --q 0,30degs", ["--q: entry 2 = 30degs", "did you mean deg?"]),
-    ("torque 2r.yaml --q 0,0 --qd 1Hz,0", ["--qd: entry 1", "must be in rad/s, not in Hz"]),
-    ("simulate 2r.yaml --q 0,0 --time 3m", ["--time", "3m", "must be in s, not in m"]),
-    ("simulate 2r.yaml --q 0,0 --rtol 1kg", ["--rtol", "must be a plain number, not in kg"]),
-    ("simulate 2r.yaml --q 0,0 --tau 1,2kg", ["--tau: entry 2 = 2kg", "must be in N m"]),
-    (
-        "simulate 2r.yaml --q 0,0 --tau 2,3N*sin(t)",
-        ["--tau: entry 2 = 3N*sin(t): must be in N m, not in N"],
-    ),
-    (
-        "simulate 2r.yaml --q 0,0 --tau 2,3*foo",
-        ["--tau", "name foo; known: t, q1..q2", "at character 5"],
-    ),
-    (
-        "simulate 2r.yaml --q 0,0 --hold 1 --control pd --kp 3N/m --kd 1",
-        ["--kp: entry 1 = 3N/m: must be in N m/rad"],
-    ),
-    ("simulate 2r.yaml --q 0,0 --points 9m", ["--points", "must be a plain number, not in m"]),
-    ("simulate 2r.yaml --q 0,0 --points 1.5", ["--points", "is 1.5, no whole number"]),
-    ("sweep 2r.yaml --q 0,0 --vary links.forearm.m=1,2m", ["--vary links.forearm.m", "in kg"]),
-    ("energy 2r.yaml --q 0,0 --set links.forearm.m=2s", ["must be in kg, not in s"]),
-]
-
-
-def test_a_wrong_unit_is_refused_by_name(robodyn: Run) -> None:
-    for line, parts in A_WRONG_UNIT_IS_REFUSED_BY_NAME:
-        with case(line, parts):
-            robodyn(*words(line)).fails(2, *parts)
-
-
 def test_large_angles_of_springs_without_a_unit_are_told(robodyn: Run, tmp_path: Path) -> None:
     text = (ROOT / "robots/2r.yaml").read_text()
     for angle, told in (("30", True), ("-30", True), ("720deg", False), ("30 rad", False)):

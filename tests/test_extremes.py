@@ -169,22 +169,6 @@ def test_numbers_of_every_size(robodyn: Run) -> None:
     assert by["y"] == [5e-324, 5e-324]
 
 
-@pytest.mark.parametrize("command", ["torque", "accel", "energy", "reactions", "points"])
-def test_no_rows(robodyn: Run, tmp_path: Path, command: str) -> None:
-    path = tmp_path / "out.csv"
-    given = robodyn(command, ARM, "-", "--extremes", "-o", path, stdin="q1,q2\n")
-    given.fails(2, "stdin", "no rows")
-    assert not path.exists()
-
-
-def test_a_faulty_row_leaves_nothing(robodyn: Run) -> None:
-    given = robodyn("torque", ARM, "-", "--extremes", stdin="q1,q2\n1,2\n1,x\n")
-    assert given.fails(2, "stdin: line 3", "q2 = x").out == ""
-    late = "q1\n" + "0.1\n" * 3 + "1e400\n"
-    given = robodyn("torque", "robots/four-bar.yaml", "-", "--extremes", stdin=late)
-    assert given.fails(2, "line 5").out == ""
-
-
 def test_a_run_that_does_not_finish_tells_of_what_it_has(robodyn: Run) -> None:
     run = ["simulate", "robots/2r.yaml", "--q", "0,0", "--quiet", "--max-evals", "200"]
     rows = robodyn(*run).fails(1).rows

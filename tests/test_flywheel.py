@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Outcome, relative_error
-from named_case import case
 
 import robodyn as library
 from robodyn.dynamics.flywheel import flywheel
@@ -130,39 +129,6 @@ def test_convergence_is_that_of_cubic_splines() -> None:
     assert errors[0] < 1e-4
     assert errors[1] < errors[0] / 10
     assert errors[2] < errors[1] / 10
-
-
-WHAT_IS_NO_TURN = [
-    (YOKE, ("--qd", 5, "--fluctuation", 0), turn(), ("--fluctuation = 0", "> 0 and < 2")),
-    (YOKE, ("--qd", 5, "--fluctuation", 2), turn(), ("--fluctuation = 2",)),
-    (YOKE, ("--qd", 5, "--fluctuation", "nan"), turn(), ("--fluctuation = nan",)),
-    (YOKE, ("--fluctuation", 0.1), turn(), ("needs the speed",)),
-    (YOKE, ("--qd", -5, "--fluctuation", 0.1), turn(), ("needs the speed",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), turn()[:-200], ("over whole turns", "0.3")),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), "q1\n0\n0\n", ("over whole turns",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), "q1\n", ("no rows",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), "q1\n0\n3\n2\n6.283185307\n", ("must rise",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), "t,q1\n0,0\n0,3\n1,6.283185307\n", ("t: must",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), turn(2), ("360 degrees apart", "45 or less")),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1), turn(6), ("72 degrees apart",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1, "--power"), turn(), ("--power and",)),
-    (YOKE, ("--qd", 5, "--fluctuation", 0.1, "--extremes"), turn(), ("--extremes and",)),
-    ("robots/2r.yaml", ("--fluctuation", 0.1), turn(), ("2r.yaml", "upper arm, forearm")),
-    ("robots/hydraulic-boom.yaml", ("--fluctuation", 0.1), turn(), ("rod slides",)),
-]
-
-
-def test_what_is_no_turn(robodyn: Run, tmp_path: Path) -> None:
-    for model, options, table, parts in WHAT_IS_NO_TURN:
-        with case(model, options, table, parts):
-            path = tmp_path / "wheel.csv"
-            given = robodyn("torque", model, "-", *options, "-o", path, stdin=table)
-            given.fails(2, *parts)
-            assert not path.exists()
-
-
-def test_one_state_is_no_turn(robodyn: Run) -> None:
-    robodyn("torque", YOKE, "--q", 1, "--fluctuation", 0.1).fails(2, "needs STATES")
 
 
 def test_a_torque_that_does_not_come_back() -> None:

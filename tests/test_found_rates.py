@@ -146,39 +146,6 @@ def test_states_at_one_time_are_no_motion(robodyn: Run) -> None:
         robodyn("torque", ARM, "-", stdin=table).succeeds()
 
 
-@pytest.mark.parametrize(
-    ("options", "table", "parts"),
-    [
-        (("--q", "1,2"), None, ("needs STATES",)),
-        (("-",), "q1,q2\n" + "1,2\n" * 9, ("column t is missing",)),
-        (("-",), "t,q1,q2\n0,1,2\n1,1,2\n2,1,2\n3,1,2\n4,1,2\n", ("needs 6 rows", "are 5")),
-        (("-",), "t,q1,q2\n", ("needs 6 rows",)),
-        (("-",), "t,q1,q2\n" + "1,1,2\n" * 9, ("line 3", "t = 1: must be greater")),
-        (("-",), "t,q1,q2\n0,1,2\n1,1,2\n2,1,y\n", ("line 4", "q2 = y")),
-        (("-",), "t,q1,q2,qd1,qd2,qdd1,qdd2\n", ("nothing to find",)),
-        (("-", "--q", "1,2"), "t,x\n0,0\n", ("in place of --q",)),
-        (("-", "--qd", "1,2"), "t,q1,q2\n0,1,2\n", ("in place of --qd",)),
-    ],
-)
-def test_what_cannot_be_differentiated(
-    robodyn: Run, tmp_path: Path, options: Sequence[str], table: str | None, parts: Sequence[str]
-) -> None:
-    path = tmp_path / "out.csv"
-    given = robodyn("torque", ARM, *options, "--differentiate", "-o", path, stdin=table or "")
-    given.fails(2, *parts)
-    assert not path.exists()
-
-
-def test_loops_that_no_joint_drives(
-    robodyn: Run, scene: Callable[[str], Path], four_bar_text: str
-) -> None:
-    free = scene(four_bar_text.replace("actuated: [crank]", "actuated: []"))
-    t = np.linspace(0.0, 0.5, 9)
-    table = text("t,q1,q2,q3", t, positions(3.0 * t))
-    given = robodyn("energy", free, "-", "--differentiate", stdin=table)
-    given.fails(2, "stdin: --differentiate: no joint is actuated")
-
-
 def test_times_too_unequal_for_floats(robodyn: Run) -> None:
     t = [0.0, 5e-324, 1e-323, 1.5e-323, 2e-323, 1.0, 2.0]
     table = text("t,q1,q2", np.array(t), np.array([[k, k * k] for k in range(7)], float))

@@ -271,27 +271,6 @@ def edited(data: Path, change: Callable[[list[str]], list[str]]) -> Path:
     return data
 
 
-FAULTS = {
-    "gap": (lambda x: [*x[:5], x[5].replace(x[5].split(",")[2], ""), *x[6:]], "line 6: q2: "),
-    "nan": (lambda x: [*x[:5], x[5].replace(x[5].split(",")[2], "nan"), *x[6:]], "q2 = nan: "),
-    "time": (lambda x: [*x[:5], x[4], *x[5:]], "line 6: t = "),
-    "joints": (lambda x: [f"{row},{'q3' if k == 0 else 0}" for k, row in enumerate(x)], "q3: the"),
-    "torques": (lambda x: [row.rsplit(",", 1)[0] for row in x], "column tau2 is missing"),
-    "large": (lambda x: [*x[:5], x[5] + "e200", *x[6:]], "at most"),
-    "few": (lambda x: x[:5], "rows = 4: must be more: 8 numbers are unknown"),
-    "none": (lambda x: x[:1], "no rows"),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_bad_data_are_named(robodyn: Run, data: Path, name: str) -> None:
-    change, message = FAULTS[name]
-    done = robodyn("identify", ROOT / ARM, edited(data, change))
-    assert done.code == 2
-    assert message in done.err
-    assert done.out == ""
-
-
 def test_no_excitation_is_named(robodyn: Run, tmp_path: Path) -> None:
     scene = tmp_path / "flat.yaml"
     scene.write_text((ROOT / ARM).read_text().replace("gravity: 9.81", "gravity: 0"))

@@ -418,30 +418,7 @@ def test_units_on_a_terminal(robodyn: Run) -> None:
         assert part in out
 
 
-@each(
-    ("arguments", "stdin", "parts"),
-    [
-        (("--q", 1, "--of", "roker"), "", ("--of = roker", "did you mean rocker?")),
-        (("--q", 1, "--of", "P=rocker@1"), "", ("--of = P=rocker@1", "x,y (m) after the @")),
-        (("--q", 1, "--of", "a b=rocker"), "", ("--of", "must be a letter")),
-        (("--q", 1, "--of", "crank=rocker"), "", ("--of", "is the name of a link")),
-        (("--q", 1, "--of", "tip1", "--of", "tip1"), "", ("--of = tip1", "named twice")),
-        (("--q", 1, "--of", "P=tip1,P=tip3"), "", ("--of = P=tip3", "NAME=tip3")),
-        (("--q", 1, "--ratio", "rocker"), "", ("--ratio = rocker", "rocker/crank")),
-        (("--q", 1, "--ratio", "rocker/crnk"), "", ("--ratio", "did you mean crank?")),
-        (("-",), "q1\n", ("stdin", "no rows")),
-        (("-", "--of", "P=tip2"), "P_vx,q1\n1,1\n", ("column P_vx", "is in the table already")),
-        ((), "", ("--q", "missing")),
-    ],
-)
-def test_what_is_refused(robodyn: Run, arguments: tuple, stdin: str, parts: tuple) -> None:
-    robodyn("points", BAR, *arguments, stdin=stdin).fails(2, *parts)
-
-
 def test_ratios_and_angles_that_are_not_there(robodyn: Run) -> None:
-    robodyn("points", "robots/2r.yaml", "--q", "1,2", "--transmission").fails(
-        2, "--transmission", "no loop"
-    )
     given = ("points", "robots/2r.yaml", "--q", "1,2", "--ratio", "forearm/upper arm")
     robodyn(*given).fails(1, "upper arm does not move")
     row = robodyn(*given, "--qd", "2,1").succeeds().row

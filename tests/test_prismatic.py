@@ -612,15 +612,6 @@ def test_what_is_refused(text):
         mechanism(text)
 
 
-def test_a_displacement_is_no_angle(robodyn, tmp_path):
-    scene = tmp_path / "arm.yaml"
-    scene.write_text(ARM)
-    result = robodyn("torque", scene, "--q", "30deg,10deg")
-    assert result.code == 2
-    assert "entry 2 = 10deg" in result.err
-    assert "slides" in result.err
-
-
 # ---------------------------------------------------------------------------------------------
 # What scenes may say
 # ---------------------------------------------------------------------------------------------

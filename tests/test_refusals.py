@@ -93,8 +93,11 @@ def fault_of(row: Row, done: Outcome) -> str:
         return "not one error"
     if re.search(r"Traceback|defect|File \"|RuntimeWarning", done.err):
         return "a traceback"
-    line = re.search(r"line (\d+)", done.err)  # what streams has delivered the rows before it
-    if done.out and not (line and done.out.count("\n") == int(line[1]) - 1):
+    if not re.sub(r"[\n\t]", "", done.err).isprintable():
+        return "control characters"
+    # what streams has delivered the header and the rows before a bad one
+    line = re.search(r"(?:line (\d+)|no rows): ", done.err)
+    if done.out.count("\n") > (int(line[1] or 2) - 1 if line else 0):
         return "something on stdout"
     return ""
 
@@ -115,5 +118,6 @@ def test_what_is_refused(
         if contents(tmp_path) != kept:
             fault += "a file has changed"
         if fault:
-            faults.append(f"{fault}: {shlex.join(row.arguments)} <<< {row.stdin!r} => {row.words}\n{done.out[:100]}{done.err}")
+            faults += [f"{fault}: {shlex.join(row.arguments)} <<< {row.stdin!r} => {row.words}"]
+            faults += [done.out[:100], done.err]
     assert not faults, "\n".join(faults)

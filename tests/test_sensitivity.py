@@ -514,26 +514,7 @@ def test_the_columns_and_a_run_that_stays_as_it_is(robodyn: Callable[..., Outcom
     assert np.array_equal(motion.sensitivity[:, 2, 1], given.column("dqd1/q1"))
 
 
-def test_what_has_no_sensitivities(robodyn: Callable[..., Outcome], scene: Scene) -> None:
-    arm = ("simulate", "robots/2r.yaml", "--q", "0.5,0.8", "--time", "1", "--sensitivity")
-    bar = ("simulate", "robots/four-bar.yaml", "--q", "1", "--time", "1", "--sensitivity")
-    dry = scene(
-        "links:\n  - {name: a, m: 1, l: 1, r: 0.5, I: 0.1, friction: {torque: 1, static: 1}}\n"
-    )
-    force = ("--force", "forearm=0,-20")
-    for line, said in (
-        ((*arm, "links.forarm.m"), "links.forarm.m: is no number of the scene"),
-        ((*arm, "q3"), "q3: must be one of q1..q2"),
-        ((*arm, "q1,q1"), "--sensitivity: needs names, each once"),
-        ((*arm, ""), "is no number of the scene"),
-        ((*arm, "q1", "--tau", "abs(q1) if q1 > 0 else 1, 0"), "tau1: has no derivative"),
-        ((*arm, "links.forearm.m", *force), "--force"),
-        ((*bar, "q2"), "q2: joint coupler follows"),
-        (("simulate", dry, "--q", "0", "--sensitivity", "links.a.friction.kind"), "is no number"),
-    ):
-        given = robodyn(*line)
-        assert given.code == 2
-        assert re.sub(r"\s+", " ", given.err).find(said) >= 0, given.err
+def test_a_function_of_python_has_no_sensitivities() -> None:
     mech = rd.load(ROOT / "robots/2r.yaml")
     with pytest.raises(InputError, match="has no derivative"):
         rd.simulate(mech, [0, 0], [0, 0], 1.0, lambda t, q, qd: [q[0], 0.0], sensitivity=["q1"])

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TWO_LINK, Outcome
-from each_case import each
 from scipy import stats
 
 import oracles
@@ -334,56 +333,6 @@ def test_correlations_skip_what_has_no_result(robodyn: Run) -> None:
 
 
 # What is refused
-
-
-@each(
-    ("options", "parts"),
-    [
-        (["--result", "max(tau9)"], ["--result = max(tau9): is no result; did you mean tau2?"]),
-        (["--result", "tau1"], ["--result = tau1: is a column of many rows: take min(tau1)"]),
-        (["--result", "top(tau1)"], ["--result = top(tau1): is no result"]),
-        (["--result", "max(e1)"], ["--result = max(e1): is no result"]),
-        (["--result", "max(q1),max(q1)"], ["max(q1): is given twice"]),
-        (["--kind", "torque", "--result", "max(tau1)"], ["there is one row: write tau1"]),
-        (["--kind", "torque", "--result", "drift"], ["--result = drift: is for --kind motion"]),
-        (["--kind", "torque", "--track", "REF"], ["--result: missing: --track needs it"]),
-        (["--track", "REF", "--result", "max(tau1)"], ["--track: needs --control, or --kind"]),
-        (["--kind", "torque", "--track", "REF", "--qd", "1,1"], ["--qd and --track"]),
-        (["--kind", "torque", "--track", "REF", "--vary", "q1=0,1"], ["q1: is told by --track"]),
-        (["--kind", "torque", "--track", "none.csv"], ["none.csv: cannot be read"]),
-        ([*PD, "--track", "REF", "--tau", "1,1"], ["--tau and --control: exclude each other"]),
-        ([*PD, "--track", "REF", "--vary", "tau1=0,1"], ["tau1: is what --control gives"]),
-        ([*PD, "--track", "REF", "--kind", "torque"], ["--control: is for --kind motion"]),
-        ([*PD], ["--track or --hold: missing: --control pd needs it"]),
-        ([*PD[:4], "--track", "REF"], ["--kd: missing: --control pd needs it"]),
-        ([*PD, "--track", "REF", "--engine", "compiled"], ["--engine = compiled", "in Python"]),
-        (["--kp", "3"], ["--kp: needs --control"]),
-        (["--points", "11"], ["--points = 11: is for motions with --result of columns"]),
-        (["--points", "1", "--result", "max(q1)"], ["--points = 1: must be in [2,"]),
-        (["--of", "tip2"], ["--of: is for --result with columns of points"]),
-        (["--of", "tip9", "--result", "max(q1)"], ["--of = tip9: names no point"]),
-        (["--extremes", "--correlations"], ["--extremes and --correlations: exclude each other"]),
-        (["--vary", "q1=normal(0,1)"], ["--vary q1 = normal(0,1): normal is for --sample"]),
-        (["--vary", "q1=normal(0,0)", "--sample", "3"], ["the deviation must be > 0"]),
-        (["--vary", "q1=normal(0,x)", "--sample", "3"], ["--vary q1 = x:"]),
-        (
-            ["--vary", "q1=normal(0)", "--sample", "3"],
-            ["--vary q1 = normal(0): needs two numbers: normal(mean, deviation)"],
-        ),
-        (["--vary", "q1=uniform", "--sample", "3"], ["two numbers: uniform(low, high)"]),
-        (["--vary", "q1=uniform(2,1)", "--sample", "3"], ["first must be below the second"]),
-        (
-            ["--vary", "links.upper arm.m=normal(-1,1)", "--sample", "3"],
-            ["links[0] (upper arm).m = -1.0: must be >= 0"],
-        ),
-    ],
-)
-def test_what_is_wrong_is_told(
-    robodyn: Run, reference: Path, options: list[str], parts: list[str]
-) -> None:
-    given = [str(reference) if word == "REF" else word for word in options]
-    sampled = [] if "--sample" in options else ["--vary", "links.forearm.m=0.9,1"]
-    robodyn("sweep", ARM, *sampled, *given).fails(2, *parts)
 
 
 def test_what_does_not_finish_has_its_end_and_no_columns(robodyn: Run) -> None:
