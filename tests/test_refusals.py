@@ -3,7 +3,7 @@
 A row is `ARGUMENTS <<< STDIN => WORDS`: as in a shell, but that escapes (\\n) are understood; the
 message holds the words in their order, anything being between them where `...` stands.  A line
 `[ARGUMENTS <<< STDIN]` begins all rows below it, up to the next one; `@NAME: TEXT` is a file that
-lies where the command runs.  The rows of scenes.txt are `OLD -> NEW => WORDS`, a change of the
+lies where the command runs; a line that begins with two spaces goes on.  The rows of scenes.txt are `OLD -> NEW => WORDS`, a change of the
 scene named above them.
 """
 
@@ -12,14 +12,21 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import typer
 from conftest import ROOT, Outcome
 
+from robodyn import cli
+
 FOLDER = ROOT / "tests/refusals"
-COMMANDS = sorted(path.stem for path in FOLDER.glob("*.txt") if path.stem != "scenes")
+TABLES = sorted(path.stem for path in FOLDER.glob("*.txt") if path.stem != "scenes")
+NUMBERS = {"VECTOR", "N", "S", "HZ", "K"}  # what stands in the help for options of numbers
+# what a command that writes is given to write over, beside what its row has
+OLDER = {"animate": "older.gif", "draw": "older.svg", "plot": "older.svg"}
 
 
 class Row(NamedTuple):
@@ -49,16 +56,17 @@ def given(text: str) -> tuple[list[str], str]:
 
 def table_of(command: str) -> Table:
     found, before, stdin = Table({}, []), [], ""
-    for line in (FOLDER / f"{command}.txt").read_text().splitlines():
+    text = (FOLDER / f"{command}.txt").read_text()
+    for line in text.replace("\n  ", " ").splitlines():
         if line.startswith("@"):
-            name, _, text = line[1:].partition(": ")
-            found.files[name] = contents_of(unescaped(text))
+            name, _, kept = line[1:].partition(": ")
+            found.files[name] = contents_of(unescaped(kept))
         elif line.startswith("["):
             before, stdin = given(line[1:-1])
         elif line and not line.startswith("#"):
-            text, arrow, words = f" {line}".partition(" => ")
+            case, arrow, words = f" {line}".partition(" => ")
             assert arrow, line
-            own, rows = given(text)
+            own, rows = given(case)
             found.rows.append(Row([*before, *own], rows or stdin, unescaped(words)))
     return found
 
@@ -102,18 +110,38 @@ def fault_of(row: Row, done: Outcome) -> str:
     return ""
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+def writes(command: str) -> bool:
+    return any("--out" in x.opts for x in parameters(command))
+
+
+def parameters(command: str) -> list[Any]:
+    group: Any = typer.main.get_command(cli._application([command]))
+    return group.commands[command].params if command in cli.COMMANDS else []
+
+
+def can_write_over(command: str, row: Row) -> bool:
+    """Whether `-o` can be added to a row; those with stdin show that nothing goes to stdout."""
+    told = f"{shlex.join(row.arguments)} {row.words}"
+    lacks = row.stdin or re.search("-o |--out|an argument", told)
+    return writes(command) and not lacks and row.arguments[-1:] != ["-"]
+
+
+@pytest.mark.parametrize("command", TABLES)
 def test_what_is_refused(
     robodyn: Callable[..., Outcome], tmp_path: Path, monkeypatch: Any, command: str
 ) -> None:
     table = table_of(command)
     monkeypatch.chdir(tmp_path)
-    for name, text in table.files.items():
+    older = OLDER.get(command, "older")
+    for name, text in {older: b"older", **table.files}.items():
         (tmp_path / name).write_bytes(text)
+    before = [] if command == "robodyn" else [command]
     faults = []
     for row in table.rows:
         kept = contents(tmp_path)
-        done = robodyn(command, *row.arguments, stdin=row.stdin.encode("latin-1"))
+        more = ["-o", older] if can_write_over(command, row) else []
+        stdin = row.stdin.encode("latin-1")
+        done = robodyn(*before, *row.arguments, *more, stdin=stdin)
         fault = fault_of(row, done)
         if contents(tmp_path) != kept:
             fault += "a file has changed"
@@ -121,3 +149,21 @@ def test_what_is_refused(
             faults += [f"{fault}: {shlex.join(row.arguments)} <<< {row.stdin!r} => {row.words}"]
             faults += [done.out[:100], done.err]
     assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_has_its_table(command: str) -> None:
+    """With an option's unknown value, a number that is none, a missing file, an older output."""
+    (files, rows), own = table_of(command), parameters(command)
+    lacks = []
+    if any(hasattr(x.type, "choices") for x in own):
+        lacks += [] if any("is not one of" in x.words for x in rows) else ["an unknown value"]
+    if NUMBERS & {x.metavar for x in own}:
+        lacks += [] if any("nan" in " ".join(x.arguments) for x in rows) else ["nan"]
+    if {"model", "states", "data", "files"} & {x.name for x in own}:
+        lacks += [] if any("no such file" in x.words for x in rows) else ["a missing file"]
+    if writes(command):
+        named = [y for x in rows for o, y in pairwise(x.arguments) if o == "-o" and y in files]
+        over = named or any(can_write_over(command, row) for row in rows)
+        lacks += [] if over else ["an older output"]
+    assert not lacks

@@ -13,7 +13,7 @@ from typer import Option
 
 from robodyn.cli.files import output_file, rows_argument, rows_file
 from robodyn.cli.fit_table import FitRows, rows_given, rows_of_options
-from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text
+from robodyn.cli.options import Model, OutputStructured, Q, Qd, Qdd, Quiet, Text, named_options
 from robodyn.cli.output import Grid, in_told_units, note, row_writer, write_structure
 from robodyn.cli.points import OF, POINTS
 from robodyn.cli.progress import progress
@@ -153,7 +153,8 @@ def fit(
     mechanism = model.load()
     bounds = _bounds(mechanism, values, vary)
     rows = given.rows(mechanism, states)
-    with remarks(), _of_the_table(rows), progress("fitting", quiet) as tell:
+    renamed = named_options((), **({"column": "minimize"} if given.minimize else {}))
+    with remarks(), _of_the_table(rows), renamed, progress("fitting", quiet) as tell:
         found = given.found(mechanism, bounds, rows, tell)
     if found.untold:
         text = "the columns do not tell, alone or beside the others"

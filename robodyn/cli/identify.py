@@ -13,7 +13,7 @@ from robodyn.cli.motion_files import MotionFile, read_motion
 from robodyn.cli.options import Model, Number, OutputStructured, Text, named_options, option, switch
 from robodyn.cli.output import Grid, note, row_writer, write_structure
 from robodyn.cli.states import remarks
-from robodyn.errors import InputError, RobodynError
+from robodyn.errors import InputError, RobodynError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.identification import Identification, predicted
 from robodyn.parameters.identification import identify as identified
@@ -77,11 +77,12 @@ def identify(
             way = f"robodyn fit {model.model} --vary '{name}=LOW:HIGH' --match {data}"
             limit = "torques are not linear in it, as in masses, moments, friction and stiffness"
             limit += f"; find it by {way} --columns {torques} (the file needs qd and qdd)"
-            raise InputError(name, limit=limit)
+            raise InputError("--of", value=name, limit=limit)
     with remarks(), named_options(["cutoff"]):
         motion = read_motion(mechanism, data, torques=True, cutoff=cutoff)
         q, qd, qdd = motion.states
-        found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
+        with at_place(motion.source, "rows", "tau"), at_place("--of", *names or "-"):
+            found = identified(mechanism, q, qd, qdd, motion.tau, motion.t, names, physical)
     joints = [k + 1 for k in balanced_joints(mechanism)]
     if not names and not physical:
         _check_told(mechanism, found, motion)

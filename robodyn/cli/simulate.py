@@ -28,7 +28,7 @@ from robodyn.cli.simulate_options import (
 )
 from robodyn.cli.states import Quantity, StateOptions, assembled_state, remarks, single_state
 from robodyn.cli.times import Points, output_times
-from robodyn.errors import RobodynError
+from robodyn.errors import RobodynError, at_place
 from robodyn.events.told import Event
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
@@ -201,7 +201,8 @@ def _carried(
     from robodyn.simulation.sensitivity import with_sensitivities
 
     wanted_by = [name.strip() for name in how.sensitivity.split(",")]
-    return with_sensitivities(mechanism, torques, begin, wanted_by, settings.method)
+    with at_place("--sensitivity", *wanted_by):
+        return with_sensitivities(mechanism, torques, begin, wanted_by, settings.method)
 
 
 @dataclass

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, at_place
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import Control, Steps
 from robodyn.scene.expression_units import misfit, state_dimension
@@ -146,7 +146,8 @@ def expressions(
             raise InputError(f"entry {k + 1}", where=where, value=writer.texts[k], limit=limit)
     if not writer.names:
         values = [_constant(code, text, where) for code in written]
-        return constant(mechanism, values)
+        with at_place(where):
+            return constant(mechanism, values)
     driven = mechanism.actuated
     if len(written) == mechanism.n and len(driven) != mechanism.n:
         for k in mechanism.passive:

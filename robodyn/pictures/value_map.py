@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robodyn.errors import InputError
+from robodyn.errors import InputError, at_place
 from robodyn.pictures.chart import Opened, choose_columns, choose_x, drawable, limits, place_of
 from robodyn.pictures.colour_scale import ColourScale, colour_scale
 from robodyn.pictures.column_units import TURNING, in_degrees, unit_of
@@ -169,7 +169,8 @@ def read_map(
         limit = "needs a column of numbers; this one holds words"
         raise InputError("--log", value=shown(colour), limit=limit)
     along, up = np.concatenate(blocks).T
-    mapped = value_map((x, ys[0], colour), along, up, column.values, column.words, log)
+    with at_place(source, "no rows"):
+        mapped = value_map((x, ys[0], colour), along, up, column.values, column.words, log)
     if mapped.grid is not None and mapped.grid.hidden:
         tell(f"Note: {mapped.grid.hidden} rows are hidden by later ones with the same {x}, {ys[0]}")
     return _map_in_degrees(mapped, units) if degrees else mapped._replace(units=units)
