@@ -655,25 +655,3 @@ def test_wrong_values_are_refused() -> None:
         assert key in told
         where = {"min": ("min", "max")}.get(name, (name, "torque", "static"))
         assert any(f"{key}.{x}" in told for x in where), (text, told, value)
-
-
-@pytest.mark.parametrize(
-    ("keys", "fault"),
-    [
-        ("friction: {torque: 1}", "friction.speed: is missing"),
-        ("friction: {torque: 1, speed: 1, static: 2}", "friction.speed: is an unknown key"),
-        ("limits: {}", "limits: needs a min, a max, or both"),
-        (
-            "limits: {min: 0, stiffness: 1, restitution: 1}",
-            "limits.restitution: and stiffness exclude each other",
-        ),
-        ("limits: {min: 0, damping: 1}", "limits.damping: is an unknown key"),
-        ("limits: 3", "limits = 3: must be a mapping with min, max"),
-        ("friction: [1, 2]", "friction = a list: must be a mapping"),
-    ],
-)
-def test_what_does_not_go_together(keys: str, fault: str) -> None:
-    with pytest.raises(DescriptionError, match="contacts:") as caught:
-        arm(keys)
-    assert fault in str(caught.value)
-    assert len(str(caught.value).splitlines()) <= 2

@@ -224,28 +224,6 @@ class TestAssembly:
 
 
 class TestFaults:
-    @each(
-        ("text", "words"),
-        [
-            ("q2 = q4", "names q4; the joints are q1 to q3"),
-            ("q0 = q1", "names q0"),
-            ("q2 = q2", "has q2 on both sides"),
-            ("2 q2 = q1", "must be an equation such as"),
-            ("q2 + q1", "must be an equation such as"),
-            ("q2 = q1 +", "something is missing at its end"),
-            ("q2 = 1/0 q1", "divides by zero"),
-            ("q2 = x q1", "x is no unit"),
-            ("q2 = nan", "must be a finite number"),
-            ('["q2 = q1", "q2 = q3"]', "gives q2 a second time"),
-            ("[[q1, q2]]", "couplings[0]"),
-            ("{q1: q2}", "must be a list"),
-        ],
-    )
-    def test_each_is_named(self, text, words):
-        with pytest.raises(InputError) as caught:
-            mechanism(f"{ARM}couplings: {text}\n")
-        assert words in str(caught.value)
-
     def test_the_compiled_series_serve_them(self):
         pytest.importorskip("llvmlite")
         mech = mechanism(FIVE_BAR)

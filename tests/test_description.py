@@ -15,7 +15,6 @@ from conftest import FRESH, ROOT, within
 from good_scenes import ARM, EVERYTHING, LOOP
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from named_case import case
 
 from robodyn.errors import MOST_FAULTS, DescriptionError, InputError
 from robodyn.mechanics.mechanism import build
@@ -222,39 +221,6 @@ def test_a_file_without_end() -> None:
         read("/dev/zero")
 
 
-@pytest.mark.parametrize("text", ["", " \n\n", "# only a remark\n", "---\n", "---\n...\n"])
-def test_an_empty_file(text: str) -> None:
-    _, _, limit, _ = only_fault_of(text)
-    assert limit.startswith("is empty")
-    assert "links" in limit
-
-
-@pytest.mark.parametrize("text", ["hello", "12", "[a, b]", "- links", '""', "null"])
-def test_a_file_that_is_no_mapping(text: str) -> None:
-    _, _, limit, line = only_fault_of(text)
-    assert "must be a mapping" in limit
-    assert line == 1
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("name: [a\nlinks: b\n", 2),
-        ("name: a\n\tlinks: b\n", 2),
-        ("name: a: b\n", 1),
-        ("name: 'a\n", None),
-        ("{" * 5, None),
-        ("name: @a\n", 1),
-        ("%YAML 2.0\n---\nname: a\n", 1),
-    ],
-)
-def test_a_file_that_is_no_yaml(text: str, line: int | None) -> None:
-    _, _, limit, found = only_fault_of(text)
-    assert limit.startswith("is not YAML: ")
-    assert "\n" not in limit
-    assert line is None or found == line
-
-
 def test_control_characters_are_refused() -> None:
     _, _, limit, _ = only_fault_of(ARM + "\x00")
     assert limit.startswith("is not YAML")
@@ -267,23 +233,6 @@ def test_several_documents() -> None:
 
 
 # YAML's traps
-
-
-@pytest.mark.parametrize(
-    ("tag", "shown"),
-    [
-        ("!!python/object/apply:os.system", "!!python/object/apply:os.system"),
-        ("!!python/name:os.system", "!!python/name:os.system"),
-        ("!own", "!own"),
-        ("!!set", "!!set"),
-        ("!!binary", "!!binary"),
-        ("!<tag:example.org,2000:x>", "tag:example.org,2000:x"),
-    ],
-)
-def test_custom_tags_are_refused(tag: str, shown: str) -> None:
-    _, _, limit, line = only_fault_of(edited(ARM, "gravity: 9.81", f"gravity: {tag} 9.81"))
-    assert f"tag {shown} is refused" in limit
-    assert line == 2
 
 
 @pytest.mark.parametrize(
@@ -324,19 +273,6 @@ def test_aliases_that_blow_up(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        ("links: &a [*a]\n", "inside its own anchor"),
-        ("links: *nowhere\n", "*nowhere has no anchor"),
-    ],
-)
-def test_aliases_that_lead_nowhere(text: str, part: str) -> None:
-    _, _, limit, line = only_fault_of(text)
-    assert part in limit
-    assert line == 1
-
-
-@pytest.mark.parametrize(
     "text",
     ["[" * 100_000, "{a: " * 30_000, "- " * 20_000, "? " * 20_000, f"x: {'[' * 60}{']' * 60}"],
 )
@@ -345,167 +281,7 @@ def test_deep_nesting(text: str) -> None:
     assert re.search(r"nests deeper than \d+ levels", limit)
 
 
-@pytest.mark.parametrize("key", ["[a, b]", "{a: b}"])
-def test_keys_that_are_no_names(key: str) -> None:
-    _, _, limit, line = only_fault_of(f"? {key}\n: 1\n{ARM}")
-    assert "key must be a plain name" in limit
-    assert line == 1
-
-
 # Faults: place, value, what is allowed, line
-
-
-A_FAULT_OF_A_CHAIN = [
-    # keys
-    ("gravity", "gravty", "gravty", None, "unknown key; did you mean gravity?", 2),
-    ("name: arm", "xyz: red", "xyz", None, "is an unknown key; known: links, name, gr", 1),
-    ("r: 0.36", "R: 0.36, r: 0.36", "links[0] (upper).R", None, "is an unknown key", 4),
-    ("I: 0.031", "I: 0.031, dampng: 1", "links[1] (lower).dampng", None, "mean damping?", 5),
-    ("l: 0.6, ", "", "links[1] (lower).l", None, "is missing", 5),
-    ("name: lower, ", "", "links[1].name", None, "is missing", 5),
-    ("I: 0.031", "I: 0.031, m: 2", "links[1] (lower).m", None, "is given twice", 5),
-    ("gravity: 9.81", "gravity: 9.81\ngravity: 9.81", "gravity", None, "is given twice", 3),
-    # numbers
-    ("m: 1.5", "m: heavy", "links[0] (upper).m", "heavy", "must be a number", 4),
-    ("m: 1.5", "m: '1.5'", "links[0] (upper).m", "'1.5'", "quoted text, not a number", 4),
-    ("m: 1.5", "m: ", "links[0] (upper).m", "nothing", "must be a number", 4),
-    ("m: 1.5", "m: null", "links[0] (upper).m", "null", "must be a number", 4),
-    ("m: 1.5", "m: ~", "links[0] (upper).m", "~", "must be a number", 4),
-    ("m: 1.5", "m: 1.5kgs", "links[0] (upper).m", "1.5kgs", "must be a number", 4),
-    ("m: 1.5", "m: 1_5", "links[0] (upper).m", "1_5", "must be a number", 4),
-    ("m: 1.5", "m: 0x15", "links[0] (upper).m", "0x15", "must be a number", 4),
-    ("m: 1.5", "m: 1:30", "links[0] (upper).m", "1:30", "must be a number", 4),
-    ("m: 1.5", "m: 2026-01-01", "links[0] (upper).m", "2026-01-01", "must be a number", 4),
-    ("m: 1.5", "m: [1.5]", "links[0] (upper).m", "a list", "must be a number", 4),
-    ("m: 1.5", "m: {kg: 1.5}", "links[0] (upper).m", "a mapping", "must be a number", 4),
-    ("m: 1.5", "m: nan", "links[0] (upper).m", "nan", "must be a finite number", 4),
-    ("m: 1.5", "m: .NaN", "links[0] (upper).m", ".NaN", "must be a finite number", 4),
-    ("m: 1.5", "m: .inf", "links[0] (upper).m", ".inf", "must be a finite number", 4),
-    ("m: 1.5", "m: -.inf", "links[0] (upper).m", "-.inf", "must be a finite number", 4),
-    ("m: 1.5", "m: 1e999", "links[0] (upper).m", "1e999", "too large", 4),
-    ("m: 1.5", "m: yes", "links[0] (upper).m", "yes", "is a truth value, not a number", 4),
-    ("m: 1.5", "m: No", "links[0] (upper).m", "No", "is a truth value, not a number", 4),
-    ("m: 1.5", "m: true", "links[0] (upper).m", "true", "is a truth value, not a number", 4),
-    ("m: 1.5", "m: off", "links[0] (upper).m", "off", "is a truth value, not a number", 4),
-    # amounts
-    ("m: 1.5", "m: -1.5", "links[0] (upper).m", "-1.5", "must be >= 0", 4),
-    ("l: 0.8", "l: -0.8", "links[0] (upper).l", "-0.8", "must be >= 0", 4),
-    ("I: 0.082", "I: -1e-9", "links[0] (upper).I", "-1e-9", "must be >= 0", 4),
-    ("r: 0.36", "r: -0.36", "links[0] (upper).r", "-0.36", "must be >= 0; write [x, y]", 4),
-    ("I: 0.082", "I: 1, payload: -2", "links[0] (upper).payload", "-2", "must be >= 0", 4),
-    ("I: 0.082", "I: 1, damping: -2", "links[0] (upper).damping", "-2", "must be >= 0", 4),
-    # vectors
-    ("r: 0.36", "r: [1]", "links[0] (upper).r", "1 values", "two numbers, [x, y]", 4),
-    ("r: 0.36", "r: [1, 2, 3]", "links[0] (upper).r", "3 values", "two numbers, [x, y]", 4),
-    ("r: 0.36", "r: []", "links[0] (upper).r", "0 values", "two numbers, [x, y]", 4),
-    ("r: 0.36", "r: [1, no]", "links[0] (upper).r[1]", "no", "is a truth value", 4),
-    ("r: 0.36", "r: [nan, 1]", "links[0] (upper).r[0]", "nan", "finite number", 4),
-    ("9.81", "[0, -9.81, 0]", "gravity", "3 values", "two numbers, [x, y]", 2),
-    ("9.81", "earth", "gravity", "earth", "must be a number", 2),
-    ("9.81", "{y: 9.81}", "gravity", "a mapping", "must be a number", 2),
-    # names
-    ("name: lower", "name: upper", "links[1].name", "upper", "links[0] too", 5),
-    ("name: lower", "name: ''", "links[1] ().name", "''", "must be a name", 5),
-    ("name: lower", "name: [a]", "links[1].name", "a list", "must be a name", 5),
-    ("name: arm", "name: {a: b}", "name", "a mapping", "must be a name", 1),
-    # from
-    ("I: 0.031", "I: 1, from: uper", "links[1] (lower).from", "uper", "mean upper?", 5),
-    ("I: 0.031", "I: 1, from: [1]", "links[1] (lower).from", "1 values", "[x, y]", 5),
-    ("I: 0.031", "I: 1, from: ", "links[1] (lower).from", "nothing", "must be a name", 5),
-    ("I: 0.031", "I: 1, from: lower", "links[1] (lower).from", None, "lower -> lower", 5),
-    (
-        *("I: 0.031", "I: 1, from: {link: xyz, at: [1, 2]}"),
-        *("links[1] (lower).from.link", "xyz", "names no link; known: upper, lower", 5),
-    ),
-    (
-        *("I: 0.031", "I: 1, from: {link: upper, at: [1, x]}"),
-        *("links[1] (lower).from.at[1]", "x", "must be a number", 5),
-    ),
-    (
-        *("I: 0.031", "I: 1, from: {link: upper}"),
-        *("links[1] (lower).from.at", None, "is missing", 5),
-    ),
-]
-
-
-def test_a_fault_of_a_chain() -> None:
-    for old, new, place, value, limit, line in A_FAULT_OF_A_CHAIN:
-        with case(old, new, place, value, limit, line):
-            found = only_fault_of(edited(ARM, old, new))
-            assert (found[0], found[1], found[3]) == (place, value, line)
-            assert limit in found[2]
-
-
-A_FAULT_OF_A_LOOP = [
-    # closures
-    ("[coupler, rocker]", "[couple, rocker]", "closures[0][0]", "couple", "mean coupler?", 8),
-    ("[coupler, rocker]", "[coupler, tail]", "closures[0][1]", "tail", "known: crank, co", 8),
-    ("[coupler, rocker]", "[coupler]", "closures[0]", "1 sides", "must name two sides", 8),
-    ("[coupler, rocker]", "coupler", "closures[0]", "coupler", "must be a list", 8),
-    ("[coupler, rocker]", "[rocker, rocker]", "closures[0]", None, "two points of one link", 8),
-    ("[coupler, rocker]", "[[0, 0], [1, 1]]", "closures[0]", None, "points of the ground", 8),
-    ("[coupler, rocker]", "[coupler, [1]]", "closures[0][1]", "1 values", "[x, y]", 8),
-    (
-        *("[coupler, rocker]", "[{link: coupler, at: [1, yes]}, rocker]"),
-        *("closures[0][0].at[1]", "yes", "is a truth value, not a number", 8),
-    ),
-    (
-        *("[coupler, rocker]", "{point: couple, on: {through: [0, 0], along: [1, 0]}}"),
-        *("closures[0].point", "couple", "did you mean coupler?", 8),
-    ),
-    (
-        *("[coupler, rocker]", "{point: rocker, on: {through: [0, 0], along: [0, 0]}}"),
-        *("closures[0].on.along", "[0, 0]", "must point somewhere", 8),
-    ),
-    (
-        *("[coupler, rocker]", "{point: rocker, on: {along: [1, 0]}}"),
-        *("closures[0].on.through", None, "is missing", 8),
-    ),
-    (
-        *("[coupler, rocker]", "{point: [1, 0], on: {through: [0, 0], along: [1, 0]}}"),
-        *("closures[0].point", None, "must be a point of a link", 8),
-    ),
-    ("\n  - [coupler, rocker]", " 3", "closures", "3", "must be a list", 7),
-    # actuated, assembly, start
-    ("[crank]", "[cranck]", "actuated[0]", "cranck", "names no link; did you mean crank?", 9),
-    ("[crank]", "[crank, crank]", "actuated[1]", "crank", "is named twice", 9),
-    ("[crank]", "crank", "actuated", "crank", "must be a list", 9),
-    ("open", "opne", "assembly", "opne", "must be open or crossed", 10),
-    ("open", "yes", "assembly", "yes", "must be open or crossed", 10),
-    ("open", "[open, crossed]", "assembly", "2 words", "one for each of the 1 closures", 10),
-    ("open", "[shut]", "assembly[0]", "shut", "must be open or crossed", 10),
-    ("open", "open\nstart: {arm: 1}", "start.arm", None, "is an unknown link", 11),
-    ("open", "open\nstart: {crank: up}", "start.crank", "up", "must be a number", 11),
-    ("open", "open\nstart: {crank: 1, crank: 2}", "start.crank", None, "is given twice", 11),
-    ("open", "open\nstart: {crank: 1/0}", "start.crank", "1/0", "divides by zero", 11),
-    ("open", "open\nstart: [1, 2, 3]", "start", "a list", "must map link names to angles", 11),
-]
-
-
-def test_a_fault_of_a_loop() -> None:
-    for old, new, place, value, limit, line in A_FAULT_OF_A_LOOP:
-        with case(old, new, place, value, limit, line):
-            found = only_fault_of(edited(LOOP, old, new))
-            assert (found[0], found[1], found[3]) == (place, value, line)
-            assert limit in found[2]
-
-
-@pytest.mark.parametrize(
-    ("text", "place", "value", "limit"),
-    [
-        ("name: a", "links", None, "is missing"),
-        ("links:", "links", "nothing", "must be a list"),
-        ("links: []", "links", "[]", "at least one link"),
-        ("links: {a: 1}", "links", "a mapping", "must be a list"),
-        ("links: 3", "links", "3", "must be a list"),
-        ("links: [3]", "links[0]", "3", "must be a mapping"),
-        ("links: [[a]]", "links[0]", "a list", "must be a mapping"),
-    ],
-)
-def test_faults_of_the_list_of_links(text: str, place: str, value: object, limit: str) -> None:
-    found = only_fault_of(text)
-    assert found[:2] == (place, value)
-    assert limit in found[2]
 
 
 def test_a_start_that_is_no_mapping_tells_its_value() -> None:

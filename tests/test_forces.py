@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from conftest import ROOT
-from named_case import case
 
 from random_mechanisms import (
     LOOPS,
@@ -31,7 +30,7 @@ from robodyn import (
 from robodyn.dynamics import identities
 from robodyn.dynamics.dynamics import forward_dynamics_and_forces
 from robodyn.engines.row_values import RowValues
-from robodyn.errors import InputError, SingularError
+from robodyn.errors import SingularError
 from robodyn.mechanics.actuation import Actuation
 from robodyn.simulation.extended import reference
 
@@ -199,45 +198,8 @@ class TestReactions:
             assert motion.q[-1] == pytest.approx([0.8])
 
 
-EACH_IS_NAMED = [
-    ("springs: [{between: [a], stiffness: 1, length: 0}]", "springs[0].between = 1 points"),
-    ("springs: [{between: [a, a], stiffness: 1, length: 0}]", "points of one link"),
-    (
-        "springs: [{between: [[0, 0], [1, 0]], stiffness: 1, length: 0}]",
-        "points of the ground",
-    ),
-    ("springs: [{between: [a, [0, 1]], stiffness: -1, length: 0}]", "stiffness = -1"),
-    ("springs: [{between: [a, [0, 1]], stiffness: 1}]", "springs[0].length: is missing"),
-    ("springs: [{between: [a, c], stiffness: 1, length: 0}]", "names no link"),
-    ("springs: [{joint: a, stiffness: 1}]", "springs[0].angle: is missing"),
-    ("springs: [{joint: a, stiffness: 1, angle: 1m}]", "springs[0].angle"),
-    ("springs: [{joint: d, stiffness: 1, angle: 1}]", "names no link"),
-    ("springs: {joint: a}", "springs = a mapping: must be a list"),
-    ("loads: [{link: a, at: [0, 0], force: 3}]", "loads[0].force"),
-    ("loads: [{link: a, force: [1, 0]}]", "loads[0].at: is missing"),
-    ("loads: [{link: a, torque: much}]", "loads[0].torque"),
-    ("loads: [{link: a, torque: 1, at: [0, 0]}]", "loads[0].at: is an unknown key"),
-    ("loads: [{link: a, at: [0, 0], force: [1, 0], frame: body}]", "ground or link"),
-]
-
-
 class TestFaults:
     LINK = "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1}, {name: b, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
-
-    def test_each_is_named(self):
-        for text, words in EACH_IS_NAMED:
-            with case(text, words):
-                with pytest.raises(InputError) as caught:
-                    mechanism(self.LINK + text + "\n")
-                assert words in str(caught.value)
-
-    @pytest.mark.parametrize("speed", ["0", "-1"])
-    def test_friction_needs_a_speed(self, speed):
-        with pytest.raises(InputError, match="must be > 0"):
-            mechanism(
-                "links: [{name: a, m: 1, l: 1, r: 0.5, I: 0.1, "
-                f"friction: {{torque: 1, speed: {speed}}}}}]\n"
-            )
 
     def test_ends_that_coincide(self):
         mech = mechanism(

@@ -8,13 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from conftest import FOUR_BAR, ROOT, Outcome, relative_error
-from each_case import each
 from mpmath import mp, mpc, mpf
 
 import oracles
 import robodyn as rd
 from random_mechanisms import LOOPS, Scene, mechanism, seeded_scene, seeded_tree, sliding
-from robodyn.errors import DescriptionError, InputError
+from robodyn.errors import InputError
 from robodyn.kinematics.named_points import named_points, values_of_points
 from robodyn.kinematics.point_motion import link_turns, point_jacobian, unit_rates
 from robodyn.kinematics.transmission import (
@@ -66,33 +65,6 @@ def test_names_stand_for_points_everywhere_in_a_scene() -> None:
         "E": (1, 0.5 + 0j),
         "O": (1, 0j),
     }
-
-
-@each(
-    ("points", "parts"),
-    [
-        ("[P]", ("points = a list", "must map names")),
-        ("{P: coupla}", ("points.P = coupla", "did you mean coupler?")),
-        ("{P: tip4}", ("points.P = tip4", "names no link")),
-        ("{P: tip0}", ("points.P",)),
-        ("{P: 'coupler@1'}", ("points.P", "must have x,y (m) after the @")),
-        ("{P: 'coupler@1,x'}", ("points.P", "must have x,y")),
-        ("{P: 'coupler@1,nan'}", ("points.P", "must have x,y")),
-        ("{P: 'nolink@1,2'}", ("points.P",)),
-        ("{P: [0, 1]}", ("points.P", "must be a point of a link")),
-        ("{P: {link: coupler}}", ("points.P.at", "is missing")),
-        ("{P: Q, Q: rocker}", ("points.P = Q", "names no link")),
-        ("{rocker: crank}", ("points.rocker", "is the name of a link")),
-        ("{tip1: crank}", ("points.tip1", "is the name of a part")),
-        ("{a b: crank}", ("points.a b", "must be a letter")),
-        ("{P: crank, P: rocker}", ("points.P", "twice")),
-    ],
-)
-def test_points_of_a_scene_that_are_refused(points: str, parts: tuple[str, ...]) -> None:
-    with pytest.raises(DescriptionError) as caught:
-        mechanism(PLAIN + f"points: {points}\n")
-    for part in ("scene.yaml:", *parts):
-        assert part in str(caught.value)
 
 
 def test_points_by_their_names() -> None:

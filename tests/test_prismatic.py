@@ -579,39 +579,6 @@ def test_a_start_picks_the_branch_where_it_names_followers_alone():
         assembly.scene_branches(five)
 
 
-# -- what is refused -------------------------------------------------------------------------------
-
-ARM = """links:
-  - {name: upper, m: 1, l: 1, r: 0.5, I: 0.1}
-  - {name: boom, joint: prismatic, axis: [1, 0], m: 1, l: 1, r: 0.5, I: 0.1}
-"""
-ONE = "links: [{name: a, %s, m: 1, l: 1, r: 0, I: 1}]"
-SLOT = ARM + "closures: [{point: boom, on: {link: %s, through: [0, 0], along: [1, 0]}%s}]"
-REFUSED = {
-    ONE % "joint: prismatic": "axis: is missing",
-    ONE % "joint: revolute, axis: [1, 0]": "prismatic joints alone",
-    ONE % "joint: sliding": "revolute or prismatic",
-    ONE % "joint: prismatic, axis: [0, 0]": "point somewhere",
-    ONE % "joint: prismatic, axis: 3": "two numbers",
-    ONE % "joint: prismatic, axis: [1, 0], friction: {torque: 1, speed: 1}": "unknown key",
-    ONE % "friction: {force: 1, speed: 1}": "unknown key",
-    ARM + "springs: [{joint: boom, stiffness: 3, angle: 0.1}]": "length: is missing: the joint is",
-    ARM + "springs: [{joint: upper, stiffness: 3, length: 0.1}]": "angle: is missing: the joint is",
-    ARM + "start: {boom: 30deg}": "must be in m, not in rad",
-    ARM + 'couplings: ["q2 = 0.1 q1 + 30deg"]': "must be in m, not in rad",
-    SLOT % ("boom", ""): "point's own link",
-    SLOT % ("none", ""): "names no link",
-    SLOT % ("upper", ", aligned: 0"): "cannot turn",
-    SLOT % ("upper", ", aligned: much"): "must be a number",
-}
-
-
-@pytest.mark.parametrize("text", REFUSED)
-def test_what_is_refused(text):
-    with pytest.raises((DescriptionError, InputError), match=REFUSED[text]):
-        mechanism(text)
-
-
 # ---------------------------------------------------------------------------------------------
 # What scenes may say
 # ---------------------------------------------------------------------------------------------

@@ -3,7 +3,8 @@
 A row is `ARGUMENTS <<< STDIN => WORDS`: as in a shell, but that escapes (\\n) are understood; the
 message holds the words in their order, anything being between them where `...` stands.  A line
 `[ARGUMENTS <<< STDIN]` begins all rows below it, up to the next one; `@NAME: TEXT` is a file that
-lies where the command runs; a line that begins with two spaces goes on.  The rows of scenes.txt are `OLD -> NEW => WORDS`, a change of the
+lies where the command runs; a line that begins with two spaces goes on.  The rows of scenes.txt
+are `OLD -> NEW => WORDS`, a change of the
 scene named above them.
 """
 
@@ -11,11 +12,12 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import good_scenes
 import pytest
 import typer
 from conftest import ROOT, Outcome
@@ -44,6 +46,12 @@ class Table(NamedTuple):
     rows: list[Row]
 
 
+def lines_of(name: str) -> list[str]:
+    """The lines of a table, those that go on put together, without remarks."""
+    lines = (FOLDER / f"{name}.txt").read_text().replace("\n  ", " ").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
 def unescaped(text: str) -> str:
     return re.sub(r"\\(x..|u....|.)", lambda x: x[0].encode().decode("unicode_escape"), text)
 
@@ -56,14 +64,13 @@ def given(text: str) -> tuple[list[str], str]:
 
 def table_of(command: str) -> Table:
     found, before, stdin = Table({}, []), [], ""
-    text = (FOLDER / f"{command}.txt").read_text()
-    for line in text.replace("\n  ", " ").splitlines():
+    for line in lines_of(command):
         if line.startswith("@"):
             name, _, kept = line[1:].partition(": ")
             found.files[name] = contents_of(unescaped(kept))
-        elif line.startswith("["):
+        elif line.startswith("[") and " => " not in line:
             before, stdin = given(line[1:-1])
-        elif line and not line.startswith("#"):
+        else:
             case, arrow, words = f" {line}".partition(" => ")
             assert arrow, line
             own, rows = given(case)
@@ -80,6 +87,25 @@ def contents_of(text: str) -> bytes:
     old, _, new = change.partition(">")
     assert old in scene
     return scene.replace(old, new, 1).encode() if change else scene.encode()
+
+
+def scenes() -> Iterator[tuple[str, str]]:
+    """Scenes that are refused, and the words of the refusal."""
+    bases, base = {"ARM": good_scenes.ARM, "LOOP": good_scenes.LOOP, "": ""}, ""
+    for line in lines_of("scenes"):
+        if line.startswith("@"):
+            name, _, text = line[1:].partition(": ")
+            bases[name] = unescaped(text)
+        elif " => " not in line:
+            base = bases[line[1:-1]]
+        else:
+            change, _, words = f" {line}".partition(" => ")
+            old, arrow, new = change.partition(" -> ")
+            assert arrow, line
+            old = unescaped(old[1:])
+            assert not old or base.count(old) == 1, line
+            text = base.replace(old, unescaped(new)) if old else base + unescaped(new)
+            yield text, words
 
 
 def pattern(words: str) -> str:
@@ -149,6 +175,22 @@ def test_what_is_refused(
             faults += [f"{fault}: {shlex.join(row.arguments)} <<< {row.stdin!r} => {row.words}"]
             faults += [done.out[:100], done.err]
     assert not faults, "\n".join(faults)
+
+
+def test_scenes_that_are_refused(
+    robodyn: Callable[..., Outcome], tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Each fault is told once, with its line, field, value and limit."""
+    monkeypatch.chdir(tmp_path)
+    told = []
+    for text, words in scenes():
+        (tmp_path / "scene.yaml").write_text(text)
+        done = robodyn("check", "scene.yaml")
+        fault = fault_of(Row([], "", words), done)
+        if done.err.count("scene.yaml:") != 1 + words.count(" ... "):
+            fault += "more or less than one fault"
+        told += [f"{fault}: {text}\n{words}\n{done.err}"] if fault else []
+    assert not told, "\n".join(told)
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
