@@ -300,7 +300,7 @@ def test_an_accuracy(robodyn: Run, ref: Path) -> None:
     assert "taylor" in robodyn(*ARM, *PD, *options, "--control-rate", 50).err
 
 
-# What is wrong
+# Backwards
 
 
 def test_a_reference_may_run_backwards(robodyn: Run) -> None:

@@ -228,9 +228,6 @@ def test_text_needs_no_matplotlib(shell: Run) -> None:
     assert shell(f'python -c "{code}"').code == 0
 
 
-# Refused
-
-
 @pytest.mark.parametrize("form", ["text", "svg"])
 @pytest.mark.parametrize(
     "text",

@@ -223,9 +223,6 @@ def test_no_color(motion: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not figures._colour(None)
 
 
-# Refused
-
-
 def test_stdin_beside_a_file(robodyn: Run, motion: Path) -> None:
     assert robodyn("plot", motion, "-", "--format", "text", stdin=ROWS).code == 0
 

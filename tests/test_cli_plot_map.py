@@ -255,6 +255,3 @@ def test_text_needs_no_matplotlib(shell: Run, sweep: Path) -> None:
     code = f"import sys; from robodyn import cli; cli.run({words!r}); "
     code += "sys.exit(bool({'matplotlib', 'scipy', 'PIL'} & set(sys.modules)))"
     assert shell(f'python -c "{code}"').code == 0
-
-
-# Refused

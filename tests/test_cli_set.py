@@ -79,15 +79,15 @@ def test_it_is_as_written(robodyn: Run, line: str, written: Path) -> None:
     assert robodyn(command, str(BAR), *options).out != wanted.out
 
 
-def test_values_are_written_as_in_scenes(robodyn: Run) -> None:
+def test_values_are_written_as_in_scenes(robodyn: Run, scene: Callable[[str], Path]) -> None:
+    links = "links: [{name: rod, m: 1, l: 1, r: 0.5, I: 0.1}]\n"
+    path = scene(links + "springs: [{joint: rod, stiffness: 3, angle: 0}]\n")
     for value, plain in (("30deg", "pi/6"), ("-pi/6", "-30deg")):
         rows = [
-            robodyn(
-                "assemble", "robots/watt-six-bar.yaml", "--q", "1", "--set", f"start.crank={x}"
-            ).out
-            for x in (value, plain)
+            robodyn("torque", path, "--q", "1", "--set", f"springs[0].angle={x}").succeeds().out
+            for x in (value, plain, "0")
         ]
-        assert rows[0] == rows[1]
+        assert rows[0] == rows[1] != rows[2]
 
 
 def test_a_sweep_goes_on_with_the_same_numbers_alone(robodyn: Run, tmp_path: Path) -> None:

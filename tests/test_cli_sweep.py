@@ -120,9 +120,6 @@ def test_flip_of_a_link(robodyn: Run) -> None:
     assert motion.q[-1, 0] == pytest.approx(math.pi / 2, abs=1e-7)
 
 
-# Refusals
-
-
 # Files
 
 
