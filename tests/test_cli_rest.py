@@ -102,7 +102,11 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     [
         (f"equilibrium {BAR} --hold crnk", 2, ("--hold = crnk", "did you mean crank?")),
         (f"equilibrium {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
-        (f"equilibrium {BAR} --q 1 --tau 90", 1, ("--tau = 90, 0, 0: no pose", "near q = 1,", " %")),
+        (
+            f"equilibrium {BAR} --q 1 --tau 90",
+            1,
+            ("--tau = 90, 0, 0: no pose", "near q = 1,", " %"),
+        ),
         (f"equilibrium {CART} --all", 1, ("no end of poses at rest",)),
         (f"linearize {BAR}", 2, ("--q",)),
         (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
