@@ -108,7 +108,7 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
             ("--tau = 90, 0, 0: no pose", "near q = 1,", " %"),
         ),
         (f"equilibrium {CART} --all", 1, ("no end of poses at rest",)),
-        (f"linearize {BAR}", 2, ("--q",)),
+        (f"linearize {BAR}", 2, ("--q: missing: give it\n",)),
         (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
         ("linearize robots/parallelogram.yaml --q 0,0,0", 1, ("change point", "two ways")),
         (f"linearize {BAR} --q 1 --weights-x 1", 2, ("--weights-x", "--lqr")),

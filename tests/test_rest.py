@@ -274,11 +274,13 @@ def test_gain_of_the_cart_pole_is_that_of_riccatis_equation() -> None:
         (([1.0, 2.0], 1.0), "weights_x = 2 values: needs 1, 4 or, for a matrix, 16"),
         ((np.eye(4) + np.eye(4, k=1), 1.0), "symmetric"),
         ((1.0, math.nan), "finite"),
+        ((1.0, [1.0, 2.0]), "weights_u = 2 values: needs 1 value"),
+        ((0.0, 1.0), "weights_x = 0: no gain brings it to rest there: weigh all that moves"),
     ],
 )
 def test_wrong_weights_are_named(weights, part: str) -> None:
     model = rd.linearize(scene("cart-pole"), [0.0, math.pi / 2])
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(RobodynError) as caught:
         rd.lqr(model, *weights)
     assert part in str(caught.value)
 
