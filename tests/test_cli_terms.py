@@ -190,3 +190,6 @@ def test_derivatives(robodyn: Run) -> None:
     told = robodyn("terms", "robots/cart-pole.yaml", "--q", "0,1", "--derivatives")
     assert told.code == 0
     assert "no derivatives of torques" in told.err
+    told = robodyn("terms", "robots/parallelogram.yaml", "--q", "0", "--derivatives")
+    assert "no derivatives of accelerations: robots/parallelogram.yaml: singular" in told.err
+    assert not [name for name in told.json if name.startswith("d")]

@@ -10,6 +10,7 @@ from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.errors import InputError, RobodynError
+from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_units
 
@@ -101,19 +102,25 @@ def _derivatives(
 ) -> dict[str, tuple[str, np.ndarray]]:
     """The derivatives of torques and accelerations, each with its unit."""
     content: dict[str, tuple[str, np.ndarray]] = {}
-
-    def add(what: str, third: str, units: tuple[str, ...], found: tuple[np.ndarray, ...]) -> None:
-        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found, strict=True):
+    torques = ("N m/rad", "N m s/rad", "kg m²", "SI units")
+    rates = ("1/s²", "1/s", "1/(kg m²)", "SI units")
+    for what, third, units in (("tau", "qdd", torques), ("qdd", "tau", rates)):
+        found: tuple[np.ndarray, ...]
+        try:
+            if what == "tau":
+                found = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
+            else:
+                check_way_on(mechanism, *(x[None] for x in state))
+                found = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
+        except InputError:
+            raise
+        except RobodynError as error:
+            of = "torques" if what == "tau" else "accelerations"
+            note(f"Note: no derivatives of {of}: {error}")
+            continue
+        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found[1:], strict=True):
             if value.size:
                 content[f"d{what}_d{by}"] = unit, value
-
-    forward = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
-    try:
-        inverse = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
-        add("tau", "qdd", ("N m/rad", "N m s/rad", "kg m²", "SI units"), inverse[1:])
-    except RobodynError as error:
-        note(f"Note: no derivatives of torques: {error}")
-    add("qdd", "tau", ("1/s²", "1/s", "1/(kg m²)", "SI units"), forward[1:])
     return content
 
 
