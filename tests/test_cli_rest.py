@@ -95,6 +95,9 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     assert 0.1 < abs(q[:, 0] - q[0, 0]).max() < 0.5
     assert t[-1] >= 2.0
     assert relative_error(q[-1], q[0]) < 1e-9
+    cart = rd.load(CART)
+    creeps = rd.linearize(cart, [0.0, math.pi / 2])  # by its bearings' damping, in minutes
+    assert mode_motion(cart, creeps, 2, 2.0)[0][-1] == 2.0
 
 
 @pytest.mark.parametrize(
