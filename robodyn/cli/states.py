@@ -91,7 +91,7 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     values = joint_values(mechanism, quantity.option, kind, flag)
     if len(values) not in (n, actuated):
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
-        if actuated != n:
+        if 0 < actuated < n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
             wanted += f", or {actuated}, one an actuated joint ({names})"
         count = "1 value" if len(values) == 1 else f"{len(values)} values"
