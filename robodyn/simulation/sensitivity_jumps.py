@@ -36,7 +36,8 @@ from robodyn.tables.arrays import Array
 
 Shift = Callable[[], Array]
 
-ORDER = "joints meet their ends at one instant, and what follows depends on the order"
+ORDER = "joints meet their ends at one instant, and what follows depends on the order: "
+ORDER += "it has no derivative there"
 SAME = 1e-9  # part of accelerations by which they do not jump, and of T by which they are one
 
 
