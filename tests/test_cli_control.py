@@ -138,6 +138,12 @@ def test_trajectory_makes_references(robodyn: Run) -> None:
     given = robodyn(*start, *law, stdin=made.out).succeeds()
     numbers = [float(x) for x in given.out.splitlines()[-1].split(",")]
     assert numbers[:3] == pytest.approx([2.0, math.pi / 2, math.pi / 4], abs=1e-8)
+    held = robodyn(*start, *law, "--time", 6, "--every", 1, stdin=made.out).succeeds()
+    needed = robodyn("torque", "robots/2r.yaml", "--q", "90deg,45deg").row
+    for name, end in (("q1", math.pi / 2), ("q2", math.pi / 4), ("qd1", 0.0), ("qd2", 0.0)):
+        assert held.column(name)[-4:] == pytest.approx([end] * 4, abs=1e-7)
+    for name in ("tau1", "tau2"):
+        assert held.column(name)[-4:] == pytest.approx([needed[name]] * 4, abs=1e-5)
 
 
 def test_held_at_its_end_and_held_throughout(robodyn: Run, ref: Path) -> None:
