@@ -181,6 +181,7 @@ def test_derivatives(robodyn: Run) -> None:
         assert np.array_equal(found[name], matrix)
     assert np.allclose(found["dtau_dqdd"], found["M"])
     by = robodyn(*given, "--by", "links.forearm.m", "--by", "gravity").succeeds().json
+    assert by == robodyn(*given, "--by", "links.forearm.m, gravity").succeeds().json
     still = rd.inverse_dynamics_derivatives(
         mech, [0.3, -0.8], [1.2, -0.7], [0, 0], numbers=["links.forearm.m", "gravity"]
     )

@@ -15,7 +15,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_units
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
-_BY = "By a number of the scene too, links.forearm.m; repeatable."
+_BY = "By numbers of the scene too, links.forearm.m,gravity; repeatable."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
@@ -36,9 +36,9 @@ def terms(
     of springs, forces that turn, friction.
     --derivatives adds those of the torques that the motion with --qdd needs, dtau_dq, dtau_dqd and
     dtau_dqdd, and those of the accelerations that --tau causes, dqdd_dq, dqdd_dqd and dqdd_dtau:
-    row i is of joint i, column j by that of joint j.  --by links.forearm.m, as often as it is
-    given, adds dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All
-    are exact, not differences.
+    row i is of joint i, column j by that of joint j.  --by links.forearm.m,gravity adds
+    dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All are exact, not
+    differences.
 
     JSON keys: q, qd, M, C, G, D and Q (where there are any), Psi, Psidot_qd, gap, KE, PE.
 
@@ -76,7 +76,8 @@ def terms(
         qdd_ = single_state(mechanism, state.quantities(qdd=qdd))[2]
         tau_ = single_state(mechanism, state.quantities(tau=tau))[2]
         with remarks():
-            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, by or [])
+            names = [name.strip() for each in by or () for name in each.split(",")]
+            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, names)
     energies = {
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
