@@ -138,7 +138,7 @@ def test_what_sticks_has_no_part_in_it(scene) -> None:
     ahead, behind = (rd.forward_dynamics(mech, [0.3 + x, -1.2], [0.5, 0], [9, 3]) for x in (h, -h))
     assert found.by_q[0, 0] == pytest.approx((ahead - behind)[0] / (2 * h), rel=1e-7)
     state, number = ([0.3, -1.2], [0.5, 0.0], [9.0, 3.0]), "links.upper arm.l"
-    expected = by_differences(mech, numbers_of(dry, mech.source), number, state)
+    expected = by_differences(numbers_of(dry, mech.source), number, state)
     found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
     assert relative_error(found.by_numbers[:, 0], expected) < 1e-8
 
@@ -157,14 +157,11 @@ def test_all_derivatives_cost_a_few_evaluations(name: str, bound: float) -> None
 # -- numbers of the scene --------------------------------------------------------------------------
 
 
-def by_differences(mech, values, name: str, state: tuple) -> np.ndarray:
-    """Of qdd, to the fourth order."""
+def by_differences(values, name: str, state: tuple, solve=rd.forward_dynamics) -> np.ndarray:
+    """Of qdd, or of what else is solved for, to the fourth order."""
     p = values.number(name)
     h = 1e-4 * max(abs(p), 0.1)
-    found = [
-        rd.forward_dynamics(build(values.replaced({name: p + k * h})), *state)
-        for k in (-2, -1, 1, 2)
-    ]
+    found = [solve(build(values.replaced({name: p + k * h})), *state) for k in (-2, -1, 1, 2)]
     return np.array((found[0] - 8 * found[1] + 8 * found[2] - found[3]) / (12 * h))
 
 
@@ -177,12 +174,16 @@ def test_every_number_of_a_scene(name: str) -> None:
     known = 0
     for number in values.names:
         found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
+        moving = *state[:2], found.qdd
+        inverse = rd.inverse_dynamics_derivatives(mech, *moving, numbers=[number])
         try:
-            expected = by_differences(mech, values, number, state)
+            expected = by_differences(values, number, state)
         except DescriptionError:  # what may not be negative and is zero
             continue
         known += 1
         assert relative_error(found.by_numbers[:, 0], expected) < 1e-8, number
+        expected = by_differences(values, number, moving, rd.inverse_dynamics)
+        assert relative_error(inverse.by_numbers[:, 0], expected) < 1e-7, number
     assert known >= 9
 
 
@@ -264,6 +265,6 @@ def test_a_stop_that_is_pressed(scene: Callable[[str], Path]) -> None:
     for name in ("min", "stiffness", "damping"):
         number = f"links.arm.limits.{name}"
         found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
-        expected = by_differences(mech, values, number, state)
+        expected = by_differences(values, number, state)
         assert abs(expected).max() > 0.0
         assert relative_error(found.by_numbers[:, 0], expected) < 1e-8, number
