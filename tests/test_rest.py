@@ -332,6 +332,16 @@ def test_a_level_arm_is_no_place_to_stay() -> None:
     assert rest.stable is True
 
 
+def test_a_start_that_no_one_gave_closes() -> None:
+    """The crank cannot point along +X: the rocker is behind it, and too far."""
+    mech = mechanism(FOUR_BAR.replace("l: 0.95", "l: 0.6").replace("1.1, 0", "-1.2, 0"))
+    with pytest.raises(RobodynError, match="cannot be closed"):
+        rd.assemble(mech, [0.0])
+    rest, lowest = rd.equilibrium(mech), rd.equilibria(mech)[0]
+    assert np.abs(rd.closure_gap(mech, rest.q)).max() < 1e-12
+    assert rest.potential_energy == pytest.approx(lowest.potential_energy, rel=1e-9)
+
+
 def test_held_joints_stay_and_tell_what_holds_them() -> None:
     mech = scene("four-bar")
     q = rd.assemble(mech, [1.0])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ def equilibrium(
     hold: Sequence[str] = (),
     tau: ArrayLike | None = None,
 ) -> Rest:
-    """A pose at rest near the closed pose `near` (n,), by default the scene's start.
+    """A pose at rest near the closed pose `near` (n,), by default the scene's start or any other.
 
     N^T (tau - h) = 0 with gap(q) = 0 (`balance.py`), under the torques tau (n,), by default zero.
     Joints of the links named in `hold` stay where they are, and their torques are found.  Dry
@@ -170,7 +171,10 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
         begin = np.array([x or 0.0 for x in start])
         with suppress(InputError, AssemblyError):  # joints are free, or zero is out of reach
             return assemble(mechanism, begin[list(mechanism.actuated)])
-        return close_positions(mechanism, begin)
+        near = close_positions(mechanism, begin)
+        if not _open(mechanism, near):
+            return near
+        return next(islice(_starts(mechanism, (), near), 1, None), near)  # any that closes
     begin = single(mechanism, "near", near)
     if (fault := check_closed(mechanism, begin)) is not None:
         raise fault[1]
