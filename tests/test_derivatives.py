@@ -205,6 +205,9 @@ def test_numbers_that_are_none() -> None:
     mech = rd.load(ROOT / "robots/2r.yaml")
     with pytest.raises(InputError, match=r"links.forarm.m: is no number .* did you mean"):
         rd.forward_dynamics_derivatives(mech, [0, 0], [0, 0], [0, 0], numbers=["links.forarm.m"])
+    six = rd.load(ROOT / "robots/watt-six-bar.yaml")
+    with pytest.raises(InputError, match=r"coupler.r: is two numbers there: take .*coupler.r\[0\]"):
+        rd.forward_dynamics_derivatives(six, *[[0] * 5] * 3, numbers=["links.coupler.r"])
 
 
 # -- tangents --------------------------------------------------------------------------------------
