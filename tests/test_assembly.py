@@ -350,6 +350,18 @@ class TestReach:
             (told,) = re.findall(r": (\S+) m are missing", str(failure.value))
             assert float(told) == pytest.approx(missing, rel=1e-5)
 
+    def test_the_other_branch_is_told_where_it_alone_closes(self):
+        """Below its ground line the parallelogram is crossed, and the third crank follows it."""
+        mech = load(ROOT / "tests/hard_cases/third-crank.yaml")
+        assert assembly.assembly_plan(mech).two_way == (0,)  # the third crank has no choice left
+        with pytest.raises(AssemblyError) as caught:
+            assembly.assemble(mech, [-1.0])
+        assert "q1 (crank) can reach [-0.00" in str(caught.value)  # from 0 to 180, by tolerance
+        assert "with assembly [crossed, open] it closes" in str(caught.value)
+        assert_close(
+            assembly.assemble(mech, [-1.0], ("crossed", "open")), [-1.0, 1.0, -1.0, -1.0], 1.0
+        )
+
     def test_message_tells_where_what_and_the_range(self):
         """AD <= 1.1 where cos theta >= (0.81 + 1 - 1.21) / 1.8: up to 70.52878 deg, cut to 1e-4."""
         with pytest.raises(AssemblyError) as failure:

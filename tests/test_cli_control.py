@@ -138,6 +138,12 @@ def test_trajectory_makes_references(robodyn: Run) -> None:
     given = robodyn(*start, *law, stdin=made.out).succeeds()
     numbers = [float(x) for x in given.out.splitlines()[-1].split(",")]
     assert numbers[:3] == pytest.approx([2.0, math.pi / 2, math.pi / 4], abs=1e-8)
+    held = robodyn(*start, *law, "--time", 6, "--every", 1, stdin=made.out).succeeds()
+    needed = robodyn("torque", "robots/2r.yaml", "--q", "90deg,45deg").row
+    for name, end in (("q1", math.pi / 2), ("q2", math.pi / 4), ("qd1", 0.0), ("qd2", 0.0)):
+        assert held.column(name)[-4:] == pytest.approx([end] * 4, abs=1e-7)
+    for name in ("tau1", "tau2"):
+        assert held.column(name)[-4:] == pytest.approx([needed[name]] * 4, abs=1e-5)
 
 
 def test_held_at_its_end_and_held_throughout(robodyn: Run, ref: Path) -> None:
@@ -192,8 +198,11 @@ def test_another_pose_in_place_of_one_that_does_not_close(robodyn: Run, tmp_path
     gain = tmp_path / "gain.json"
     facts = {"coordinates": ["q1"], "q": [1, 1, 1], "tau": [0], "gain": [[9, 1]]}
     gain.write_text(json.dumps(facts))
-    options = ("--at", "1", "--points", 2, "--time", 0.1, "--quiet")
-    assert robodyn(*CRANK, *FED_BACK, gain, *options).succeeds().column("tau1")[0] == 0.0
+    options = ("--at", "80deg", "--points", 2, "--time", 9, "--quiet")
+    given = robodyn(*CRANK, *FED_BACK, gain, *options)  # by the torque that holds it there
+    needed = robodyn("torque", "robots/four-bar.yaml", "--q", "80deg").row["tau1"]
+    assert given.err == f"Note: at --at it is held by tau1 = {needed:.9g}\n"
+    assert given.column("q1")[-1] == pytest.approx(math.radians(80), abs=1e-6)
 
 
 def test_torques_are_those_of_the_law(robodyn: Run, ref: Path) -> None:

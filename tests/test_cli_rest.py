@@ -95,6 +95,9 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     assert 0.1 < abs(q[:, 0] - q[0, 0]).max() < 0.5
     assert t[-1] >= 2.0
     assert relative_error(q[-1], q[0]) < 1e-9
+    cart = rd.load(CART)
+    creeps = rd.linearize(cart, [0.0, math.pi / 2])  # by its bearings' damping, in minutes
+    assert mode_motion(cart, creeps, 2, 2.0)[0][-1] == 2.0
 
 
 @pytest.mark.parametrize(
@@ -102,9 +105,13 @@ def test_a_mode_is_shown_with_loops_closed(robodyn: Run, tmp_path: Path) -> None
     [
         (f"equilibrium {BAR} --hold crnk", 2, ("--hold = crnk", "did you mean crank?")),
         (f"equilibrium {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
-        (f"equilibrium {BAR} --q 1 --tau 90", 1, ("no pose at rest near q = 1,",)),
+        (
+            f"equilibrium {BAR} --q 1 --tau 90",
+            1,
+            ("--tau = 90, 0, 0: no pose", "near q = 1,", " %"),
+        ),
         (f"equilibrium {CART} --all", 1, ("no end of poses at rest",)),
-        (f"linearize {BAR}", 2, ("--q",)),
+        (f"linearize {BAR}", 2, ("--q: missing: give it\n",)),
         (f"linearize {BAR} --q 0.1,0.2,0.3", 2, ("--q: ", "the loops are open")),
         ("linearize robots/parallelogram.yaml --q 0,0,0", 1, ("change point", "two ways")),
         (f"linearize {BAR} --q 1 --weights-x 1", 2, ("--weights-x", "--lqr")),

@@ -165,6 +165,7 @@ def test_derivatives(robodyn: Run) -> None:
         assert np.array_equal(found[name], matrix)
     assert np.allclose(found["dtau_dqdd"], found["M"])
     by = robodyn(*given, "--by", "links.forearm.m", "--by", "gravity").succeeds().json
+    assert by == robodyn(*given, "--by", "links.forearm.m, gravity").succeeds().json
     still = rd.inverse_dynamics_derivatives(
         mech, [0.3, -0.8], [1.2, -0.7], [0, 0], numbers=["links.forearm.m", "gravity"]
     )
@@ -172,3 +173,6 @@ def test_derivatives(robodyn: Run) -> None:
     told = robodyn("terms", "robots/cart-pole.yaml", "--q", "0,1", "--derivatives")
     assert told.code == 0
     assert "no derivatives of torques" in told.err
+    told = robodyn("terms", "robots/parallelogram.yaml", "--q", "0", "--derivatives")
+    assert "no derivatives of accelerations: robots/parallelogram.yaml: singular" in told.err
+    assert not [name for name in told.json if name.startswith("d")]

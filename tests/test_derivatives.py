@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import sympy
 from conftest import ROOT, relative_error
-from engine_cases import KINDS, ROBOTS, Case, random_case, robot_cases
+from engine_cases import KINDS, ROBOTS, Case, case, random_case, robot_cases
 from known_slopes import along
 from mpmath import mp, mpf
+from sliding_trees import random_tree, text_of
 
 import robodyn as rd
+from random_mechanisms import Scene, forced
 from robodyn.dynamics import derivatives, identities
 from robodyn.engines import expression, formulas
 from robodyn.engines.derivative_formulas import forward_derivatives_formula
@@ -25,18 +27,18 @@ from robodyn.mechanics.mechanism import build
 from robodyn.scene.scene_values import numbers_of
 
 
-def check(case: Case, seed: int) -> None:
+def check(at: Case, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    mech, n = case.mech, len(case.q)
-    allowed = 10 * case.rounding * (1.0 + case.at.condition) ** 0.5
-    forward = rd.forward_dynamics_derivatives(mech, case.q, case.qd, case.tau, case.t)
-    inverse = rd.inverse_dynamics_derivatives(mech, case.q, case.qd, case.qdd, case.t)
-    assert relative_error(forward.qdd, case.expected["qdd"]) < case.rounding
-    assert relative_error(inverse.tau, case.expected["tau"]) < case.rounding
+    mech, n = at.mech, len(at.q)
+    allowed = 1e-13 * (1.0 + at.at.condition / 100.0)
+    forward = rd.forward_dynamics_derivatives(mech, at.q, at.qd, at.tau, at.t)
+    inverse = rd.inverse_dynamics_derivatives(mech, at.q, at.qd, at.qdd, at.t)
+    assert relative_error(forward.qdd, at.expected["qdd"]) < at.rounding
+    assert relative_error(inverse.tau, at.expected["tau"]) < at.rounding
     for kind, found in (("forward", forward[1:4]), ("inverse", inverse[1:4])):
         for by, matrix in zip(("q", "qd", "x"), found, strict=True):
             v = rng.normal(size=n)
-            expected = along(case, kind, by, v)
+            expected = along(at, kind, by, v)
             size = np.abs(matrix).max() + np.abs(expected).max() + 1.0
             assert np.abs(matrix @ v - expected).max() < allowed * size, (kind, by)
 
@@ -44,6 +46,19 @@ def check(case: Case, seed: int) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_scenes(kind: str) -> None:
     check(random_case(kind, 2, acted=True), 2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slots_of_moving_links(seed: int) -> None:
+    """A pin of one link in a slot of another that hangs from a third, under forces."""
+    tree, rng = random_tree(seed, "RRR", (None, None, 1)), np.random.default_rng(seed)
+    q, (pin, along) = rng.uniform(-3, 3, 3), (rng.normal(size=(2, 2)) @ (1, 1j)).tolist()
+    E = np.exp(1j * np.array([q[0], q[1], q[1] + q[2]]))
+    there = tree[0]["at"] + E[0] * pin - (tree[1]["at"] + E[1] * tree[2]["at"])
+    slot = complex(there / E[2] + rng.normal() * along)
+    plain = text_of(tree, 1.0 - 9.0j, (), [((0, pin), (2, slot), along)], (0, 1))
+    acted = forced(seed, Scene(plain, q, q, q))
+    check(case(acted.mechanism, q, rng.normal(size=3), seed), seed)
 
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
@@ -123,7 +138,7 @@ def test_what_sticks_has_no_part_in_it(scene) -> None:
     ahead, behind = (rd.forward_dynamics(mech, [0.3 + x, -1.2], [0.5, 0], [9, 3]) for x in (h, -h))
     assert found.by_q[0, 0] == pytest.approx((ahead - behind)[0] / (2 * h), rel=1e-7)
     state, number = ([0.3, -1.2], [0.5, 0.0], [9.0, 3.0]), "links.upper arm.l"
-    expected = by_differences(mech, numbers_of(dry, mech.source), number, state)
+    expected = by_differences(numbers_of(dry, mech.source), number, state)
     found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
     assert relative_error(found.by_numbers[:, 0], expected) < 1e-8
 
@@ -142,14 +157,11 @@ def test_all_derivatives_cost_a_few_evaluations(name: str, bound: float) -> None
 # -- numbers of the scene --------------------------------------------------------------------------
 
 
-def by_differences(mech, values, name: str, state: tuple) -> np.ndarray:
-    """Of qdd, to the fourth order."""
+def by_differences(values, name: str, state: tuple, solve=rd.forward_dynamics) -> np.ndarray:
+    """Of qdd, or of what else is solved for, to the fourth order."""
     p = values.number(name)
     h = 1e-4 * max(abs(p), 0.1)
-    found = [
-        rd.forward_dynamics(build(values.replaced({name: p + k * h})), *state)
-        for k in (-2, -1, 1, 2)
-    ]
+    found = [solve(build(values.replaced({name: p + k * h})), *state) for k in (-2, -1, 1, 2)]
     return np.array((found[0] - 8 * found[1] + 8 * found[2] - found[3]) / (12 * h))
 
 
@@ -162,12 +174,16 @@ def test_every_number_of_a_scene(name: str) -> None:
     known = 0
     for number in values.names:
         found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
+        moving = *state[:2], found.qdd
+        inverse = rd.inverse_dynamics_derivatives(mech, *moving, numbers=[number])
         try:
-            expected = by_differences(mech, values, number, state)
+            expected = by_differences(values, number, state)
         except DescriptionError:  # what may not be negative and is zero
             continue
         known += 1
         assert relative_error(found.by_numbers[:, 0], expected) < 1e-8, number
+        expected = by_differences(values, number, moving, rd.inverse_dynamics)
+        assert relative_error(inverse.by_numbers[:, 0], expected) < 1e-7, number
     assert known >= 9
 
 
@@ -189,6 +205,9 @@ def test_numbers_that_are_none() -> None:
     mech = rd.load(ROOT / "robots/2r.yaml")
     with pytest.raises(InputError, match=r"links.forarm.m: is no number .* did you mean"):
         rd.forward_dynamics_derivatives(mech, [0, 0], [0, 0], [0, 0], numbers=["links.forarm.m"])
+    six = rd.load(ROOT / "robots/watt-six-bar.yaml")
+    with pytest.raises(InputError, match=r"coupler.r: is two numbers there: take .*coupler.r\[0\]"):
+        rd.forward_dynamics_derivatives(six, *[[0] * 5] * 3, numbers=["links.coupler.r"])
 
 
 # -- tangents --------------------------------------------------------------------------------------
@@ -249,6 +268,6 @@ def test_a_stop_that_is_pressed(scene: Callable[[str], Path]) -> None:
     for name in ("min", "stiffness", "damping"):
         number = f"links.arm.limits.{name}"
         found = rd.forward_dynamics_derivatives(mech, *state, numbers=[number])
-        expected = by_differences(mech, values, number, state)
+        expected = by_differences(values, number, state)
         assert abs(expected).max() > 0.0
         assert relative_error(found.by_numbers[:, 0], expected) < 1e-8, number

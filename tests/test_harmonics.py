@@ -143,6 +143,9 @@ def test_what_is_no_turn_is_refused(angle: np.ndarray, part: str) -> None:
     [
         (["--harmonics", "64"], "--harmonics = 64: needs more than 128 rows in the turn"),
         (["--harmonics", "-1"], "--harmonics = -1: must be in [0, 10000]"),
+        (["--harmonics", "nan"], "'--harmonics': 'nan' must be a finite number"),
+        (["--harmonics", "2.5"], "'--harmonics': '2.5' is 2.5, no whole number"),
+        (["--harmonics", "many"], "'--harmonics': 'many' is not a number"),
         (["--harmonics", "3", "--extremes"], "--extremes and --harmonics: exclude each other"),
     ],
 )

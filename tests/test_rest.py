@@ -274,11 +274,13 @@ def test_gain_of_the_cart_pole_is_that_of_riccatis_equation() -> None:
         (([1.0, 2.0], 1.0), "weights_x = 2 values: needs 1, 4 or, for a matrix, 16"),
         ((np.eye(4) + np.eye(4, k=1), 1.0), "symmetric"),
         ((1.0, math.nan), "finite"),
+        ((1.0, [1.0, 2.0]), "weights_u = 2 values: needs 1 value"),
+        ((0.0, 1.0), "weights_x = 0: no gain brings it to rest there: weigh all that moves"),
     ],
 )
 def test_wrong_weights_are_named(weights, part: str) -> None:
     model = rd.linearize(scene("cart-pole"), [0.0, math.pi / 2])
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(RobodynError) as caught:
         rd.lqr(model, *weights)
     assert part in str(caught.value)
 
@@ -330,6 +332,16 @@ def test_a_level_arm_is_no_place_to_stay() -> None:
     assert rest.stable is True
 
 
+def test_a_start_that_no_one_gave_closes() -> None:
+    """The crank cannot point along +X: the rocker is behind it, and too far."""
+    mech = mechanism(FOUR_BAR.replace("l: 0.95", "l: 0.6").replace("1.1, 0", "-1.2, 0"))
+    with pytest.raises(RobodynError, match="cannot be closed"):
+        rd.assemble(mech, [0.0])
+    rest, lowest = rd.equilibrium(mech), rd.equilibria(mech)[0]
+    assert np.abs(rd.closure_gap(mech, rest.q)).max() < 1e-12
+    assert rest.potential_energy == pytest.approx(lowest.potential_energy, rel=1e-9)
+
+
 def test_held_joints_stay_and_tell_what_holds_them() -> None:
     mech = scene("four-bar")
     q = rd.assemble(mech, [1.0])
@@ -348,10 +360,19 @@ def test_held_joints_stay_and_tell_what_holds_them() -> None:
 def test_given_torques_hold() -> None:
     rest = rd.equilibrium(scene("pendulum"), [-1.2], tau=[0.5])
     assert relative_error(rd.gravity_vector(scene("pendulum"), rest.q), [0.5]) < 1e-12
-    with pytest.raises(RobodynError, match="no pose at rest near"):
-        rd.equilibrium(scene("pendulum"), [-1.2], tau=[5.0])
-    with pytest.raises(RobodynError, match="no pose at rest: none"):
+    with pytest.raises(RobodynError, match=r"tau = 5: no pose at rest near q = -1\.2: 20\.4 %"):
+        rd.equilibrium(scene("pendulum"), [-1.2], tau=[5.0])  # m g r = 1.02024
+    with pytest.raises(RobodynError, match=r"tau = 5: no pose at rest: 20\.4 % .* from any start"):
         rd.equilibria(scene("pendulum"), tau=[5.0])
+
+
+def test_a_change_point_is_no_place_to_rest() -> None:
+    """Pin forces grow without end there, and with them the stiffness that forces are small to."""
+    mech = rd.load(ROOT / "tests/hard_cases/third-crank.yaml")
+    for rest in rd.equilibria(mech):
+        assert relative_error(abs(np.cos(rest.q)), np.zeros(4)) < 1e-9
+    with pytest.raises(RobodynError, match="no pose at rest near q = 0, 0, 0, 0"):
+        rd.equilibrium(mech, [0.0] * 4)
 
 
 @pytest.mark.parametrize(("push", "stable"), [(2.0, True), (2.17, False)])

@@ -27,6 +27,7 @@ from robodyn.cli.command_groups import (
     HEADINGS,
     SUMMARIES,
     TELL_ANGLES,
+    USAGE_ERROR,
     Command,
     Commands,
     group_options,
@@ -34,7 +35,6 @@ from robodyn.cli.command_groups import (
 from robodyn.errors import RobodynError, printable_lines
 from robodyn.tables.csv_fields import plain_digits
 
-USAGE_ERROR: Any = typer.BadParameter.__base__  # click's, of which typer has its own
 # units of numbers by what stands for them in the help
 OPTION_UNITS = {"S": "s", "1/S": "1/s", "RAD": "rad", "HZ": "Hz"}
 COMMANDS = tuple(SUMMARIES)

@@ -9,7 +9,7 @@ import numpy as np
 
 from robodyn.cli.figures import check_directory, parse_size
 from robodyn.cli.files import output_file, rows_argument
-from robodyn.cli.options import Model, Q, Size, Tau, Text, named_options, option
+from robodyn.cli.options import HoldingTau, Model, Q, Size, Text, named_options, option
 from robodyn.cli.points import OF, POINTS, points_given
 from robodyn.cli.progress import progress
 from robodyn.cli.row_files import open_input
@@ -37,7 +37,7 @@ def animate(
     out: Annotated[str, output_file("--out", "-o", help=_OUT)],
     mode: int | None = option(_MODE, "K"),
     q: Q = None,
-    tau: Tau = None,
+    tau: HoldingTau = None,
     of: list[str] | None = option(OF, POINTS),
     trace: list[str] | None = option("The same as --of.", POINTS),
     fps: float = option("Frames a second.", "N", default=25.0),
@@ -52,7 +52,7 @@ def animate(
     turned by hand (it needs no extra), an mp4 needs the program ffmpeg.
 
     --mode shows a natural mode of small motions about --q in place of rows: enlarged, undamped, for
-    whole periods; --tau are the torques there, by default those that hold it.
+    whole periods.
 
     \b
     Examples:

@@ -11,7 +11,10 @@ from collections.abc import Iterable
 from itertools import zip_longest
 from typing import Any
 
+from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
+
+USAGE_ERROR: Any = BadParameter.__base__  # click's, of which typer has its own
 
 GROUPS = {
     "States": {
@@ -97,6 +100,7 @@ _OPTIONS = {
 _OTHERS = {"State": "--q --qd --qdd --tau --force", "Output": _OUTPUT}
 OWN = "Options"  # of a command, which stand first; typer's word, too
 IMPLIED = {"--harmonics": "10"}  # whole numbers that may be left out behind their option
+_NUMBER = re.compile("[+-]?([0-9][0-9.]*(e[+-]?[0-9]+)?|nan|inf)", re.IGNORECASE)  # right or not
 
 
 def group_options(command: str, parameters: Iterable[Any]) -> None:
@@ -124,11 +128,18 @@ class Command(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """With the numbers of `IMPLIED` behind options that stand alone."""
         given: list[str] = []
+        meant = False  # whether a word stands behind that may be no file, but a wrong number
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             given.append(word)
-            if word in IMPLIED and not re.fullmatch("[+-]?[0-9]+", following):
+            if word in IMPLIED and not _NUMBER.fullmatch(following):
                 given.append(IMPLIED[word])
-        return super().parse_args(ctx, given)
+                meant = bool(following) and not following.startswith("-")
+        try:
+            return super().parse_args(ctx, given)
+        except USAGE_ERROR as error:
+            if not meant or "unexpected extra" not in error.message:
+                raise
+        return super().parse_args(ctx, args)  # the option tells what is wrong
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         order = ["Arguments", OWN, *_OPTIONS.get(self.name or "", _OTHERS)]

@@ -43,7 +43,7 @@ def equilibrium(
     near = None if q is None else single_state(mechanism, [Quantity("q", q)])[0]
     torques = joint_torques(mechanism, tau)
     tell_what_is_left_out(mechanism)
-    with remarks(), named_options(["hold"]):
+    with remarks(), named_options(["hold", "tau"]):
         search = equilibria if all else pose_at_rest
         found = search(mechanism, near, hold or (), torques)
     rests = found if isinstance(found, list) else [found]

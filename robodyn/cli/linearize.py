@@ -11,10 +11,10 @@ import numpy as np
 from robodyn.cli.equilibrium import WORDS, joint_torques, tell_what_is_left_out
 from robodyn.cli.files import output_file
 from robodyn.cli.options import (
+    HoldingTau,
     Model,
     Out,
     OutputStructured,
-    Tau,
     Text,
     named_options,
     option,
@@ -39,7 +39,7 @@ GAIN_KEYS = ("coordinates", "q", "tau", "gain")
 def linearize(
     model: Model,
     state: StateOptions = StateOptions(),
-    tau: Tau = None,
+    tau: HoldingTau = None,
     lqr: bool = switch("The gain of least cost (LQR) too."),
     weights_x: Text = option(_X, "VECTOR"),
     weights_u: Text = option(_U, "VECTOR"),

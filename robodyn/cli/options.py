@@ -138,13 +138,14 @@ _WHICH = "all joints, or the actuated ones of a closed mechanism"
 _Q = f"Joint angles, rad, or 30deg, pi/2; displacements, m: {_WHICH} (the rest is assembled)."
 _QD = f"Joint rates, rad/s or 30deg; m/s: {_WHICH}. Default: at rest."
 _QDD = f"Joint accelerations, rad/s^2 or m/s^2: {_WHICH}. Default: zero."
-_TAU = "Joint torques, N m, or forces, N: all joints, or the actuated ones. Default: zero."
+_TAU = "Joint torques, N m, or forces, N: all joints, or the actuated ones. Default: "
 EACH = "one value, or one an actuated joint"
 
 Q = Annotated[Text, vector("--q", _Q)]
 Qd = Annotated[Text, vector("--qd", _QD)]
 Qdd = Annotated[Text, vector("--qdd", _QDD)]
-Tau = Annotated[Text, vector("--tau", _TAU)]
+Tau = Annotated[Text, vector("--tau", f"{_TAU}zero.")]
+HoldingTau = Annotated[Text, vector("--tau", f"{_TAU}those that hold it there.")]
 _TABLE = "Default: table on a terminal, csv in a pipe."
 OutputFormat = Annotated[Format | None, Option("--format", help=_TABLE)]
 _DIFFERENTIATE = (

@@ -13,6 +13,7 @@ import numpy as np
 
 from robodyn.cli.files import input_file, model_file, rows_file
 from robodyn.cli.options import EACH, Number, Text, named_options, option, switch
+from robodyn.cli.output import note
 from robodyn.cli.row_files import open_file, read_columns
 from robodyn.cli.states import (
     Quantity,
@@ -20,6 +21,7 @@ from robodyn.cli.states import (
     complete,
     joint_values,
     option_source,
+    remarks,
 )
 from robodyn.cli.times import value_from
 from robodyn.errors import InputError, at_place
@@ -44,6 +46,7 @@ _TRACK = "The reference: CSV with t,q1,.. and perhaps qd1,.., qdd1,.. (- for std
 _HOLD = "A set-point in place of it: rad, 90deg, m of the actuated joints."
 _KI = f"Gain of its integral, N m/(rad s), of pid and perhaps pd+g: {EACH}."
 _GAIN = "JSON with coordinates, q, tau, gain, of state-feedback (- for stdin)."
+_AT = "Pose of state-feedback, as --q, with what holds it there. Default: those of --gain."
 _MODEL = "Scene that the controller believes. Default: MODEL."
 
 
@@ -67,7 +70,7 @@ class ControlOptions:
     kd: Text = option(f"Gain of its rate, N m s/rad (computed torque 1/s): {EACH}.", "VECTOR")
     ki: Text = option(_KI, "VECTOR")
     gain: Annotated[Text, input_file("--gain", _GAIN)] = None
-    at: Text = option("Pose of state-feedback, as --q. Default: that of --gain.", "VECTOR")
+    at: Text = option(_AT, "VECTOR")
     tau_max: Text = option(f"Where the controller's torques are cut off, N m: {EACH}.", "VECTOR")
     control_rate: Text = option("Samples a second, each torque held. Default: continuous.", "HZ")
     control_model: Annotated[Text, model_file("--control-model", _MODEL)] = None
@@ -227,7 +230,10 @@ def _units(mechanism: Mechanism, law: str, name: str, count: int) -> list[str]:
 
 
 def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
-    """What the file tells, at the pose of --at if that is given; the pose must close."""
+    """What the file tells, at the pose of --at with what holds it there if that is given.
+
+    The pose must close.
+    """
     from robodyn.control.state_feedback import read_feedback
 
     with open_file(file) as (stream, name):
@@ -238,7 +244,17 @@ def _feedback(mechanism: Mechanism, file: str, at: str | None) -> StateFeedback:
         source = replace(given, quantity=source.quantity)
     with at_place(name):
         (pose,) = complete(mechanism, [source], [np.array(source.values)])
-    return replace(found, q=pose.tolist())
+        if at is None:
+            return found
+        from robodyn.rest.linear_model import linearize
+
+        with remarks():
+            tau = linearize(mechanism, pose).tau[list(mechanism.actuated)].tolist()
+    if not np.allclose(tau, found.tau, rtol=1e-9, atol=1e-9):
+        pairs = zip(mechanism.actuated, tau, strict=True)
+        held = ", ".join(f"tau{k + 1} = {x:.9g}" for k, x in pairs)
+        note(f"Note: at --at it is held by {held}")
+    return replace(found, q=pose.tolist(), tau=tau)
 
 
 def reference_from(mechanism: Mechanism, file: str) -> ReferenceTable:

@@ -34,6 +34,7 @@ class Quantity:
     name: str  # q, qd, qdd or tau
     option: str | None
     required: bool = False
+    tabled: bool = False  # rows of a table may give it
 
     def columns(self, joints: Sequence[int]) -> list[str]:
         return [f"{self.name}{k + 1}" for k in joints]
@@ -48,7 +49,8 @@ class StateOptions:
 
     def quantities(self, **others: str | None) -> list[Quantity]:
         """q, which must be given, qd, and `others` by their options."""
-        own = [Quantity("q", self.q, True), Quantity("qd", self.qd)]
+        tabled = isinstance(self, TableOptions)
+        own = [Quantity("q", self.q, True, tabled), Quantity("qd", self.qd)]
         return own + [Quantity(name, option) for name, option in others.items()]
 
 
@@ -79,7 +81,8 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     """The source that the quantity's option is; zero where there is none."""
     if quantity.option is None:
         if quantity.required:
-            limit = "missing: give it, or a CSV of states (- for stdin)"
+            limit = "missing: give it"
+            limit += ", or a CSV of states (- for stdin)" if quantity.tabled else ""
             raise InputError(f"--{quantity.name}", limit=limit)
         return Source(quantity, [0.0] * len(mechanism.actuated), [], False)
     n, actuated = mechanism.n, len(mechanism.actuated)
@@ -88,7 +91,7 @@ def option_source(mechanism: Mechanism, quantity: Quantity) -> Source:
     values = joint_values(mechanism, quantity.option, kind, flag)
     if len(values) not in (n, actuated):
         wanted = f"{n} values, one a joint ({', '.join(mechanism.link_names)})"
-        if actuated != n:
+        if 0 < actuated < n:
             names = ", ".join(mechanism.link_names[k] for k in mechanism.actuated)
             wanted += f", or {actuated}, one an actuated joint ({names})"
         count = "1 value" if len(values) == 1 else f"{len(values)} values"

@@ -10,11 +10,12 @@ from robodyn.cli.states import StateOptions, overflow, remarks, single_state
 from robodyn.dynamics import closed_form
 from robodyn.dynamics.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from robodyn.errors import InputError, RobodynError
+from robodyn.loops.loop_rates import check_way_on
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.pictures.column_units import DEGREES, IN_DEGREES, SLIDING, scene_units
 
 OF_JOINTS = ("q", "qd", "G", "D", "Q", "Psi")  # a column a joint, with its unit
-_BY = "By a number of the scene too, links.forearm.m; repeatable."
+_BY = "By numbers of the scene too, links.forearm.m,gravity; repeatable."
 MIXED = {"M": ("kg m", "kg"), "C": ("kg m/s", "kg/s")}  # where one joint slides, and where both do
 
 
@@ -35,9 +36,9 @@ def terms(
     of springs, forces that turn, friction.
     --derivatives adds those of the torques that the motion with --qdd needs, dtau_dq, dtau_dqd and
     dtau_dqdd, and those of the accelerations that --tau causes, dqdd_dq, dqdd_dqd and dqdd_dtau:
-    row i is of joint i, column j by that of joint j.  --by links.forearm.m, as often as it is
-    given, adds dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All
-    are exact, not differences.
+    row i is of joint i, column j by that of joint j.  --by links.forearm.m,gravity adds
+    dtau_dnumbers and dqdd_dnumbers, by numbers of the scene with q and qd held.  All are exact, not
+    differences.
 
     JSON keys: q, qd, M, C, G, D and Q (where there are any), Psi, Psidot_qd, gap, KE, PE.
 
@@ -75,7 +76,8 @@ def terms(
         qdd_ = single_state(mechanism, state.quantities(qdd=qdd))[2]
         tau_ = single_state(mechanism, state.quantities(tau=tau))[2]
         with remarks():
-            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, by or [])
+            names = [name.strip() for each in by or () for name in each.split(",")]
+            content |= _derivatives(mechanism, (q_, qd_), qdd_, tau_, names)
     energies = {
         "KE": float(closed_form.kinetic_energy(mechanism, q_, qd_)),
         "PE": float(closed_form.potential_energy(mechanism, q_)),
@@ -101,19 +103,25 @@ def _derivatives(
 ) -> dict[str, tuple[str, np.ndarray]]:
     """The derivatives of torques and accelerations, each with its unit."""
     content: dict[str, tuple[str, np.ndarray]] = {}
-
-    def add(what: str, third: str, units: tuple[str, ...], found: tuple[np.ndarray, ...]) -> None:
-        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found, strict=True):
+    torques = ("N m/rad", "N m s/rad", "kg m²", "SI units")
+    rates = ("1/s²", "1/s", "1/(kg m²)", "SI units")
+    for what, third, units in (("tau", "qdd", torques), ("qdd", "tau", rates)):
+        found: tuple[np.ndarray, ...]
+        try:
+            if what == "tau":
+                found = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
+            else:
+                check_way_on(mechanism, *(x[None] for x in state))
+                found = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
+        except InputError:
+            raise
+        except RobodynError as error:
+            of = "torques" if what == "tau" else "accelerations"
+            note(f"Note: no derivatives of {of}: {error}")
+            continue
+        for by, unit, value in zip(("q", "qd", third, "numbers"), units, found[1:], strict=True):
             if value.size:
                 content[f"d{what}_d{by}"] = unit, value
-
-    forward = forward_dynamics_derivatives(mechanism, *state, tau, numbers=numbers)
-    try:
-        inverse = inverse_dynamics_derivatives(mechanism, *state, qdd, numbers=numbers)
-        add("tau", "qdd", ("N m/rad", "N m s/rad", "kg m²", "SI units"), inverse[1:])
-    except RobodynError as error:
-        note(f"Note: no derivatives of torques: {error}")
-    add("qdd", "tau", ("1/s²", "1/s", "1/(kg m²)", "SI units"), forward[1:])
     return content
 
 

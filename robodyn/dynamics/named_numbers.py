@@ -72,6 +72,8 @@ def with_variables(
             ]
         except _NoMultipleError:
             limit = "no derivative is known by it: it changes a mode or a limit"
+            if f"{name}[0]" in values.names:
+                limit = f"is two numbers there: take {name}[0] or {name}[1]"
             raise InputError(name, where=mechanism.source, limit=limit) from None
     kept = {
         row.closure: _turned(row, turned[row.closure])

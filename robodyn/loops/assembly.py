@@ -43,6 +43,7 @@ from robodyn.tables.arrays import Array
 
 OPEN = 1e3  # rad; what does not close is farther than all that does
 CLEAR = 0.05  # rad; branches that come as near to a start are not told apart by it
+MOST_TRIED = 6  # closures whose branches are tried for another way to close
 FLAT = 0.1  # sine between the links of a dyad below which the loop may be nearly singular
 
 
@@ -281,14 +282,14 @@ def _cannot_close(
         return AssemblyError(what, where=mechanism.source, limit=limit)
     what = f"cannot be closed at {at}: {missing:.6g} m are missing"
     freedoms = mechanism.n - len(mechanism.rows)
-    if len(mechanism.actuated) > freedoms:
-        limit = f"{len(mechanism.actuated)} joints are actuated, more than the freedoms "
+    spans = [reachable(mechanism, given, j, branches) for j in range(len(mechanism.actuated))]
+    if len(spans) > freedoms and not any(spans):
+        limit = f"{len(spans)} joints are actuated, more than the freedoms "
         limit += f"({freedoms}), so their angles depend on one another: "
         limit += f"give all {mechanism.n} angles"
         return AssemblyError(what, where=mechanism.source, limit=limit)
     ranges = []
-    for place, k in enumerate(mechanism.actuated):
-        intervals = reachable(mechanism, given, place, branches)
+    for k, intervals in zip(mechanism.actuated, spans, strict=True):
         unit = "m" if k in mechanism.slides else "deg"
         shown = " or ".join(
             f"[{_within(mechanism, k, low, 1)}, {_within(mechanism, k, high, -1)}] {unit}"
@@ -298,4 +299,18 @@ def _cannot_close(
         nothing = "no displacement" if k in mechanism.slides else "no angle"
         ranges.append(f"{label} can reach {shown or nothing}")
     others = " with the other actuated joints as given" if len(ranges) > 1 else ""
+    if words := _closing(mechanism, given):
+        others += f"; with assembly [{', '.join(words)}] it closes"
     return AssemblyError(what, where=mechanism.source, limit="; ".join(ranges) + others)
+
+
+def _closing(mechanism: Mechanism, given: Array) -> list[str]:
+    """Branches, closure by closure, by which the loops close where the scene's do not, if any."""
+    two_way = assembly_plan(mechanism).two_way
+    for each in product(BRANCHES, repeat=len(two_way)) if len(two_way) <= MOST_TRIED else ():
+        words = list(scene_branches(mechanism))
+        for closure, word in zip(two_way, each, strict=True):
+            words[closure] = word
+        if attempt(mechanism, given, words)[1] <= 0.0:
+            return words
+    return []

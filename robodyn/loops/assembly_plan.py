@@ -160,7 +160,7 @@ def _ways(
     if len(step.rows) == 2:
         if len(step.unknown) > 2:
             return 0
-        return 2 if turning else 1
+        return 2 if turning and len(step.unknown) == 2 else 1
     if len(step.unknown) > 1:
         return 0
     if not turning or row.arm:

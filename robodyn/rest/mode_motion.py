@@ -21,7 +21,7 @@ def mode_motion(
 ) -> tuple[Array, Array]:
     """Times (T,), s, and closed poses (T, n) of one mode, counted from 1, without its damping.
 
-    Whole periods 1/frequency, as many as `seconds` take; a mode of frequency 0 has one of 1 s.
+    Whole periods 1/frequency, as many as `seconds` take; a mode that does not swing has one of 1 s.
     Raises RobodynError away from rest and where loops close nowhere near, InputError for a mode
     that is not there.
     """
@@ -30,7 +30,7 @@ def mode_motion(
     if not 1 <= mode <= len(model.modes):
         raise InputError("mode", value=mode, limit=f"there are modes 1 to {len(model.modes)}")
     chosen = model.modes[mode - 1]
-    period = 1.0 / chosen.frequency if chosen.frequency else 1.0
+    period = 1.0 / chosen.frequency if chosen.eigenvalue.imag else 1.0
     periods = max(1, int(np.ceil(seconds / period)))
     turns = np.arange(ROWS * periods + 1) / ROWS
     way = (np.exp(2j * np.pi * turns)[:, None] * (model.N @ chosen.shape)).imag

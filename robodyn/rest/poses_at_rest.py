@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,8 @@ STARTS = 30  # in vain before no more are tried, or 10 for each pose that is fou
 MOST_STARTS = 3000
 MOST_LEVEL = 12  # poses that rest beside themselves, after which there is no end of them
 
+Found = tuple[Array, Balance, Mechanism]  # a pose at rest, its balance, and what acts there
+
 
 @short_repr
 class Rest(NamedTuple):
@@ -67,7 +70,7 @@ def equilibrium(
     hold: Sequence[str] = (),
     tau: ArrayLike | None = None,
 ) -> Rest:
-    """A pose at rest near the closed pose `near` (n,), by default the scene's start.
+    """A pose at rest near the closed pose `near` (n,), by default the scene's start or any other.
 
     N^T (tau - h) = 0 with gap(q) = 0 (`balance.py`), under the torques tau (n,), by default zero.
     Joints of the links named in `hold` stay where they are, and their torques are found.  Dry
@@ -77,10 +80,8 @@ def equilibrium(
     joints, torques = _joints(mechanism, hold), single(mechanism, "tau", tau)
     begin = _near(mechanism, near)
     found = _at_rest(mechanism, joints, begin, torques)
-    if found is None:
-        at = ", ".join(f"{x:.6g}" for x in begin)
-        limit = "forces do not vanish on the way from there: start elsewhere, or hold a joint"
-        raise RobodynError(f"no pose at rest near q = {at}", where=mechanism.source, limit=limit)
+    if isinstance(found, float):
+        raise _none(mechanism, begin, torques, found)
     q = found[0]
     for joint, side, end in beyond(mechanism, q.tolist(), turns=True):
         where = f"the pose at rest has q{joint + 1} ({mechanism.link_names[joint]})"
@@ -107,13 +108,16 @@ def equilibria(
     coupled = {k for x in mechanism.description.couplings for k in (x.joint, *dict(x.terms))}
     turning = [k for k in range(mechanism.n) if k not in counting]
     alone = [k for k in turning if k not in coupled]
-    there: list[tuple[Array, Balance, Mechanism]] = []
-    level = last = 0
+    there: list[Found] = []
+    level, last, least = 0, 0, math.inf
     for tried, start in enumerate(_starts(mechanism, joints, _near(mechanism, near))):
         if tried - last > STARTS + 10 * len(there):
             break
         found = _at_rest(mechanism, joints, start, torques)
-        if found is None or beyond(mechanism, found[0].tolist(), turns=True):
+        if isinstance(found, float):
+            least = min(least, found)
+            continue
+        if beyond(mechanism, found[0].tolist(), turns=True):
             continue
         # whole turns alone are taken away, and half a turn is positive
         found[0][alone] -= math.tau * np.ceil((found[0][alone] - math.pi - SAME) / math.tau)
@@ -128,8 +132,7 @@ def equilibria(
             limit = "it moves from one to the next without any force; hold a joint"
             raise RobodynError("no end of poses at rest", where=mechanism.source, limit=limit)
     if not there:
-        limit = "none is found from any start; give torques, or hold a joint"
-        raise RobodynError("no pose at rest", where=mechanism.source, limit=limit)
+        raise _none(mechanism, None, torques, least)
     rests = [_rest(mechanism, joints, found, torques) for found in there]
     return sorted(rests, key=lambda rest: (round(rest.potential_energy, 9), *rest.q))
 
@@ -144,6 +147,23 @@ def _joints(mechanism: Mechanism, names: Sequence[str]) -> tuple[int, ...]:
     return tuple(sorted({links[name] for name in names}))
 
 
+def _none(mechanism: Mechanism, near: Array | None, tau: Array, left: float) -> RobodynError:
+    """That no pose at rest is found; of torques that are given, what part is balanced at most."""
+    what = f"no pose at rest near q = {_listed(near)}" if near is not None else "no pose at rest"
+    where = "on the way from there" if near is not None else "from any start"
+    limit = f"forces do not vanish {where}: start elsewhere, or hold a joint"
+    if near is None:
+        limit = "none is found from any start; give torques, or hold a joint"
+    if not tau.any():
+        return RobodynError(what, where=mechanism.source, limit=limit)
+    part = f"{100.0 * max(0.0, 1.0 - left):.3g} % of it is balanced {where} at most"
+    return RobodynError("tau", where=mechanism.source, value=_listed(tau), limit=f"{what}: {part}")
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{x:.6g}" for x in values)
+
+
 def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
     """The start, closed: as given, else near that of the scene."""
     if near is None:
@@ -151,7 +171,10 @@ def _near(mechanism: Mechanism, near: ArrayLike | None) -> Array:
         begin = np.array([x or 0.0 for x in start])
         with suppress(InputError, AssemblyError):  # joints are free, or zero is out of reach
             return assemble(mechanism, begin[list(mechanism.actuated)])
-        return close_positions(mechanism, begin)
+        near = close_positions(mechanism, begin)
+        if not _open(mechanism, near):
+            return near
+        return next(islice(_starts(mechanism, (), near), 1, None), near)  # any that closes
     begin = single(mechanism, "near", near)
     if (fault := check_closed(mechanism, begin)) is not None:
         raise fault[1]
@@ -203,22 +226,29 @@ def _acting(mechanism: Mechanism, joints: tuple[int, ...], q: Array) -> Mechanis
 
 def _at_rest(
     mechanism: Mechanism, joints: tuple[int, ...], start: Array, tau: Array
-) -> tuple[Array, Balance, Mechanism] | None:
-    """The pose at rest that steps from `start` lead to, its balance, and what acts there."""
+) -> Found | float:
+    """The pose at rest that steps from `start` lead to, or the least part of forces left over."""
+    least = math.inf
     for downhill in (False, True):
         with suppress(SingularError, np.linalg.LinAlgError):
-            if (found := _steps(mechanism, joints, start, tau, downhill)) is not None:
+            found = _steps(mechanism, joints, start, tau, downhill)
+            if not isinstance(found, float):
                 return found
-    return None
+            least = min(least, found)
+    return least
 
 
 def _steps(
     mechanism: Mechanism, joints: tuple[int, ...], q: Array, tau: Array, downhill: bool
-) -> tuple[Array, Balance, Mechanism] | None:
+) -> Found | float:
     acting = _acting(mechanism, joints, q)
-    at, damping = balance(acting, q, tau), 0.0
+    at, damping, least = balance(acting, q, tau), 0.0, math.inf
+    moves = at.N.size > 0
     for _ in range(PASSES):
+        if moves and not at.N.size:
+            return least  # between two branches, on neither
         size = _size(mechanism, at, tau)
+        least = min(least, _unbalanced(at, tau))
         if downhill:
             step = _downhill(at, size)
         else:  # K^-1 r where nothing is damped, and where K is singular the least such step
@@ -227,26 +257,38 @@ def _steps(
         settled = length <= SETTLED and not damping
         left = np.abs(at.force - at.stiffness @ step).max(initial=0.0)
         if settled and left > AT_REST * size:
-            return None  # what no stiffness balances
+            return least  # what no stiffness balances
         there = close_positions(
             acting, q + at.N @ (step * min(1.0, LONGEST / max(length, LONGEST)))
         )
         nearer = None
         if _open(mechanism, there):
             if downhill:
-                return None
+                return least
         else:
             acting = _acting(mechanism, joints, there)
             nearer = balance(acting, there, tau)
-            if settled:
-                return there, nearer, acting
+            if settled:  # pin forces that grow beyond bounds stiffen, and hide what is left over
+                left = np.abs(nearer.force).max(initial=0.0)
+                return (
+                    (there, nearer, acting)
+                    if left <= AT_REST * _acts(mechanism, nearer, tau)
+                    else least
+                )
         if nearer is not None and (
             downhill or np.linalg.norm(nearer.force) < SHRINKS * np.linalg.norm(at.force)
         ):
             q, at, damping = there, nearer, damping / 10.0 if damping > LEAST * size else 0.0
         elif (damping := max(10.0 * damping, 10.0 * LEAST * size)) > MOST * size:
-            return None
-    return None
+            return least
+    return least
+
+
+def _unbalanced(at: Balance, tau: Array) -> float:
+    """The part of the larger of what acts and the torques that is left over along free motions."""
+    held = at.N.T @ tau
+    left, *acts = (float(np.linalg.norm(x)) for x in (at.force, held, held - at.force))
+    return left / (max(acts) or 1.0)
 
 
 def _downhill(at: Balance, size: float) -> Array:
@@ -259,7 +301,12 @@ def _downhill(at: Balance, size: float) -> Array:
 
 def _size(mechanism: Mechanism, at: Balance, tau: Array) -> float:
     """What forces and stiffness are measured against, N m: the largest of what acts."""
-    parts = [mechanism.arrays.weights, at.load.tau, at.load.by_q, tau, at.stiffness]
+    return max(_acts(mechanism, at, tau), float(np.abs(at.stiffness).max(initial=0.0)))
+
+
+def _acts(mechanism: Mechanism, at: Balance, tau: Array) -> float:
+    """The largest of forces and of their own stiffness, N m, without that of pin forces."""
+    parts = [mechanism.arrays.weights, at.load.tau, at.load.by_q, tau]
     units = float(mechanism.arrays.units.max())
     return max(float(np.abs(part).max(initial=0.0)) for part in parts) * units or 1.0
 
@@ -267,7 +314,7 @@ def _size(mechanism: Mechanism, at: Balance, tau: Array) -> float:
 def _rest(
     mechanism: Mechanism,
     joints: tuple[int, ...],
-    found: tuple[Array, Balance, Mechanism],
+    found: Found,
     tau: Array,
 ) -> Rest:
     q, at, acting = found

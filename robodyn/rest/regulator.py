@@ -39,8 +39,11 @@ def lqr(model: LinearModel, weights_x: ArrayLike = 1.0, weights_u: ArrayLike = 1
     except (np.linalg.LinAlgError, ValueError):
         settles = False
     if not settles:
-        why = "weigh all that moves by itself" if model.controllable else "it is not controllable"
-        raise RobodynError("no gain with these weights brings it to rest there", limit=why)
+        none = "no gain brings it to rest there"
+        if not model.controllable:
+            raise RobodynError(none, limit="it is not controllable")
+        limit = f"{none}: weigh all that moves by itself"
+        raise RobodynError("weights_x", value=_shown(np.ravel(weights_x)), limit=limit)
     return K
 
 
@@ -48,6 +51,7 @@ def _weights(name: str, given: ArrayLike, size: int, definite: bool) -> Array:
     values = np.asarray(given, float)
     if values.size not in (1, size, size * size):
         limit = f"needs 1, {size} or, for a matrix, {size * size} values"
+        limit = limit if size > 1 else "needs 1 value"
         raise InputError(name, value=f"{values.size} values", limit=limit)
     flat = values.ravel()
     weights = (

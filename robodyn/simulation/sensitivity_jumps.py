@@ -37,6 +37,7 @@ from robodyn.tables.arrays import Array
 Shift = Callable[[], Array]
 
 ORDER = "joints meet their ends at one instant, and what follows depends on the order"
+PRESSED = "is not known where coupled joints come to rest on their ends at one instant"
 SAME = 1e-9  # part of accelerations by which they do not jump, and of T by which they are one
 
 
@@ -188,7 +189,9 @@ class Modes:
             orders.append(np.concatenate([now[n : 2 * n], moved.ravel()]))
         one, other = orders
         if np.abs(one - other).max() > SAME * np.abs(one).max():
-            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=ORDER)
+            thrown = any(e for _, e in phases.struck)
+            limit = f"{ORDER}: it has no derivative there" if thrown else PRESSED
+            raise RobodynError("sensitivity", value=f"t = {t:.6g} s", limit=limit)
         return np.reshape(one[n:], s.shape)
 
     def _reached(self, joint: int, side: int, rates: Array, s: Array) -> Array:

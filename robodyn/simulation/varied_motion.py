@@ -166,8 +166,13 @@ def torque_nodes(
             found[int(target.removeprefix("tau"))] = evaluated(code, variables)
         except (TypeError, NameError, ValueError, AttributeError):
             joint = target.removeprefix("tau")
-            what = f"tau{int(joint) + 1}" if joint.isdigit() else "tau"
-            limit = "has no derivative: of q and qd take arithmetic and smooth functions"
+            what, limit = (
+                "tau",
+                "a function of Python has no derivative: give an expression as text",
+            )
+            if joint.isdigit():
+                what = f"tau{int(joint) + 1}"
+                limit = "has no derivative: of q and qd take arithmetic and smooth functions"
             raise InputError(what, where=mechanism.source, limit=limit) from None
     return found
 
