@@ -128,10 +128,7 @@ def with_sensitivities(
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
-    lines = [*actuation.lines]
-    if actuation.constants is not None:
-        lines = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
-    lines += [*fed.lines(mechanism), *moved]
+    lines = [*fed.lines(mechanism), *moved]
     lines.append(f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})")
     start = [0.0] * first + np.concatenate(starts).tolist() + [0.0] * (first * count)
     carried = replace(

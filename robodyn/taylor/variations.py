@@ -92,7 +92,7 @@ class Variations:
         for i, group in enumerate(self._made["groups", held]):
             key = i, held, kind
             if key not in self._made:
-                make = MAKERS.get(kind, _compiled if self.control is None else straight_steps)
+                make = MAKERS.get(kind, _compiled)
                 self._made[key] = make(self.order, group)
             go = self._made[key]
             where = group.places
@@ -185,6 +185,7 @@ def _compiled(order: int, group: Group) -> Along:
     place, n, count, lock = scene.place, scene.mechanism.n, len(group.places), Lock()
     for i in group.varied:
         items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
+    fed = [j for j in range(n) if f"fed{j}" in place]
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
         begins, ends, states, times = (np.ascontiguousarray(x) for x in steps)
@@ -200,6 +201,8 @@ def _compiled(order: int, group: Group) -> Along:
                 base = place["base0"]
                 items[place["base_t"]] = begins[0]
                 items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
+            for j in fed:
+                items[place[f"fed{j}"], :count] = torques[2][:, j]
             code.vary(block.ctypes.data, len(ends), table.ctypes.data)
         return tuple(np.swapaxes(x[..., :count], -1, -2) for x in (at_ends, at_rows))  # type: ignore[return-value]
 
