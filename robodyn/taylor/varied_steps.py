@@ -99,9 +99,9 @@ def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
         values, slopes, fed = torques
-        each = zip(fed.tolist(), s, numbers, strict=True)
-        found = zip(*(along(steps, (values, slopes, x), *pair) for x, *pair in each), strict=True)
-        at_ends, at_rows = (np.stack(x, axis=1) for x in found)
+        at_ends, at_rows = (np.empty((len(steps[i]), *s.shape)) for i in (1, 3))
+        for k, x in enumerate(fed.tolist()):
+            at_ends[:, k], at_rows[:, k] = along(steps, (values, slopes, x), s[k], numbers[k])
         return at_ends, at_rows
 
     return go
