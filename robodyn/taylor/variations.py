@@ -59,8 +59,9 @@ class Variations:
         self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
         self._made: dict[object, Any] = {}
-        if actuation.constants is not None:
-            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
+        if actuation.constants is not None or actuation.linear:
+            given = actuation.constants, actuation.control is None
+            self._made = _kept(mechanism, *given, order, tuple(numbers))
 
     def along(
         self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
@@ -157,7 +158,7 @@ def _every(
 
 @lru_cache(maxsize=64)
 def _kept(*given: object) -> dict[object, Any]:
-    """What is made for runs under constant torques, for runs to come."""
+    """What is made for runs under constant torques, or linear ones, for runs to come."""
     return {}
 
 
