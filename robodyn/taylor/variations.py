@@ -58,6 +58,7 @@ class Variations:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
         self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
+        self._driven = np.array(mechanism.actuated, int)
         self._made: dict[object, Any] = {}
         if actuation.constants is not None or actuation.linear:
             given = actuation.constants, actuation.control is None
@@ -110,7 +111,8 @@ class Variations:
                 given, self._torques, t, y.tolist(), math.copysign(1.0, end - t)
             ), fed
         at = 0.5 * (t + end)  # its torques are held, and so is what they change by
-        fed[:, self.mechanism.actuated] = np.reshape(self.control.slopes_at(at), (len(fed), -1))
+        changes = np.array(self.control.slopes_at(at)).reshape(len(fed), -1)
+        fed[:, self._driven] = changes
         return self._torques(at, y.tolist()), [0.0] * n, fed
 
     def joined(self, y: Array, s: Array) -> Array:
