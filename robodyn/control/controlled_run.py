@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
+from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.tracking import ReferenceTable
 from robodyn.errors import InputError
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.run_control import JointTracking
 from robodyn.tables.arrays import Array
-
-# torques of the actuated joints, and the rates of the law's own states, from t, q0.., qd0.., z0..
-Law = Callable[..., tuple[float, ...]]
-
-# d(what a law gives)/d(what it asks, t last) (joints + states, 2n + states + 1), of t and that;
-# the last column is right where `timed` is given and true
-Slopes = Callable[..., Array]
 
 ROUNDED = 1.0 + 1e-15  # a row's time may miss that of a sample by rounding
 
@@ -60,13 +54,10 @@ class Tracked:
     """
 
     restarts = False
-    slopes: Slopes
 
-    def __init__(
-        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int
-    ) -> None:
-        self.mechanism, self.reference, self.law = mechanism, reference, law
-        self.states = states
+    def __init__(self, mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw) -> None:
+        self.mechanism, self.reference = mechanism, reference
+        self.law, self.along, self.states = law.code(), law.along, law.states
         self._forget()
 
     def _forget(self) -> None:
@@ -79,7 +70,7 @@ class Tracked:
 
     def torques(self, t: float, y: Sequence[float]) -> Sequence[float]:
         """Those that act at t, in the state y = (q, qd, ...)."""
-        found = self.law(t, *y[: 2 * self.mechanism.n + self.states])
+        found: Sequence[float] = self.law(t, *y[: 2 * self.mechanism.n + self.states])
         return found[: self.reference.joints]
 
     def errors(self, t: Array, y: Array) -> Array:
@@ -152,12 +143,11 @@ class Continuous(Tracked):
         self,
         mechanism: Mechanism,
         reference: ReferenceTable,
-        law: Law,
-        states: int,
+        law: RecordedLaw,
         pieces: Pieces,
         jumps: bool,
     ) -> None:
-        super().__init__(mechanism, reference, law, states)
+        super().__init__(mechanism, reference, law)
         self.restarts = jumps
         self.pieces = pieces
         self.forward = True
@@ -182,9 +172,9 @@ class Sampled(Tracked):
     restarts = True
 
     def __init__(
-        self, mechanism: Mechanism, reference: ReferenceTable, law: Law, states: int, rate: float
+        self, mechanism: Mechanism, reference: ReferenceTable, law: RecordedLaw, rate: float
     ) -> None:
-        super().__init__(mechanism, reference, law, states)
+        super().__init__(mechanism, reference, law)
         self.rate = rate
         self.times = array("d")
         self.values = array("d")  # torques (actuated) of each sample in turn

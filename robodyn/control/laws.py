@@ -32,14 +32,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import cache, partial
 
-from robodyn.control.controlled_run import Continuous, Law, Pieces, Sampled
+from robodyn.control.controlled_run import Continuous, Pieces, Sampled
 from robodyn.control.driven_torques import driving_torques, rest_torques, torque_slopes
-from robodyn.control.law_slopes import slopes_of
+from robodyn.control.recorded_law import RecordedLaw
 from robodyn.control.state_feedback import StateFeedback
 from robodyn.control.tracking import ReferenceTable
-from robodyn.engines.straightline import define
+from robodyn.engines.expansion import horner
+from robodyn.engines.expression import Value, choose, greatest, least
 from robodyn.errors import InputError
 from robodyn.mechanics.actuation import Actuation, for_each_actuated
 from robodyn.mechanics.mechanism import Mechanism
@@ -105,19 +106,14 @@ def controller(
         raise InputError("control_rate", value=f"{rate:g}", limit="must be > 0 and finite")
     pieces = Pieces(reference)
     gains = {x: _values(mechanism, x, each, 0.0) for x, each in given.items() if each is not None}
-    if gain is not None:
-        lines, scope = _feedback(mechanism, gain)
-    else:
-        lines, scope = _tracking(mechanism, model, reference, pieces, control, gains)
-    torques = _compile_law(mechanism, lines, scope, limits, gains)
     states = joints if "ki" in gains else 0
-
-    def with_slopes(more: Mapping[str, object]) -> Law:
-        return _compile_law(mechanism, lines, {**scope, **more}, limits, gains)
-
-    fades = min(rate_limits(mechanism)) < math.inf
-    asked_of = torque_slopes(model, control == "pd+g") if "model" in scope else None
-    slopes = slopes_of(with_slopes, limits, fades, scope.get("model"), asked_of)
+    law = RecordedLaw(mechanism.n, joints, states)
+    errors: list[Value] = []
+    if gain is not None:
+        wanted = _feedback(mechanism, gain, law)
+    else:
+        wanted, errors = _tracking(mechanism, model, reference, pieces, control, gains, law)
+    law.outputs = _limited(mechanism, law, wanted, errors, limits, gains)
     n, end = mechanism.n, reference.times[-1]
     targets = "".join(f"tau{k}, " for k in mechanism.actuated)
     zeros = [f"tau{k} = 0.0" for k in mechanism.passive]
@@ -128,8 +124,7 @@ def controller(
             limit = f"makes {samples:.6g} samples, too many: at most {MOST_SAMPLES}"
             raise InputError("control_rate", value=f"{rate:g}", limit=limit)
         kinks = tuple(k / rate for k in range(max(0, math.floor(samples)) + 2))
-        held = Sampled(mechanism, reference, torques, states, rate)
-        held.slopes = slopes
+        held = Sampled(mechanism, reference, law, rate)
         code = (f"{targets}= _held(t)", *zeros)
         return Actuation(None, code, {"_held": held.at}, kinks, True, span, held)
     state = ", ".join(_each("q", n) + _each("qd", n) + _each("z", states))
@@ -137,9 +132,8 @@ def controller(
     code = (f"{targets}= _control(t, {state})", *zeros)
     jumps = reference.stops or (control == "computed-torque" and reference.jumps)
     kinks = tuple(reference.times if jumps else reference.kinks)
-    acting = Continuous(mechanism, reference, torques, states, pieces, jumps)
-    acting.slopes = slopes
-    asked = {"_control": torques}
+    acting = Continuous(mechanism, reference, law, pieces, jumps)
+    asked = {"_control": acting.law}
     return Actuation(None, code, asked, kinks, False, span, acting, states=states)
 
 
@@ -177,106 +171,92 @@ def _tracking(
     model: Mechanism,
     reference: ReferenceTable,
     pieces: Pieces,
-    law: str,
+    control: str,
     gains: Mapping[str, Sequence[float]],
-) -> tuple[list[str], dict[str, Any]]:
-    """Lines that make the errors e0.. and the torques u0.. of the actuated joints, and their scope.
-
-    They ask t, q0.., qd0.. and, of a law with an integral, z0...
-    """
-    n, joints, degree = mechanism.n, reference.joints, reference.coefficients.shape[-1] - 1
-    q, qd = _each("q", n), _each("qd", n)
-    names = [f"c{j}_{d}" for j in range(joints) for d in range(degree + 1)]
-    lines = ["k = piece(t)", "x = t - times[k]", f"{', '.join(names)}, = coefficients[k]"]
+    law: RecordedLaw,
+) -> tuple[list[Value], list[Value]]:
+    """The torques that a law wants of the actuated joints, and their errors."""
+    n, joints, powers = mechanism.n, reference.joints, reference.coefficients.shape[-1]
+    q, qd, z = (law.variables(name, n) for name in ("q", "qd", "z"))
+    names = [f"c{j}_{d}" for j in range(joints) for d in range(powers)]
+    law.lines = ["k = piece(t)", "x = t - times[k]", f"{', '.join(names)}, = coefficients[k]"]
+    law.follows = {"x": "t"}
+    rows = reference.coefficients.reshape(-1, len(names)).tolist()
+    law.scope = {"piece": pieces.at, "times": reference.times, "coefficients": rows}
+    errors: list[Value] = []
+    wanted: list[Value] = []
     for j, k in enumerate(mechanism.actuated):
-        powers = [f"c{j}_{d}" for d in range(degree + 1)]
-        rates = [f"{float(d)!r}*{power}" for d, power in enumerate(powers)][1:]
-        turns = [f"{float(d * (d - 1))!r}*{power}" for d, power in enumerate(powers)][2:]
-        lines.append(f"e{j} = {_horner(powers)} - q{k}")
-        asked = f"{gains['kp'][j]!r}*e{j} + {gains['kd'][j]!r}*({_horner(rates)} - qd{k})"
-        if law == "computed-torque":
-            asked = f"{_horner(turns)} + {asked}"
+        c, x = law.variables(f"c{j}_", powers), law.graph.variable("x")
+        place, rate = horner(c, x)
+        errors.append(place - q[k])
+        asked = gains["kp"][j] * errors[j] + gains["kd"][j] * (rate - qd[k])
+        turns = [float(d * (d - 1)) * each for d, each in enumerate(c)][2:]
+        if control == "computed-torque":
+            asked = horner(turns, x)[0] + asked
         if "ki" in gains:
-            asked += f" + {gains['ki'][j]!r}*z{j}"
-        lines.append(f"u{j} = {asked}")
-    torques = _each("u", joints)
-    scope: dict[str, Any] = {
-        "piece": pieces.at,
-        "times": reference.times,
-        "coefficients": [
-            tuple(row) for row in reference.coefficients.reshape(-1, len(names)).tolist()
-        ],
-    }
-    if law == "computed-torque":
-        scope["model"] = driving_torques(model)
-        lines.append(f"{', '.join(torques)}, = model({', '.join([*q, *qd, *torques])})")
-    elif law == "pd+g":
-        scope["model"] = rest_torques(model)
-        lines.append(f"{', '.join(_each('g', joints))}, = model({', '.join(q)})")
-        lines += [f"u{j} += g{j}" for j in range(joints)]
-    return lines, scope
+            asked = asked + gains["ki"][j] * z[j]
+        wanted.append(asked)
+    slopes = cache(partial(torque_slopes, model, control == "pd+g"))
+    if control == "computed-torque":
+        wanted = law.ask(driving_torques(model), slopes, [*q, *qd, *wanted])
+    elif control == "pd+g":
+        held = law.ask(rest_torques(model), slopes, q)
+        wanted = [u + g for u, g in zip(wanted, held, strict=True)]
+    return wanted, errors
 
 
-def _feedback(mechanism: Mechanism, given: StateFeedback) -> tuple[list[str], dict[str, Any]]:
-    """The same of state-feedback."""
-    lines: list[str] = []
-    state: list[str] = []
+def _feedback(mechanism: Mechanism, given: StateFeedback, law: RecordedLaw) -> list[Value]:
+    """The torques that state-feedback wants."""
+    count, qd = len(given.coordinates), law.variables("qd", mechanism.n)
     for i, k in enumerate(given.coordinates):
         away = f"q{k} - {float(given.q[k])!r}"
-        lines.append(f"d{i} = {away if k in mechanism.slides else f'remainder({away}, tau)'}")
-        state.append(f"d{i}")
-    state += [f"qd{k}" for k in given.coordinates]
-    for j, (tau, row) in enumerate(zip(given.tau, given.gain, strict=True)):
-        terms = "".join(f" - {float(K)!r}*{x}" for K, x in zip(row, state, strict=True))
-        lines.append(f"u{j} = {float(tau)!r}{terms}")
-    return lines, {"remainder": math.remainder, "tau": math.tau}
+        turns = k not in mechanism.slides
+        law.lines.append(f"d{i} = {f'remainder({away}, turn)' if turns else away}")
+        law.follows[f"d{i}"] = f"q{k}"
+    law.scope = {"remainder": math.remainder, "turn": math.tau}
+    state = [*law.variables("d", count), *(qd[k] for k in given.coordinates)]
+    wanted: list[Value] = []
+    for tau, row in zip(given.tau, given.gain, strict=True):
+        total: Value = float(tau)
+        for K, x in zip(row, state, strict=True):
+            total = total - float(K) * x
+        wanted.append(total)
+    return wanted
 
 
-def _compile_law(
+def _limited(
     mechanism: Mechanism,
-    lines: Sequence[str],
-    scope: dict[str, Any],
+    law: RecordedLaw,
+    wanted: Sequence[Value],
+    errors: Sequence[Value],
     limits: Sequence[float],
     gains: Mapping[str, Sequence[float]],
-) -> Law:
-    """The law as code: torques of the actuated joints from t, q0.., qd0.. (floats).
+) -> list[Value]:
+    """The torques as they are cut off and fade, then, with gains ki, the rates of the integrals.
 
-    The lines make the torques u0.. before they are cut off.  With gains ki of the integrals z0..
-    these are asked as well, and their rates follow the torques.  Raises InputError for a kp of zero
-    where the integral may have to go back.
+    Raises InputError for a kp of zero where the integral may have to go back.
     """
-    n, code, rates = mechanism.n, [*lines], []
-    fastest = rate_limits(mechanism)
+    fastest, qd = rate_limits(mechanism), law.variables("qd", mechanism.n)
+    torques: list[Value] = []
+    rates: list[Value] = []
     for j, (k, most) in enumerate(zip(mechanism.actuated, limits, strict=True)):
-        grows, cut = f"e{j}", min(most, fastest[j]) < math.inf
-        if cut:
-            code.append(f"w{j} = u{j}")
+        u = w = wanted[j]
         if most < math.inf:
-            low, high = (f"{x!r} if w{j} {sign} {x!r}" for x, sign in ((-most, "<"), (most, ">")))
-            code.append(f"u{j} = {high} else {low} else w{j}")
+            u = choose(most, w, most, choose(w, -most, -most, w))
         if fastest[j] < math.inf:
-            left = f"({fastest[j]!r} - abs(qd{k}))/{FADE * fastest[j]!r}"
-            code.append(f"if u{j}*qd{k} > 0.0: u{j} *= max(0.0, min(1.0, {left}))")
+            left = (fastest[j] - abs(qd[k])) / (FADE * fastest[j])
+            u = u * choose(0.0, u * qd[k], greatest(0.0, least(1.0, left)), 1.0)
+        torques.append(u)
         if "ki" not in gains:
             continue
+        kp = gains["kp"][j]
         if not gains["ki"][j]:
-            grows = "0.0"
-        elif cut:
-            if not gains["kp"][j]:
-                limit = "must be > 0 where ki is: the integral of a torque cut off goes by 1/kp"
-                raise InputError("kp", value="0", limit=limit)
-            grows += f" + (u{j} - w{j})/{gains['kp'][j]!r}"
-        rates.append(grows)
-    values = ", ".join([*_each("u", len(limits)), *rates])
-    names = ", ".join(["t", *_each("q", n), *_each("qd", n), *_each("z", len(rates))])
-    body = "\n    ".join([*code, f"return {values},"])
-    function: Law = define(f"def control({names}):\n    {body}\n", "control", scope=scope)
-    return function
-
-
-def _horner(coefficients: Sequence[str]) -> str:
-    """The polynomial in x with these coefficients, from the constant on."""
-    code = coefficients[-1]
-    for coefficient in reversed(coefficients[:-1]):
-        code = f"({coefficient} + x*{code})"
-    return code
+            rates.append(0.0)
+        elif u is w:
+            rates.append(errors[j])
+        elif kp:
+            rates.append(errors[j] + (u - w) / kp)
+        else:
+            limit = "must be > 0 where ki is: the integral of a torque cut off goes by 1/kp"
+            raise InputError("kp", value="0", limit=limit)
+    return [*torques, *rates]

@@ -8,7 +8,7 @@ products of two columns has two tangents, sums of one column with the tangents o
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -34,10 +34,13 @@ WAY = "d"  # the one direction of a lane
 TABLE = ("begins", "ends", "states", "times", "at_ends", "at_rows", "rows")
 
 
-def with_tangents(loop: LoopExpansion, inputs: Sequence[str]) -> LoopExpansion:
-    """The formulas with those of the tangents: of columns i behind them, from as many on."""
+def with_tangents(loop: LoopExpansion, inputs: Mapping[str, str]) -> LoopExpansion:
+    """The formulas with those of the tangents: of columns i behind them, from as many on.
+
+    `inputs` are what changes, with the names of how they do.
+    """
     graph, count = loop.start.graph, 1 + max(x.index for x in loop.columns)
-    known: dict[str, Tangents] = {x: {WAY: graph.variable(f"d{x}")} for x in inputs}
+    known: dict[str, Tangents] = {x: {WAY: graph.variable(y)} for x, y in inputs.items()}
     for x in loop.columns:
         for m in loop.offsets:
             known[f"{x.index}@{m}"] = {WAY: graph.variable(f"{x.index + count}@{m}")}
@@ -64,19 +67,21 @@ def with_tangents(loop: LoopExpansion, inputs: Sequence[str]) -> LoopExpansion:
 class VariedScene(Scene):
     """A scene's block, with directions and tangents; `motion` has the rows, whose numbers vary.
 
-    `varied` are the places of those that do.
+    `varied` are the places of those that do.  Torques that a controller holds change by fed0, ...
     """
 
     def __init__(self, order: int, motion: MotionProgram, varied: Sequence[int]) -> None:
         super().__init__(motion.mechanism, motion.actuation, order, closes=False, motion=motion)
-        self.varied = [f"c{i}" for i in varied]
-        self.values |= {f"d{name}": 0.0 for name in self.varied}
-        self.key = f"varied {self.varied} {self.key}"
+        self.varied = {f"c{i}": f"dc{i}" for i in varied}
+        if self.linear and self.actuation.control is not None:
+            self.varied |= {f"tau{j}": f"fed{j}" for j in self.mechanism.actuated}
+        self.values |= dict.fromkeys(self.varied.values(), 0.0)
+        self.key = f"varied {[*self.varied]} {self.key}"
 
     @cached_property
     def loop(self) -> LoopExpansion:
         """With those of the tangents."""
-        return with_tangents(super().loop, [*self.state, *self.varied])
+        return with_tangents(super().loop, {x: f"d{x}" for x in self.state} | self.varied)
 
     @cached_property
     def place(self) -> dict[str, int]:

@@ -35,12 +35,10 @@ class Steps(Protocol):
 
 
 class Control(Steps, Protocol):
-    """What a controller is told of the run besides, and what it tells.
+    """What a controller is told of the run besides, and what it tells."""
 
-    `slopes` are those of its law by the state and time.
-    """
-
-    slopes: Callable[..., NDArray[np.float64]]
+    def along(self, count: int, timed: bool = False) -> Callable[..., Sequence[float]]:
+        """How its law changes along so many ways; see `recorded_law.py`."""
 
     def observe(self, t: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """The run has taken steps, to states y (k, 2n or more) at times t (k,)."""

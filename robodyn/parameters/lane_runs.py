@@ -35,7 +35,7 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.parameters.column_formulas import ColumnFormulas
 from robodyn.parameters.lane_states import compiled, solved_lanes
 from robodyn.scene.expressions import check_smooth
-from robodyn.simulation.varied_motion import torque_nodes
+from robodyn.simulation.varied_motion import torque_lines, torque_nodes
 from robodyn.tables.arrays import Array
 
 Places = NDArray[np.int64]
@@ -55,7 +55,7 @@ def serves(mechanism: Mechanism, actuation: Actuation) -> bool:
     try:
         for line in actuation.lines:
             check_smooth([line.partition(" = ")[2]])
-        torque_nodes(mechanism, actuation, Graph(), timed=True)
+        torque_nodes(mechanism, torque_lines(actuation), Graph(), timed=True)
     except (ValueError, InputError):
         return False
     return elimination_is_safe(mechanism)
@@ -123,7 +123,8 @@ class LaneRuns:
         )
         p = [f"p{i}" for i in range(len(self.numbers))]
         states = [f"z{i}" for i in range(2 * n * k)]
-        tau = actuation.constants or torque_nodes(mechanism, actuation, graph, timed=True)
+        lines = torque_lines(actuation)
+        tau = actuation.constants or torque_nodes(mechanism, lines, graph, timed=True)
         acting: dict[str, Value] = {f"tau{j}": x for j, x in enumerate(tau)}
 
         def write(way: bool) -> Formula:

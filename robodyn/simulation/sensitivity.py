@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from robodyn.mechanics.modes import Mode, in_mode
 from robodyn.mechanics.program import Program
 from robodyn.simulation.fed_back import Fed
 from robodyn.simulation.start_slopes import CHANGE, is_start, start_slopes
-from robodyn.simulation.varied_motion import Varied, torque_nodes
+from robodyn.simulation.varied_motion import Varied, torque_lines, torque_nodes
 from robodyn.tables.arrays import Array
 from robodyn.taylor.variations import Number
 
@@ -117,22 +117,15 @@ def with_sensitivities(
         )
         return Sensitivities(tuple(names), np.ones(count), carried, n)
 
-    def make(mode: Mode | None) -> tuple[Formula, FloatFunction]:
-        formula = cheapest(lambda way: _formula(mechanism, actuation, way, names, sizes, mode))
-        if formula is None:
-            raise InputError("sensitivity", where=where, limit="its equation divides by zero")
-        return formula, compile_floats(formula, "slopes")
-
-    formula, slopes = make(Mode() if mechanism.switches else None)
+    torques = actuation.constants, torque_lines(actuation), actuation.control is not None, first
+    make = partial(_slopes, mechanism, *torques, tuple(names), tuple(sizes))
+    inputs, slopes = make(Mode() if mechanism.switches else None)
     by_modes = modes(lambda mode: make(mode)[1])
     z = [range(first + 2 * n * k, first + 2 * n * (k + 1)) for k in range(count)]
     rates = [f"zd{i}" for each in z for i in each[n:]]
     moved = [f"zd{i} = z{i + n}" for each in z for i in each[:n]]
-    lines = [*actuation.lines]
-    if actuation.constants is not None:
-        lines = [f"tau{j} = {x!r}" for j, x in enumerate(actuation.constants)]
-    lines += [*fed.lines(mechanism), *moved]
-    lines.append(f"{', '.join(rates)}, = _slopes({', '.join(formula.inputs)})")
+    lines = [*fed.lines(mechanism), *moved]
+    lines.append(f"{', '.join(rates)}, = _slopes({', '.join(inputs)})")
     start = [0.0] * first + np.concatenate(starts).tolist() + [0.0] * (first * count)
     carried = replace(
         actuation,
@@ -164,19 +157,32 @@ def _number(mechanism: Mechanism, name: str, mode: Mode | None) -> Number:
     return Number(named, numbers)
 
 
+@lru_cache(maxsize=64)
+def _slopes(mechanism: Mechanism, *given: Any) -> tuple[tuple[str, ...], FloatFunction]:
+    """`_formula` as code, and its inputs."""
+    formula = cheapest(lambda way: _formula(way, mechanism, *given))
+    if formula is None:
+        limit = "its equation divides by zero"
+        raise InputError("sensitivity", where=mechanism.source, limit=limit)
+    return formula.inputs, compile_floats(formula, "slopes")
+
+
 def _formula(
-    mechanism: Mechanism,
-    actuation: Actuation,
     way: bool,
+    mechanism: Mechanism,
+    constants: Sequence[float] | None,
+    lines: Sequence[str],
+    controlled: bool,
+    states: int,
     names: Sequence[str],
-    sizes: list[float],
+    sizes: Sequence[float],
     mode: Mode | None,
 ) -> Formula:
     """The rates of all s_qd (k n) from q, qd, tau, all s and t."""
     n, varied = mechanism.n, Varied(mechanism, mode, way, Graph())
     graph, state = varied.graph, varied.state
-    torques = torque_nodes(mechanism, actuation, graph)
-    z = [f"z{actuation.states + i}" for i in range(2 * n * len(names))]
+    torques = torque_nodes(mechanism, lines, graph)
+    z = [f"z{states + i}" for i in range(2 * n * len(names))]
     fed: list[str] = []  # d tau of what controls
     outputs: list[Value] = []
     for k, (name, size) in enumerate(zip(names, sizes, strict=True)):
@@ -187,11 +193,11 @@ def _formula(
         if ".motor." in name and any(tangents(torques, list(by))):
             limit = "no derivative is known by it where torques depend on q or qd"
             raise InputError(name, where=mechanism.source, limit=limit)
-        if actuation.control is None:
+        if not controlled:
             by |= {f"tau{j}": x for j, x in enumerate(tangents(torques, by))}
         else:
             by |= {f"tau{j}": {CHANGE: graph.variable(f"f{k}_{j}")} for j in mechanism.actuated}
             fed += [f"f{k}_{j}" for j in mechanism.actuated]
         outputs += relative(mechanism, varied.along(name, size, by)[:n])
-    constants: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(actuation.constants or ())}
-    return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, constants)), ())
+    steady: Mapping[str, Value] = {f"tau{j}": x for j, x in enumerate(constants or ())}
+    return Formula((*state.inputs, *z, *fed, "t"), tuple(substituted(outputs, steady)), ())

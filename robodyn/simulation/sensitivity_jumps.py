@@ -272,9 +272,10 @@ class Modes:
         if acting.control is not None and acting.linear:
             found[:-1, driven] = np.reshape(self.control.slopes_at(t), (len(ways) - 1, -1))
         elif acting.control is not None:
-            slopes = self.control.slopes(t, y[: ways.shape[1]].tolist(), True)[: len(driven)]
-            found[:, driven] = ways @ slopes[:, :-1].T
-            found[-1, driven] += slopes[:, -1]
+            along, given = self.control.along(len(ways), timed=True), y[: ways.shape[1]]
+            both = np.concatenate([given, ways[:, : 2 * n].ravel(), ways[:, 2 * n :].ravel()])
+            slopes = along(t, *both.tolist())[len(driven) + self.states :]
+            found[:, driven] = np.reshape(slopes[: len(ways) * len(driven)], (len(ways), -1))
         elif acting.linear:
             found[-1] = linear_piece(acting, acting.function(n), t, y.tolist(), 1.0)[1]
         elif acting.constants is None:

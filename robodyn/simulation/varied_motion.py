@@ -148,14 +148,19 @@ def thrown_back(
     return compile_floats(Formula(tuple(inputs), tuple(outputs), ()), "thrown")
 
 
+def torque_lines(actuation: Actuation) -> tuple[str, ...]:
+    """Those of torques that may depend on the state, as they were given."""
+    if actuation.constants is not None or actuation.linear or actuation.control is not None:
+        return ()
+    return (actuation.given or actuation).lines
+
+
 def torque_nodes(
-    mechanism: Mechanism, actuation: Actuation, graph: Graph, timed: bool = False
+    mechanism: Mechanism, lines: Sequence[str], graph: Graph, timed: bool = False
 ) -> list[Value]:
     """Those of the torques (n) that depend on the state as nodes, 0 for others; or all, `timed`."""
     found: list[Value] = [0.0] * mechanism.n
-    if actuation.constants is not None or actuation.linear or actuation.control is not None:
-        return found
-    for line in (actuation.given or actuation).lines:
+    for line in lines:
         names = {x.id for x in ast.walk(ast.parse(line)) if isinstance(x, ast.Name)}
         state = {x for x in names if re.fullmatch("qd?[0-9]+", x)}
         if not state and not timed:
@@ -180,5 +185,5 @@ def torque_nodes(
 def torque_slopes(mechanism: Mechanism, actuation: Actuation) -> FloatFunction:
     """The torques' derivatives by q, qd and t (n (2n + 1)), of q, qd and t."""
     names = [f"{x}{i}" for x in ("q", "qd") for i in range(mechanism.n)] + ["t"]
-    nodes = torque_nodes(mechanism, actuation, Graph(), timed=True)
+    nodes = torque_nodes(mechanism, torque_lines(actuation), Graph(), timed=True)
     return compile_floats(Formula(tuple(names), tuple(slopes_by(nodes, names)), ()), "slopes")

@@ -262,7 +262,7 @@ def taylor_run(
                 told, within = variations.along(t, y, chunk, type(runner).__name__, within)
             if len(chunk.t):
                 t, y = float(chunk.t[-1]), chunk.y[-1]
-                reach(carried, t, y if variations is None else variations.both(y))
+                reach(carried, t, told.y[-1])
             recorder.chunk(told, t_end, within)
             if stop is not None:
                 if variations is not None:

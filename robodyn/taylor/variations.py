@@ -8,8 +8,10 @@ tangents: in machine code (`engines/machine_variation.py`) or in Python (`varied
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
+from itertools import accumulate
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -56,9 +58,11 @@ class Variations:
         self.mechanism, self.actuation, self.order = mechanism, actuation, order
         self.numbers, self.s, self.control = numbers, s, control
         self._torques = actuation.function(mechanism.n)
+        self._driven = np.array(mechanism.actuated, int)
         self._made: dict[object, Any] = {}
-        if actuation.constants is not None:
-            self._made = _kept(mechanism, actuation.constants, order, tuple(numbers))
+        if actuation.constants is not None or actuation.linear:
+            given = actuation.constants, actuation.control is None
+            self._made = _kept(mechanism, *given, order, tuple(numbers))
 
     def along(
         self, t: float, y: Array, chunk: Chunk, kind: str, within: Callable[[Array], Array]
@@ -67,41 +71,21 @@ class Variations:
 
         `kind` is the name of the engine that made it.
         """
-        if not len(chunk.t):
+        count, wide, s = len(chunk.t), 2 * self.mechanism.n, self.s
+        if not count:
             return chunk, within
-        n = self.mechanism.n
-        begins = np.append(t, chunk.t[:-1])
-        states = np.concatenate([y[None], chunk.y[:-1]])[:, : 2 * n]
-        direction = 1.0 if chunk.t[-1] > t else -1.0
-        torques: Any = ((), ())
-        if self.actuation.constants is None and self.actuation.linear:
-            torques = linear_piece(self.actuation, self._torques, t, y.tolist(), direction)
-        fed = np.zeros((len(self.s), n if torques[0] else 0))
-        if self.control is not None:  # its torques are held, and so is what they change by
-            held_at = 0.5 * (t + float(chunk.t[-1]))
-            changes = np.reshape(self.control.slopes_at(held_at), (len(fed), -1))
-            fed[:, list(self.mechanism.actuated)] = changes
+        begins, states = np.empty(count), np.empty((count, wide))
+        begins[0], begins[1:] = t, chunk.t[:-1]
+        states[0], states[1:] = y[:wide], chunk.y[:-1, :wide]
+        torques = self._acting(t, y, float(chunk.t[-1]))
         held = None if self.actuation.pieces is None else self.actuation.pieces.at(t)
-        if ("groups", held) not in self._made:
-            self._made["groups", held] = self._groups(held)
-        s = self.s.copy()
-        at_ends = np.empty((len(chunk.t), *s.shape))
-        at_rows = np.empty((len(chunk.row_t), *s.shape))
-        last: list[Callable[[Array], Array]] = []
-        steps = begins, chunk.t, states, chunk.row_t
-        for i, group in enumerate(self._made["groups", held]):
-            key = i, held, kind
-            if key not in self._made:
-                make = MAKERS.get(kind, _compiled if self.control is None else straight_steps)
-                self._made[key] = make(self.order, group)
-            go = self._made[key]
-            where = group.places
-            acting = *torques, fed[where]
-            at_ends[:, where], at_rows[:, where] = go(steps, acting, s[where])
-            before = s[where] if len(chunk.t) == 1 else at_ends[-2, where]
-            only = tuple(x[-1:] for x in steps[:3])
-
-            last.append(partial(self._last, go, only, acting, before))
+        if (held, kind) not in self._made:
+            make = MAKERS.get(kind, _compiled)
+            self._made[held, kind] = [
+                (group.places, make(self.order, group)) for group in self._groups(held)
+            ]
+        parts = self._made[held, kind]
+        at_ends, at_rows = _every(parts, (begins, chunk.t, states, chunk.row_t), torques, s)
         self.s = at_ends[-1]
         if not np.isfinite(self.s).all():
             raise RobodynError(
@@ -109,16 +93,27 @@ class Variations:
             )
 
         def both(times: Array) -> Array:
-            found = np.empty((len(times), *s.shape))
-            for group, each in zip(self._made["groups", held], last, strict=True):
-                found[:, group.places] = each(times)
-            return self.joined(within(times), found)
+            only = begins[-1:], chunk.t[-1:], states[-1:], times
+            before = s if count == 1 else at_ends[-2]
+            return self.joined(within(times), _every(parts, only, torques, before)[1])
 
         y, rows = self.joined(chunk.y, at_ends), self.joined(chunk.row_y, at_rows)
         return chunk._replace(y=y, row_y=rows), both
 
-    def _last(self, go: Along, step: Any, torques: Any, s: Array, times: Array) -> Array:
-        return go((*step, times), torques, s)[1]
+    def _acting(self, t: float, y: Array, end: float) -> tuple[Any, Any, Array]:
+        """The torques at t, their slopes up to `end`, and how both change with each name."""
+        n, given = self.mechanism.n, self.actuation
+        if given.constants is not None or not given.linear:
+            return (), (), np.zeros((len(self.s), 0))
+        fed = np.zeros((len(self.s), n))
+        if self.control is None:
+            return *linear_piece(
+                given, self._torques, t, y.tolist(), math.copysign(1.0, end - t)
+            ), fed
+        at = 0.5 * (t + end)  # its torques are held, and so is what they change by
+        changes = np.array(self.control.slopes_at(at)).reshape(len(fed), -1)
+        fed[:, self._driven] = changes
+        return self._torques(at, y.tolist()), [0.0] * n, fed
 
     def joined(self, y: Array, s: Array) -> Array:
         """States (m, 2n or 2n + 1) with s (m, k, 2n) before the work done."""
@@ -150,9 +145,22 @@ class Variations:
         ]
 
 
+def _every(
+    parts: Sequence[tuple[list[int], Along]], steps: Steps, torques: Any, s: Array
+) -> tuple[Array, Array]:
+    """s of all groups at the ends of steps (m, k, 2n), and at their rows."""
+    if len(parts) == 1:
+        return parts[0][1](steps, torques, s)
+    found = [np.empty((len(times), *s.shape)) for times in (steps[1], steps[3])]
+    values, slopes, fed = torques
+    for where, go in parts:
+        found[0][:, where], found[1][:, where] = go(steps, (values, slopes, fed[where]), s[where])
+    return found[0], found[1]
+
+
 @lru_cache(maxsize=64)
 def _kept(*given: object) -> dict[object, Any]:
-    """What is made for runs under constant torques, for runs to come."""
+    """What is made for runs under constant torques, or linear ones, for runs to come."""
     return {}
 
 
@@ -185,23 +193,35 @@ def _compiled(order: int, group: Group) -> Along:
     place, n, count, lock = scene.place, scene.mechanism.n, len(group.places), Lock()
     for i in group.varied:
         items[place[f"dc{i}"], :count] = [slopes[i] for slopes in group.slopes]
+    held = [j for j in range(n) if f"fed{j}" in place]
+
+    first, base = place["dq0"], place.get("base0", 0)
+    table, room = np.zeros(len(TABLE), np.int64), np.empty(0)
+    told = table.ctypes.data
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
-        begins, ends, states, times = (np.ascontiguousarray(x) for x in steps)
-        at_ends, at_rows = (np.empty((len(x), 2 * n, lanes)) for x in (ends, times))
-        found = {"begins": begins, "ends": ends, "states": states, "times": times}
-        found |= {"at_ends": at_ends, "at_rows": at_rows}
-        told = [found[name].ctypes.data for name in TABLE[:-1]]
-        table = np.array([*told, len(times)], np.int64)
+        nonlocal room
+        values, slopes, fed = torques
+        given, taken = len(steps[3]), len(steps[0])
+        sizes = [x.size for x in steps] + [2 * n * lanes * x for x in (taken, given)]
+        bounds = list(accumulate(sizes, initial=0))
         with lock:  # another thread may have a run of the same
-            items[place["dq0"] : place["dq0"] + 2 * n] = 0.0
-            items[place["dq0"] : place["dq0"] + 2 * n, :count] = s.T
+            if len(room) < bounds[-1]:
+                room = np.empty(2 * bounds[-1])
+            for x, begin, end in zip(steps, bounds, bounds[1:], strict=False):
+                room[begin:end] = x.ravel()
+            at = room.ctypes.data
+            table[:] = [*(at + 8 * x for x in bounds[:-1]), given]
+            items[first : first + 2 * n, :count] = s.T
             if scene.linear:
-                base = place["base0"]
-                items[place["base_t"]] = begins[0]
-                items[base : base + 2 * n] = np.concatenate(torques[:2])[:, None]
-            code.vary(block.ctypes.data, len(ends), table.ctypes.data)
-        return tuple(np.swapaxes(x[..., :count], -1, -2) for x in (at_ends, at_rows))  # type: ignore[return-value]
+                items[place["base_t"]] = steps[0][0]
+                items[base : base + 2 * n].T[:] = [*values, *slopes]
+            for j in held:
+                items[place[f"fed{j}"], :count] = fed[:, j]
+            code.vary(block.ctypes.data, taken, told)
+            found = room[bounds[-3] : bounds[-1]].reshape(-1, 2 * n, lanes)
+            found = np.swapaxes(found[..., :count], -1, -2).copy()
+        return found[:taken], found[taken:]
 
     return go
 

@@ -62,47 +62,44 @@ Expand = Callable[[Any, list[Any], list[Any], Any, Any], tuple[Any, Any]]
 
 def _one_by_one(group: Group, varied: Sequence[int], expand: Expand) -> Along:
     """By steps of numbers x + dx i, a name after the other."""
-    mechanism, n = group.motion.mechanism, group.motion.mechanism.n
+    mechanism = group.motion.mechanism
     numbers = [
         [complex(group.numbers[i], SMALL * slopes[i]) for i in varied] for slopes in group.slopes
     ]
 
-    def along(steps: Steps, torques: Any, s: Array, numbers: list[complex]) -> tuple[Any, Any]:
+    def along(
+        k: int, steps: Steps, torques: Any, beside: list[float], at_ends: Array, at_rows: Array
+    ) -> None:
         begins, ends, states, times = steps
         direction = 1.0 if ends[-1] > begins[0] else -1.0
-        at_ends: list[list[float]] = []
-        at_rows: list[Array] = []
         row, first, last = 0, float(begins[0]), times.tolist()
-        beside = (SMALL * s).tolist()
         values, slopes, fed = torques
         values = [
-            complex(x, SMALL * each) if each else x for x, each in zip(values, fed, strict=True)
+            complex(x, SMALL * each) if each else x
+            for x, each in zip(values, fed[k].tolist(), strict=True)
         ]
         now, rises = (values, slopes), any(slopes)
-        for t, end, y in zip(begins.tolist(), ends.tolist(), states.tolist(), strict=True):
+        each = zip(begins.tolist(), ends.tolist(), states.tolist(), strict=True)
+        for j, (t, end, y) in enumerate(each):
             if rises:
                 acting = [x + (t - first) * slope for x, slope in zip(values, slopes, strict=True)]
                 now = acting, slopes
-            there, series = expand(t, list(map(complex, y, beside)), numbers, now, end - t)
+            there, series = expand(t, list(map(complex, y, beside)), numbers[k], now, end - t)
             due = row
             while due < len(last) and (last[due] - end) * direction <= 0.0:
                 due += 1
             if due > row or there is None:
                 x = np.append(times[row:due], end) - t
-                found = _moved(mechanism, np.array(series, complex), np.array(beside), x)
-                at_rows.append(found[:-1])
-                row = due
-            beside = found[-1].tolist() if there is None else [x.imag for x in there]
-            at_ends.append(beside)
-        rows = np.concatenate(at_rows) if at_rows else np.empty((0, 2 * n))
-        return np.array(at_ends) / SMALL, rows / SMALL
+                moved = _moved(mechanism, np.array(series, complex), np.array(beside), x)
+                at_rows[row:due], row = moved[:-1], due
+            beside = moved[-1].tolist() if there is None else [x.imag for x in there]
+            at_ends[j] = beside
 
     def go(steps: Steps, torques: Any, s: Array) -> tuple[Array, Array]:
-        values, slopes, fed = torques
-        each = zip(fed.tolist(), s, numbers, strict=True)
-        found = zip(*(along(steps, (values, slopes, x), *pair) for x, *pair in each), strict=True)
-        at_ends, at_rows = (np.stack(x, axis=1) for x in found)
-        return at_ends, at_rows
+        at_ends, at_rows = (np.empty((len(steps[i]), *s.shape)) for i in (1, 3))
+        for k, beside in enumerate((SMALL * s).tolist()):
+            along(k, steps, torques, beside, at_ends[:, k], at_rows[:, k])
+        return at_ends / SMALL, at_rows / SMALL
 
     return go
 
