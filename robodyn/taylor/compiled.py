@@ -23,7 +23,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
-from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.step_boxes import Kept, write_box
 from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
 
@@ -199,10 +198,10 @@ class CompiledEngine:
         return found
 
     @cached_property
-    def _zeros(self) -> tuple[Array, tuple[int, int]]:
-        """Where machine code leaves zeros, and the addresses of that and of its matrix."""
+    def _zeros(self) -> tuple[Array, int]:
+        """Where machine code leaves zeros, and its address."""
         zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-        return zeros, (zeros.ctypes.data, matrix(self.order).ctypes.data)
+        return zeros, zeros.ctypes.data
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -229,8 +228,8 @@ class CompiledEngine:
         self, forms: Array, t: float, y: Array, bound: float, times: Array, steps: int
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, (zeros, addresses) = self._watch, self._zeros
-        watch[:] = forms.ctypes.data, *addresses, len(forms), 0, 0
+        watch, (zeros, address) = self._watch, self._zeros
+        watch[:] = forms.ctypes.data, address, len(forms), 0, 0
         chunk = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
         watch[-1] = 0  # or no later call takes a step
