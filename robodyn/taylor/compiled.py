@@ -167,7 +167,8 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
-        self.forms: Array | None = None
+        self.forms: tuple[list[Array], list[int]] | None = None
+        self._forms = np.empty((0, 0))  # what machine code has of these
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -198,10 +199,11 @@ class CompiledEngine:
         return found
 
     @cached_property
-    def _zeros(self) -> tuple[Array, int]:
-        """Where machine code leaves zeros, and its address."""
+    def _zeros(self) -> Array:
+        """Where machine code leaves zeros."""
         zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-        return zeros, zeros.ctypes.data
+        self._watch[WATCH.index("zeros")] = zeros.ctypes.data
+        return zeros
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -216,7 +218,7 @@ class CompiledEngine:
         """
         chunk = None
         if self.keeps and self.forms is not None:
-            chunk = self._watched(self.forms, t, y, bound, times, steps)
+            chunk = self._watched(*self.forms, t, y, bound, times, steps)
         if chunk is None:
             chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
@@ -225,17 +227,31 @@ class CompiledEngine:
         return chunk
 
     def _watched(
-        self, forms: Array, t: float, y: Array, bound: float, times: Array, steps: int
+        self,
+        linear: list[Array],
+        signs: list[int],
+        t: float,
+        y: Array,
+        bound: float,
+        times: Array,
+        steps: int,
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, (zeros, address) = self._watch, self._zeros
-        watch[:] = forms.ctypes.data, address, len(forms), 0, 0
-        chunk = self._advance(t, y, bound, times, steps, watches=True)
+        watch, zeros, count = self._watch, self._zeros, len(linear)
+        if len(self._forms) != count:
+            self._forms = np.empty((count, len(linear[0]) + 1))
+            watch[WATCH.index("forms")] = self._forms.ctypes.data
+            watch[WATCH.index("functions")] = count
+        for row, form, sign in zip(self._forms, linear, signs, strict=True):
+            row[:-1], row[-1] = form, sign
+        watch[WATCH.index("found")] = 0
+        made = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
         watch[-1] = 0  # or no later call takes a step
         if unsure:
             return None
-        return chunk._replace(kept=Found(zeros[:found].copy(), forms[:, -1]))
+        after = [int(row[-1]) for row in self._forms]
+        return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""

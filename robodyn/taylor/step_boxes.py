@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
 
 
+SUMS = 4  # that grow side by side
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
 
 
@@ -103,8 +104,8 @@ def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
     """strays(first, width, h, about, out): of a series' rows from the order 1 on, side by side.
 
     D_m = (m + 1) z_{m+1} - i w z_m of each order m > 0 into rows of `out`, and before them the sums
-    of |D_m| h^m; `about` are w and -w in turns.  `twice`, of the D_m: with the series and its
-    `about` besides, the sums of |(m + 1) D_{m+1} - i w D_m - i a z_m| h^m alone.
+    of |D_m| h^m; `about` are w and -w in turns.  `twice`: with the D_m, and a and -a in turns,
+    besides, the sums of |(m + 1) D_{m+1} - i w D_m - i a z_m| h^m alone.
     """
     name, count = f"strays{1 + twice}", 2 * scene.mechanism.n
     if name in module.functions:
@@ -113,39 +114,34 @@ def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
     wide.functions = module.functions
     types = ADDRESS, WHOLE, SCALAR, *(ADDRESS,) * (4 if twice else 2)
     k = Kernel(wide, name, types, "void")
-    first, width, h, about, out, *series = k.arguments
+    first, width, h, about, out, *strays = k.arguments
     w, step = k.load(about), k.spread(h)
     other = ", ".join(f"i32 {i ^ 1}" for i in range(count))
     swapped = f"{k.numbers} poison, <{count} x i32> <{other}>"
 
-    def stray(now: Word, place: Word, *later: Word) -> Word:
-        found = k.multiply(w, k.op(k.numbers, f"shufflevector {now}, {swapped}"))
-        if twice:
-            z = k.op(k.numbers, f"shufflevector {k.load(place)}, {swapped}")
-            found = k.add(found, k.multiply(k.load(series[1]), z))
-        for term in later:
-            found = k.add(found, term)
-        if not twice:
-            k.store(found, place)
-        return k.intrinsic("fabs", found)
+    def turned(row: Word) -> Word:
+        return k.op(k.numbers, f"shufflevector {row}, {swapped}")
 
-    start, begin = k.load(first), series[0] if twice else k.at(out, count)
-    with k.loop(k.whole(scene.order)):
-        row, now, place = k.carried(first), k.carried(start), k.carried(begin)
-        level, power, far = k.carried(k.number(2.0)), k.carried(step), k.carried(k.number(0.0))
-        after = k.at(row, width)
-        later = k.load(after)
-        found = stray(now, place, k.multiply(level, later))
-        for carried, value in (
-            (row, after),
-            (now, later),
-            (place, k.at(place, count)),
-            (level, k.add(level, k.number(1.0))),
-            (power, k.multiply(power, step)),
-            (far, k.add(far, k.multiply(found, power))),
-        ):
-            k.becomes(carried, value)
-    k.store(k.add(far, k.multiply(stray(now, place), power)), out)
+    last = scene.order + 1
+    powers, rows, sums = [k.number(1.0), step], [first], [k.number(0.0)] * SUMS
+    for m in range(2, last + 1):
+        powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
+        rows.append(k.at(rows[-1], width))
+    z = [k.load(row) for row in rows]
+    own = [k.load(k.at(strays[0], m * count)) for m in range(last)] if twice else z
+    for m in range(1, last + 1):  # one after the other in text: a loop would wait for its sums
+        found = k.multiply(w, turned(own[m - 1]))
+        if twice:
+            found = k.add(found, k.multiply(k.load(strays[1]), turned(z[m - 1])))
+        if m < last:
+            found = k.add(found, k.multiply(k.number(m + 1.0), own[m]))
+        if not twice:
+            k.store(found, k.at(out, m * count))
+        size = k.multiply(k.intrinsic("fabs", found), powers[m])
+        sums[m % SUMS] = k.add(sums[m % SUMS], size)
+    while len(sums) > 1:
+        sums = [k.add(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
+    k.store(sums[0], out)
     k.done()
     return name
 
@@ -247,14 +243,15 @@ def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box:
             k.store(reach, k.at(box, 2 * n + place))
 
 
-def write_slope(scene: Scene, k: Kernel, rows: Word, h: Word, form: Word) -> tuple[Word, Word]:
+def write_slope(
+    scene: Scene, k: Kernel, rows: Word, width: Word, h: Word, form: Word
+) -> tuple[Word, Word]:
     """The slope of a linear function where a series begins, and how far it goes from there in h."""
-    n, width = scene.mechanism.n, k.whole(2 * scene.mechanism.n)
-    first = k.at(rows, width)
+    n, first = scene.mechanism.n, k.at(rows, width)
     bounds, turns, strays = _bounds(scene, k, first, width, h)
     sums, speedups = k.room(SCALAR, 2 * n), _about(scene, k, strays)
     name = _write_strays(scene, k.module, twice=True)
-    given = strays, width, h, turns, sums, first, speedups
+    given = first, width, h, turns, sums, strays, speedups
     k.line(f"call void @{name}({', '.join(map(str, given))})")
     slope, reach = k.load(k.at(form, 1)), k.number(0.0)
     each = zip(bounds, _pairs(k, sums, n), _pairs(k, strays, n), strict=True)

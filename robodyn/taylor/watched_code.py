@@ -133,7 +133,7 @@ class Watch:
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
         x, rows = k.subtract(end, begin), k.room(SCALAR, (scene.order + 2) * self.count)
         unit = k.divide(x, k.number(float(PIECES)))
-        k.line(f"call void @event_rows({block}, {rows})")
+        series = k.slot(scene.row(k, block, 0)), k.slot(k.whole(len(scene.loop.columns)))
         first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
         size = k.add(k.intrinsic("fabs", first), k.intrinsic("fabs", last))
@@ -157,7 +157,8 @@ class Watch:
                 then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
                 k.set(reaches, then)
             then = k.get(reaches, SCALAR)
-            goes_on, passes, ends, slope = self._seen(k, rows, form, wide, now, then, noise, missed)
+            z = k.get(series[0], ADDRESS), k.get(series[1], WHOLE)
+            goes_on, passes, ends, slope = self._seen(k, z, form, wide, now, then, noise, missed)
             sure = k.either(goes_on, passes)
             with k.when(sure):
                 k.store(ends, k.at(form, self.sign))
@@ -165,6 +166,10 @@ class Watch:
                     given = block, watch, f, form, start, wide, now, then, slope, noise
                     k.line(f"call void @event_locate({', '.join(map(str, given))})")
                 k.leave(k.compare("sge", to, k.whole(PIECES)), done)
+                with k.when(k.compare("eq", at, k.whole(0))):
+                    k.line(f"call void @event_rows({block}, {rows})")
+                    k.set(series[0], rows)
+                    k.set(series[1], k.whole(self.count))
                 k.line(f"call void @event_on({rows}, {wide})")
                 k.set(place, to)
                 k.set(value, then)
@@ -175,12 +180,19 @@ class Watch:
         k.done()
 
     def _seen(
-        self, k: Kernel, rows: Word, form: Word, x: Word, first: Word, last: Word, *errors: Word
+        self,
+        k: Kernel,
+        series: tuple[Word, Word],
+        form: Word,
+        x: Word,
+        first: Word,
+        last: Word,
+        noise: Word,
+        missed: Word,
     ) -> tuple[Word, Word, Word, Word]:
         """Along a piece: whether it goes on with a sign, or passes once; that sign; its slope."""
-        noise, missed = errors
         zero, h = k.number(0.0), k.intrinsic("fabs", x)
-        slope, reach = write_slope(self.scene, k, rows, h, form)
+        slope, reach = write_slope(self.scene, k, *series, h, form)
         most = k.multiply(k.number(2.0 * SLOPES[DEGREE]), missed)
         wide = k.add(k.multiply(reach, h), most)
         old = k.load(k.at(form, self.sign))
