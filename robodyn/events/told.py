@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice, repeat
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -96,8 +96,8 @@ class EventRecord:
             for i in range(len(names)):
                 self.happened[i] += place.count(i)
             named = map(names.__getitem__, map(int, place)) if len(names) > 1 else repeat(names[0])
-            told = zip(named, t, zeros[:, 4:], apart, strict=False)
-            self.kept += map(_event, islice(told, MOST - len(self.kept)))
+            self.kept.extend(map(_event, zip(named, t, zeros[:, 4:], apart, strict=False)))
+            del self.kept[MOST:]
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate
+from operator import is_not
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,7 +169,8 @@ class CompiledEngine:
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
         self.forms: tuple[list[Array], list[int]] | None = None
-        self._forms = np.empty((0, 0))  # what machine code has of these
+        self._linear: list[Array] = []  # forms that machine code has, and with their signs
+        self._forms = np.empty((0, 0))
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -237,20 +239,20 @@ class CompiledEngine:
         steps: int,
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, zeros, count = self._watch, self._zeros, len(linear)
-        if len(self._forms) != count:
-            self._forms = np.empty((count, len(linear[0]) + 1))
+        watch, zeros = self._watch, self._zeros
+        if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
+            self._linear = linear
+            self._forms = np.pad(linear, ((0, 0), (0, 1)))
             watch[WATCH.index("forms")] = self._forms.ctypes.data
-            watch[WATCH.index("functions")] = count
-        for row, form, sign in zip(self._forms, linear, signs, strict=True):
-            row[:-1], row[-1] = form, sign
+            watch[WATCH.index("functions")] = len(linear)
+        self._forms[:, -1] = signs
         watch[WATCH.index("found")] = 0
         made = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
         watch[-1] = 0  # or no later call takes a step
         if unsure:
             return None
-        after = [int(row[-1]) for row in self._forms]
+        after = self._forms[:, -1].astype(np.int64).tolist()
         return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
 
     def within(self, times: Array) -> Array:
