@@ -10,13 +10,10 @@ from example_starts import start
 from numpy.typing import NDArray
 
 import robodyn
-from robodyn.dynamics.placed import relative_matrix
 from robodyn.engines import machine
 from robodyn.events.functions import event_functions
-from robodyn.events.signs import BENDS, SLOPES
 from robodyn.events.watch import EventWatch
 from robodyn.mechanics.mechanism import Mechanism
-from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.compiled import CompiledEngine
 
 Array = NDArray[np.float64]
@@ -138,19 +135,3 @@ def test_what_is_not_linear_goes_to_python(calls: Counter[bool]) -> None:
     named = {"method": "taylor", "engine": "compiled", "events": {"e": "q1*qd1"}}
     assert robodyn.simulate(mechanism, q, qd, 2.0, **named).events
     assert not calls
-
-
-def test_the_matrix_of_chebyshev_coefficients() -> None:
-    """Against numpy's own conversion, and the weights against those of `signs`."""
-    for order in (6, 14, 22):
-        table = matrix(order)
-        for m in range(order + 2):
-            power = np.polynomial.Polynomial([0.5, 0.5]) ** m  # x = (1 + v) / 2
-            np.testing.assert_allclose(
-                table[m, : m + 1], np.polynomial.chebyshev.poly2cheb(power.coef), atol=1e-14
-            )
-            assert not table[m, m + 1 :].any()
-        top = min(table.shape[1], len(SLOPES))
-        np.testing.assert_array_equal(table[order + 3, 2:top], SLOPES[2:top])
-        np.testing.assert_array_equal(table[order + 4, 3:top], BENDS[3:top])
-    assert relative_matrix(start("2r", 0.0)[0]).tolist() == [[1.0, 0.0], [-1.0, 1.0]]

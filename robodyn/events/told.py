@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice, repeat
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -42,10 +42,10 @@ class Stop(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What machine code found: rows of function, time, apart, sign, state; signs at the end."""
+    """What is found along steps: rows of function, time, apart, sign, state; signs at the end."""
 
     zeros: Array
-    signs: Array
+    signs: list[int]
 
 
 @dataclass
@@ -54,7 +54,7 @@ class EventRecord:
 
     `grazes` has, by name, the times at which a function touches zero as far as rounding tells,
     without passing it; `hidden` from when to when it is zero so for long; `lost` where it changes
-    sign too often to be followed.
+    sign too often to be followed.  Events keep the first `width` numbers of a state; None: all.
     """
 
     functions: Sequence[EventFunction]
@@ -64,6 +64,7 @@ class EventRecord:
     grazes: dict[str, list[float]] = field(default_factory=dict)
     hidden: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     lost: dict[str, list[float]] = field(default_factory=dict)
+    width: int | None = None
 
     def __post_init__(self) -> None:
         self.happened = [0] * len(self.functions)
@@ -79,24 +80,24 @@ class EventRecord:
         return self.kept
 
     def unpack(self) -> None:
-        """Make events of what machine code found: that takes as long as finding them."""
+        """Make events of what was found together: that takes as long as finding them."""
         packed, self.packed = self.packed, []
         names = [function.name for function in self.functions]
-        ways = [function.way for function in self.functions]
         for zeros, _ in packed:
             if not len(zeros):
                 continue
-            if any(ways):
-                counts = np.array(ways)[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0
-                zeros = zeros[counts]
             if len(names) > 1:
+                ways = np.array([function.way for function in self.functions])
+                zeros = zeros[ways[zeros[:, 0].astype(np.int64)] * zeros[:, 3] >= 0.0]
                 zeros = zeros[np.argsort(np.abs(zeros[:, 1]), kind="stable")]
+            elif way := self.functions[0].way:
+                zeros = zeros[zeros[:, 3] == way]
             place, t, apart = zeros[:, :3].T.tolist()
             for i in range(len(names)):
                 self.happened[i] += place.count(i)
             named = map(names.__getitem__, map(int, place)) if len(names) > 1 else repeat(names[0])
-            told = zip(named, t, zeros[:, 4:], apart, strict=False)
-            self.kept += map(_event, islice(told, MOST - len(self.kept)))
+            self.kept.extend(map(_event, zip(named, t, zeros[:, 4:], apart, strict=False)))
+            del self.kept[MOST:]
 
     def tell(self, one: Single) -> None:
         """A function passes zero: an event, where this way counts and it is not known."""
@@ -108,7 +109,7 @@ class EventRecord:
         ):
             self.happened[i] += 1
             if len(self.kept) < MOST:
-                self.kept.append(Event(self.functions[i].name, t, one.y, one.apart))
+                self.kept.append(Event(self.functions[i].name, t, one.y[: self.width], one.apart))
 
     def graze(self, name: str, t: float) -> None:
         """A function touches zero."""

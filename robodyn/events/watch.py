@@ -66,24 +66,20 @@ class EventWatch(EventRecord):
             self._hidden_until(i, touched[1] if touched else 0.0)
         return super().remarks()
 
-    def forms(self) -> Array | None:
-        """What machine code takes of the functions: linear forms, and after them their signs.
+    def forms(self) -> tuple[list[Array], list[int]] | None:
+        """What machine code takes of the functions: linear forms and their signs.
 
         None where it cannot watch for them all.
         """
         linear = [function.linear for function in self.functions if function.linear is not None]
         if self.doubts >= DOUBTS or self.may_end or any(self._touched):
             return None
-        if len(linear) < len(self.functions):
-            return None
-        forms = np.empty((len(linear), len(linear[0]) + 1))
-        forms[:, :-1], forms[:, -1] = linear, self.signs
-        return forms
+        return (linear, self.signs) if len(linear) == len(self.functions) else None
 
     def take(self, found: Found) -> None:
         """Take what was found along some steps."""
         self.packed.append(found)
-        self.signs = found.signs.astype(np.int64).tolist()
+        self.signs = found.signs
 
     def series(
         self,
@@ -154,7 +150,7 @@ class EventWatch(EventRecord):
             for j in way.slow.nonzero()[0].tolist():
                 doubtful.setdefault(j, []).append(i)
         if found and not doubtful and not self.cut:
-            last = np.array([signs[-1] for signs in self._after], float)
+            last = [int(signs[-1]) for signs in self._after]
             self.take(Found(np.concatenate([rows for _, rows in found]), last))
             return doubtful
         for places, rows in found:

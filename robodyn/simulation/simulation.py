@@ -192,8 +192,6 @@ def simulate(
 
     def happened() -> list[Event]:
         events = [] if watch is None else watch.found
-        if any(len(event.y) > 2 * n for event in events):
-            events = [event._replace(y=event.y[: 2 * n]) for event in events]
         if not recorder.contacts:
             return events
         return sorted([*events, *recorder.contacts], key=lambda event: abs(event.t))
@@ -222,7 +220,9 @@ def watched_events(
     stops = frozenset([len(functions)] if until is not None else [])
     if until is not None:
         functions.append(event_function(mechanism, UNTIL, until, "until"))
-    return EventWatch(functions, t_end, stops) if functions else None
+    if not functions:
+        return None
+    return EventWatch(functions, t_end, stops, width=2 * mechanism.n)
 
 
 def run(

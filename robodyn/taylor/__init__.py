@@ -71,7 +71,7 @@ class Engine(Protocol):
 
     order: int
     keeps: bool
-    forms: Array | None
+    forms: tuple[list[Array], list[int]] | None
     most: int
 
     def advance(self, t: float, y: Array, bound: float, times: Array, steps: int) -> Chunk:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate
+from operator import is_not
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
 from robodyn.tables.arrays import Array
 from robodyn.taylor import STEPS, Chunk, NoCodeError, Status, default_order
-from robodyn.taylor.chebyshev_code import matrix
 from robodyn.taylor.step_boxes import Kept, write_box
 from robodyn.taylor.watched_code import ROOM, WATCH, ZERO, Watch
 
@@ -168,7 +168,9 @@ class CompiledEngine:
         self._room = np.empty(0)  # where machine code finds times, and leaves what it makes
         self._last = 0.0, np.zeros(0), 0.0  # t and y where the last step began, and its end
         self.keeps, self.most = False, STEPS
-        self.forms: Array | None = None
+        self.forms: tuple[list[Array], list[int]] | None = None
+        self._linear: list[Array] = []  # forms that machine code has, and with their signs
+        self._forms = np.empty((0, 0))
         self._watch = np.zeros(len(WATCH), np.int64)
         self._at_watch = self._watch.ctypes.data
         if not serves(mechanism):
@@ -199,10 +201,11 @@ class CompiledEngine:
         return found
 
     @cached_property
-    def _zeros(self) -> tuple[Array, tuple[int, int]]:
-        """Where machine code leaves zeros, and the addresses of that and of its matrix."""
+    def _zeros(self) -> Array:
+        """Where machine code leaves zeros."""
         zeros = np.empty((ROOM, len(ZERO) + 2 * self.mechanism.n))
-        return zeros, (zeros.ctypes.data, matrix(self.order).ctypes.data)
+        self._watch[WATCH.index("zeros")] = zeros.ctypes.data
+        return zeros
 
     @cached_property
     def _torques(self) -> Callable[[float, Sequence[float]], Sequence[float]]:
@@ -217,7 +220,7 @@ class CompiledEngine:
         """
         chunk = None
         if self.keeps and self.forms is not None:
-            chunk = self._watched(self.forms, t, y, bound, times, steps)
+            chunk = self._watched(*self.forms, t, y, bound, times, steps)
         if chunk is None:
             chunk = self._advance(t, y, bound, times, steps, self.keeps)
         if count := len(chunk.t):
@@ -226,17 +229,31 @@ class CompiledEngine:
         return chunk
 
     def _watched(
-        self, forms: Array, t: float, y: Array, bound: float, times: Array, steps: int
+        self,
+        linear: list[Array],
+        signs: list[int],
+        t: float,
+        y: Array,
+        bound: float,
+        times: Array,
+        steps: int,
     ) -> Chunk | None:
         """The same, in which the code finds events itself; None where it is unsure of one."""
-        watch, (zeros, addresses) = self._watch, self._zeros
-        watch[:] = forms.ctypes.data, *addresses, len(forms), 0, 0
-        chunk = self._advance(t, y, bound, times, steps, watches=True)
+        watch, zeros = self._watch, self._zeros
+        if len(linear) != len(self._linear) or any(map(is_not, linear, self._linear)):
+            self._linear = linear
+            self._forms = np.pad(linear, ((0, 0), (0, 1)))
+            watch[WATCH.index("forms")] = self._forms.ctypes.data
+            watch[WATCH.index("functions")] = len(linear)
+        self._forms[:, -1] = signs
+        watch[WATCH.index("found")] = 0
+        made = self._advance(t, y, bound, times, steps, watches=True)
         found, unsure = watch[WATCH.index("found") :].tolist()
         watch[-1] = 0  # or no later call takes a step
         if unsure:
             return None
-        return chunk._replace(kept=Found(zeros[:found].copy(), forms[:, -1]))
+        after = self._forms[:, -1].astype(np.int64).tolist()
+        return Chunk(*made[:-1], Found(zeros[:found].copy(), after))
 
     def within(self, times: Array) -> Array:
         """The states (k, N) at times (k,) in the last step, made once more for them."""

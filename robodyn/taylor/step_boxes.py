@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robodyn.dynamics.placed import states_along
-from robodyn.engines.assembler import ADDRESS, SCALAR, Kernel, Module, Word
+from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.events.signs import MISSED
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.tables.arrays import Array, Complex
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from robodyn.engines.machine_steps import Scene
 
 
+SUMS = 4  # that grow side by side
 SLACK = 1e-12  # of the sizes of what is added: more than rounding adds
 
 
@@ -99,78 +100,131 @@ def as_complex(parts: Array) -> Complex:
     return series
 
 
-def _write_sums(scene: Scene, module: Module) -> None:
-    """box_sums(row, h, about, out): of the series from the row of order 1 on, all side by side.
+def _write_strays(scene: Scene, module: Module, twice: bool) -> str:
+    """strays(first, width, h, about, out): of a series' rows from the order 1 on, side by side.
 
-    The sums of |(m + 1) z_{m+1} - i w z_m| h^m; `about` are w and -w in turns.  Last of all comes
-    the power of h that follows.
+    D_m = (m + 1) z_{m+1} - i w z_m of each order m > 0 into rows of `out`, and before them the sums
+    of |D_m| h^m; `about` are w and -w in turns.  `twice`: with the D_m, and a and -a in turns,
+    besides, the sums of |(m + 1) D_{m+1} - i w D_m - i a z_m| h^m alone.
     """
-    n, width = scene.mechanism.n, len(scene.loop.columns)
-    wide = Module(2 * n)
+    name, count = f"strays{1 + twice}", 2 * scene.mechanism.n
+    if name in module.functions:
+        return name
+    wide = Module(count)
     wide.functions = module.functions
-    k = Kernel(wide, "box_sums", (ADDRESS, SCALAR, ADDRESS, ADDRESS), "void")
-    first, h, about, out = k.arguments
+    types = ADDRESS, WHOLE, SCALAR, *(ADDRESS,) * (4 if twice else 2)
+    k = Kernel(wide, name, types, "void")
+    first, width, h, about, out, *strays = k.arguments
     w, step = k.load(about), k.spread(h)
-    other = ", ".join(f"i32 {i ^ 1}" for i in range(2 * n))
-    start = k.load(first)
-    with k.loop(k.whole(scene.order)):
-        row, now, power = k.carried(first), k.carried(start), k.carried(step)
-        level = k.carried(k.number(2.0))
-        far = k.carried(k.number(0.0))
-        after = k.at(row, width)
-        later = k.load(after)
-        turned = k.op(
-            k.numbers, f"shufflevector {now}, {k.numbers} poison, <{2 * n} x i32> <{other}>"
-        )
-        stray = k.add(k.multiply(level, later), k.multiply(w, turned))
-        k.becomes(far, k.add(far, k.multiply(k.intrinsic("fabs", stray), power)))
-        for carried, new in (
-            (row, after),
-            (now, later),
-            (power, k.multiply(power, step)),
-            (level, k.add(level, k.number(1.0))),
-        ):
-            k.becomes(carried, new)
-    k.store(far, out)
-    k.store(k.lane(power, 0), k.at(out, 2 * n))
+    other = ", ".join(f"i32 {i ^ 1}" for i in range(count))
+    swapped = f"{k.numbers} poison, <{count} x i32> <{other}>"
+
+    def turned(row: Word) -> Word:
+        return k.op(k.numbers, f"shufflevector {row}, {swapped}")
+
+    last = scene.order + 1
+    powers, rows, sums = [k.number(1.0), step], [first], [k.number(0.0)] * SUMS
+    for m in range(2, last + 1):
+        powers.append(k.multiply(powers[m // 2], powers[m - m // 2]))
+        rows.append(k.at(rows[-1], width))
+    z = [k.load(row) for row in rows]
+    own = [k.load(k.at(strays[0], m * count)) for m in range(last)] if twice else z
+    for m in range(1, last + 1):  # one after the other in text: a loop would wait for its sums
+        found = k.multiply(w, turned(own[m - 1]))
+        if twice:
+            found = k.add(found, k.multiply(k.load(strays[1]), turned(z[m - 1])))
+        if m < last:
+            found = k.add(found, k.multiply(k.number(m + 1.0), own[m]))
+        if not twice:
+            k.store(found, k.at(out, m * count))
+        size = k.multiply(k.intrinsic("fabs", found), powers[m])
+        sums[m % SUMS] = k.add(sums[m % SUMS], size)
+    while len(sums) > 1:
+        sums = [k.add(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
+    k.store(sums[0], out)
     k.done()
+    return name
+
+
+def write_shift(scene: Scene, module: Module) -> None:
+    """series_shift(rows, x): a series of all coordinates side by side, as it is from x on."""
+    wide = Module(2 * scene.mechanism.n)
+    wide.functions = module.functions
+    k = Kernel(wide, "series_shift", (ADDRESS, SCALAR), "void")
+    rows, x = k.arguments
+    step, last = k.spread(x), k.whole(scene.order + 1)
+    top = k.load(k.at(rows, k.multiply(last, k.whole(wide.lanes))))
+    with k.loop(last) as i, k.loop(k.subtract(last, i)) as m:
+        later = k.carried(top)
+        place = k.subtract(k.subtract(last, m), k.whole(1))
+        place = k.at(rows, k.multiply(place, k.whole(wide.lanes)))
+        new = k.add(k.load(place), k.multiply(step, later))
+        k.store(new, place)
+        k.becomes(later, new)
+    k.done()
+
+
+class _Bounds(NamedTuple):
+    """Of a coordinate: its rate, and of that at most |D|, of |z| at least, and |w - w0| at most."""
+
+    rate: Word
+    far: Word
+    left: Word
+    apart: Word
+
+
+def _pairs(k: Kernel, row: Word, n: int) -> list[tuple[Word, Word]]:
+    return [(k.load(k.at(row, 2 * j)), k.load(k.at(row, 2 * j + 1))) for j in range(n)]
+
+
+def _size(k: Kernel, *parts: Word) -> Word:
+    return k.add(*(k.intrinsic("fabs", part) for part in parts))
+
+
+def _about(scene: Scene, k: Kernel, row: Word) -> Word:
+    """The second of each pair and less it, in turns, of coordinates that turn."""
+    n = scene.mechanism.n
+    about = k.room(SCALAR, 2 * n)
+    for j, (_, value) in enumerate(_pairs(k, row, n)):
+        w = k.number(0.0) if j in scene.mechanism.slides else value
+        k.store(w, k.at(about, 2 * j))
+        k.store(k.negate(w), k.at(about, 2 * j + 1))
+    return about
+
+
+def _bounds(
+    scene: Scene, k: Kernel, first: Word, width: Word, h: Word
+) -> tuple[list[_Bounds], Word, Word]:
+    """Those of all coordinates by their series, of which `first` has the order 1.
+
+    And where w and -w of each stand, and the D_m, m > 0.
+    """
+    n, zero, one = scene.mechanism.n, k.number(0.0), k.number(1.0)
+    strays, about = k.room(SCALAR, 2 * n * (scene.order + 2)), _about(scene, k, first)
+    name = _write_strays(scene, k.module, twice=False)
+    k.line(f"call void @{name}({first}, {width}, {h}, {about}, {strays})")
+    found = []
+    given = zip(_pairs(k, strays, n), _pairs(k, first, n), strict=True)
+    for j, (far, (stray, rate)) in enumerate(given):
+        total, left, slack = _size(k, *far), one, zero
+        if j not in scene.mechanism.slides:
+            total = k.add(total, k.intrinsic("fabs", stray))
+            slack = k.multiply(k.number(SLACK), k.intrinsic("fabs", rate))
+        total = k.multiply(total, k.number(1.0 + SLACK))
+        if j not in scene.mechanism.slides:
+            left = k.subtract(one, k.multiply(h, total))
+            left = k.select(k.less(zero, left), left, zero)
+        found.append(_Bounds(rate, total, left, k.add(k.divide(total, left), slack)))
+    return found, about, k.at(strays, 2 * n)
 
 
 def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box: Word) -> None:
     """The same of the step from the block's state to the time `end` and the state `there`."""
     mechanism, n = scene.mechanism, scene.mechanism.n
     x = k.subtract(end, scene.get(k, block, "t"))
-    h, zero, one, last = k.intrinsic("fabs", x), k.number(0.0), k.number(1.0), scene.order + 1
-    slack = k.number(SLACK)
-
-    def size(*parts: Word) -> Word:
-        return k.add(*(k.intrinsic("fabs", part) for part in parts))
-
-    def pairs(row: Word) -> list[tuple[Word, Word]]:
-        return [(k.load(k.at(row, 2 * j)), k.load(k.at(row, 2 * j + 1))) for j in range(n)]
-
-    turns = [j not in mechanism.slides for j in range(n)]
-    rates = [
-        theta if turn else zero
-        for (_, theta), turn in zip(pairs(scene.row(k, block, 1)), turns, strict=True)
-    ]
-    if "box_sums" not in k.module.functions:
-        _write_sums(scene, k.module)
-    about, sums = k.room(k.numbers, 2 * n), k.room(k.numbers, 2 * n + 1)
-    for j, w in enumerate(rates):
-        k.store(w, k.at(about, 2 * j))
-        k.store(k.negate(w), k.at(about, 2 * j + 1))
-    k.line(f"call void @box_sums({scene.row(k, block, 1)}, {h}, {about}, {sums})")
-    far = [k.add(*pair) for pair in pairs(sums)]
-    power = k.load(k.at(sums, 2 * n))
-    apart = []
-    for j, pair in enumerate(pairs(scene.row(k, block, last))):
-        tail, w = k.multiply(size(*pair), power), k.intrinsic("fabs", rates[j])
-        total = k.multiply(k.add(far[j], k.multiply(w, tail)), k.number(1.0 + SLACK))
-        if turns[j]:
-            left = k.subtract(one, k.multiply(h, total))
-            total = k.divide(total, k.select(k.less(zero, left), left, zero))
-        apart.append(k.add(total, k.multiply(slack, w)))
+    h, slack = k.intrinsic("fabs", x), k.number(SLACK)
+    width = k.whole(len(scene.loop.columns))
+    apart = [each.apart for each in _bounds(scene, k, scene.row(k, block, 1), width, h)[0]]
     if scene.closes:
         scene.put(k, block, "x", x)
         k.line(f"call void @evaluate({block})")
@@ -187,3 +241,29 @@ def write_box(scene: Scene, k: Kernel, block: Word, end: Word, there: Word, box:
                 reach = k.add(reach, k.multiply(k.number(MISSED), missed))
             k.store(middle, k.at(box, place))
             k.store(reach, k.at(box, 2 * n + place))
+
+
+def write_slope(
+    scene: Scene, k: Kernel, rows: Word, width: Word, h: Word, form: Word
+) -> tuple[Word, Word]:
+    """The slope of a linear function where a series begins, and how far it goes from there in h."""
+    n, first = scene.mechanism.n, k.at(rows, width)
+    bounds, turns, strays = _bounds(scene, k, first, width, h)
+    sums, speedups = k.room(SCALAR, 2 * n), _about(scene, k, strays)
+    name = _write_strays(scene, k.module, twice=True)
+    given = first, width, h, turns, sums, strays, speedups
+    k.line(f"call void @{name}({', '.join(map(str, given))})")
+    slope, reach = k.load(k.at(form, 1)), k.number(0.0)
+    each = zip(bounds, _pairs(k, sums, n), _pairs(k, strays, n), strict=True)
+    for j, (own, far, (stray, speedup)) in enumerate(each):
+        further = _size(k, *far)
+        if j not in scene.mechanism.slides:
+            missed = k.multiply(own.rate, k.load(k.at(first, 2 * j)))
+            further = k.add(further, _size(k, stray, missed))
+            further = k.add(further, k.multiply(own.apart, own.far))
+        further = k.multiply(k.divide(further, own.left), k.number(1.0 + SLACK))
+        for i, (value, off) in enumerate(((own.rate, own.apart), (speedup, further))):
+            weight = k.load(k.at(form, 2 + (2 + i) * n + j))
+            slope = k.add(slope, k.multiply(weight, value))
+            reach = k.add(reach, k.multiply(k.intrinsic("fabs", weight), off))
+    return slope, reach

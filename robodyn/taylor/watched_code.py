@@ -26,17 +26,14 @@ from __future__ import annotations
 from robodyn.engines.assembler import ADDRESS, SCALAR, WHOLE, Kernel, Module, Word
 from robodyn.engines.machine_steps import Scene
 from robodyn.events.rounding import EPS, STATE
-from robodyn.events.signs import BENDS, DEGREE, MISSED, ROUNDING, SLOPES
-from robodyn.taylor.chebyshev_code import write_bounds
-from robodyn.taylor.step_boxes import write_box
+from robodyn.events.signs import DEGREE, MISSED, ROUNDING, SLOPES
+from robodyn.taylor.step_boxes import write_box, write_shift, write_slope
 
-PASSES = 60  # of Newton's method on a series, kept in the bracket
-ROUNDS = 5  # of Newton's method on the states
-ENDED = 1e-9  # of a step: after so small a move of Newton's method the next is below rounding
-MARGIN = 1e-9  # of a function's change along a step, that its sign must exceed
+PIECES = 32  # of a step, those that it is looked at by at most
+ROUNDS = 8  # of secants on the states
 ROOM = 4096  # zeros that a call may find
 # of the table of a watch: addresses, then how many functions, zeros found, whether it is unsure
-WATCH = ("forms", "zeros", "matrix", "functions", "found", "unsure")
+WATCH = ("forms", "zeros", "functions", "found", "unsure")
 ZERO = ("function", "t", "apart", "sign")  # what `Found` has of each, before the state
 
 
@@ -50,10 +47,12 @@ class Watch:
 
     def declare(self, module: Module) -> None:
         """All of them."""
-        write_bounds(module, self.scene.order)
+        write_shift(self.scene, module)
         self._write_value(module)
-        self._write_series(module)
-        self._write_nearest(module)
+        self._write_rows(module)
+        self._write_on(module)
+        self._write_state(module)
+        self._write_locate(module)
         self._write_look(module)
         self._write_step(module)
 
@@ -70,85 +69,6 @@ class Watch:
             k.becomes(value, k.add(value, term))
         k.done(value)
 
-    def _write_series(self, module: Module) -> None:
-        """event_series(block, form, x, out): a function's terms at x but the first."""
-        k = Kernel(module, "event_series", (ADDRESS, ADDRESS, SCALAR, ADDRESS), "void")
-        block, form, x, out = k.arguments
-        scene, n, orders = self.scene, self.n, self.scene.order + 1
-        width, one = len(scene.loop.columns), k.number(1.0)
-        with k.loop(k.whole(orders)) as m:
-            k.store(k.number(0.0), k.at(out, k.add(m, k.whole(1))))
-        for j in range(n):
-            angle, rate = (k.load(k.at(form, 2 + 2 * n + i * n + j)) for i in (0, 1))
-            none = k.both(*(k.compare("oeq", each, k.number(0.0)) for each in (angle, rate)))
-            with k.when(k.invert(none)), k.loop(k.whole(orders)) as m:
-                power, level = k.carried(one), k.carried(one)
-                if j in scene.mechanism.slides:
-                    theta = k.load(k.at(scene.row(k, block, k.add(m, k.whole(1))), 2 * j + 1))
-                    found = k.multiply(level, theta)
-                else:
-                    low = scene.row(k, block, 0, 2 * j)
-                    high = scene.row(k, block, k.add(m, k.whole(1)), 2 * j)
-                    lowest = k.negate(level)
-                    with k.loop(k.add(m, k.whole(2))):
-                        up, down, total = k.carried(low), k.carried(high), k.carried(k.number(0.0))
-                        weight = k.carried(lowest)
-                        term = k.multiply(k.load(k.at(up, 1)), k.load(down))
-                        k.becomes(total, k.add(total, k.multiply(weight, term)))
-                        k.becomes(weight, k.add(weight, k.number(2.0)))
-                        k.becomes(up, k.at(up, width))
-                        k.becomes(down, k.at(down, -width))
-                    found = total
-                # of order m + 1: the rate's own, and its integral
-                here = k.multiply(found, power)
-                place = k.at(out, m)
-                k.store(k.add(k.load(place), k.multiply(rate, here)), place)
-                whole = k.divide(k.multiply(k.multiply(angle, here), x), level)
-                place = k.at(out, k.add(m, k.whole(1)))
-                k.store(k.add(k.load(place), whole), place)
-                k.becomes(power, k.multiply(power, x))
-                k.becomes(level, k.add(level, one))
-        first = k.at(out, 1)
-        linear = k.multiply(k.load(k.at(form, 1)), x)
-        k.store(k.add(k.load(first), linear), first)
-        k.store(k.number(0.0), out)
-        k.done()
-
-    def _write_nearest(self, module: Module) -> None:
-        """event_nearest(series, sign, start, out): where in [0, 1] it takes a sign; the slope."""
-        k = Kernel(module, "event_nearest", (ADDRESS, SCALAR, SCALAR, ADDRESS), "void")
-        series, sign, start, out = k.arguments
-        orders = self.scene.order + 2
-        low, high = k.slot(k.number(0.0)), k.slot(k.number(1.0))
-        y, slope = k.slot(start), k.slot(k.number(0.0))
-        passes = k.slot(k.whole(0))
-        with k.forever() as out_label:
-            now = k.get(y, SCALAR)
-            with k.loop(k.whole(orders)) as m:
-                value, rate = k.carried(k.number(0.0)), k.carried(k.number(0.0))
-                place = k.subtract(k.whole(orders - 1), m)
-                k.becomes(rate, k.add(k.multiply(rate, now), value))
-                k.becomes(value, k.add(k.multiply(value, now), k.load(k.at(series, place))))
-            k.set(slope, rate)
-            after = k.less(k.number(0.0), k.multiply(value, sign))
-            below = k.select(after, k.get(low, SCALAR), now)
-            above = k.select(after, now, k.get(high, SCALAR))
-            k.set(low, below)
-            k.set(high, above)
-            new = k.subtract(now, k.divide(value, rate))
-            within = k.both(k.compare("oge", new, below), k.compare("ole", new, above))
-            middle = k.multiply(k.number(0.5), k.add(below, above))
-            new = k.select(within, new, middle)
-            k.set(y, new)
-            moved = k.intrinsic("fabs", k.subtract(new, now))
-            k.leave(k.compare("ole", moved, k.number(ENDED)), out_label)
-            count = k.add(k.get(passes, WHOLE), k.whole(1))
-            k.set(passes, count)
-            k.leave(k.compare("sge", count, k.whole(PASSES)), out_label)
-        k.store(k.get(y, SCALAR), out)
-        k.store(k.get(slope, SCALAR), k.at(out, 1))
-        k.done()
-
     # -- one step ----------------------------------------------------------------------------------
 
     def _told(self, k: Kernel, watch: Word, name: str) -> Word:
@@ -158,109 +78,205 @@ class Watch:
     def _tell(self, k: Kernel, watch: Word, name: str, value: Word) -> None:
         k.store(value, k.at(watch, WATCH.index(name)))
 
+    def _write_rows(self, module: Module) -> None:
+        """event_rows(block, rows): the series of all coordinates, side by side."""
+        k = Kernel(module, "event_rows", (ADDRESS, ADDRESS), "void")
+        block, rows = k.arguments
+        with k.loop(k.whole(self.scene.order + 2)) as m:
+            source, target = self.scene.row(k, block, m), k.multiply(m, k.whole(self.count))
+            target = k.at(rows, target)
+            k.each(self.count, lambda i: k.store(k.load(k.at(source, i)), k.at(target, i)))
+        k.done()
+
+    def _write_on(self, module: Module) -> None:
+        """event_on(rows, x): the series as it is from x on, turned back to where it begins."""
+        k = Kernel(module, "event_on", (ADDRESS, SCALAR), "void")
+        rows, x = k.arguments
+        k.line(f"call void @series_shift({rows}, {x})")
+        for j in range(self.n):
+            if j in self.scene.mechanism.slides:
+                continue
+            rho, theta = (k.load(k.at(rows, 2 * j + i)) for i in (0, 1))
+            square = k.add(k.multiply(rho, rho), k.multiply(theta, theta))
+            c, s = k.divide(rho, square), k.divide(theta, square)
+            with k.loop(k.whole(self.scene.order + 2)) as m:
+                place = k.at(k.at(rows, k.multiply(m, k.whole(self.count))), 2 * j)
+                other = k.at(place, 1)
+                a, b = k.load(place), k.load(other)
+                k.store(k.add(k.multiply(c, a), k.multiply(s, b)), place)
+                k.store(k.subtract(k.multiply(c, b), k.multiply(s, a)), other)
+        k.done()
+
+    def _write_state(self, module: Module) -> None:
+        """event_at(block, form, x): a function's value at x after the step's start."""
+        k = Kernel(module, "event_at", (ADDRESS, ADDRESS, SCALAR), SCALAR)
+        block, form, x = k.arguments
+        self.scene.put(k, block, "x", x)
+        k.line(f"call void @evaluate({block})")
+        if self.scene.closes:
+            k.line(f"call void @close({block})")
+        t = k.add(self.scene.get(k, block, "t"), x)
+        k.done(self._value(k, form, self.scene.at(k, block, "to_q0"), t))
+
+    def _value(self, k: Kernel, form: Word, state: Word, t: Word) -> Word:
+        return k.op(SCALAR, f"call double @event_value({form}, {state}, {t})")
+
     def _write_look(self, module: Module) -> None:
-        """event_look(block, watch, f, form, there, end): one that may pass zero in a step."""
+        """event_look(block, watch, f, form, there, end): one that may pass zero in a step.
+
+        Piece by piece, from the whole step on.
+        """
         types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, ADDRESS, SCALAR)
         k = Kernel(module, "event_look", types, "void")
         block, watch, f, form, there, end = k.arguments
         scene, zero = self.scene, k.number(0.0)
         begin, here = scene.get(k, block, "t"), scene.at(k, block, "q0")
-        x = k.subtract(end, begin)
-        series, bounds = k.room(SCALAR, scene.order + 3), k.room(SCALAR, 6)
-        nearest = k.room(SCALAR, 2)
-        state = scene.at(k, block, "to_q0")
-
-        def value(state: Word, t: Word) -> Word:
-            return k.op(SCALAR, f"call double @event_value({form}, {state}, {t})")
-
-        first, last = value(here, begin), value(there, end)
-        k.line(f"call void @event_series({block}, {form}, {x}, {series})")
-        k.store(first, series)
-        table = self._told(k, watch, "matrix")
-        k.line(f"call void @event_bounds({series}, {table}, {bounds})")
-        own = [k.load(k.at(bounds, i)) for i in range(3)]
-        changes, slopes, bends = (k.load(k.at(bounds, 3 + i)) for i in range(3))
-        with k.loop(k.whole(scene.order + 2)) as m:
-            total = k.carried(zero)
-            k.becomes(total, k.add(total, k.load(k.at(series, m))))
+        x, rows = k.subtract(end, begin), k.room(SCALAR, (scene.order + 2) * self.count)
+        unit = k.divide(x, k.number(float(PIECES)))
+        series = k.slot(scene.row(k, block, 0)), k.slot(k.whole(len(scene.loop.columns)))
+        first, last = self._value(k, form, here, begin), self._value(k, form, there, end)
         noise = self._noise(k, form, here, there, begin, end)
-        size = k.add(k.intrinsic("fabs", own[0]), changes)
+        size = k.add(k.intrinsic("fabs", first), k.intrinsic("fabs", last))
         noise = k.add(noise, k.multiply(k.number(ROUNDING), size))
-        missed = k.multiply(k.number(MISSED), k.intrinsic("fabs", k.subtract(total, last)))
-        error = k.add(k.add(noise, missed), k.multiply(k.number(MARGIN), changes))
-        for order in range(scene.order - 1, scene.order + 2):  # what the series leaves out
-            tail = k.intrinsic("fabs", k.load(k.at(series, order)))
-            error = k.add(error, k.multiply(k.number(2.0), tail))
-        old_place = k.at(form, self.sign)
-        old = k.load(old_place)
+        missed = zero
+        if scene.closes:
+            scene.put(k, block, "x", x)
+            k.line(f"call void @evaluate({block})")
+            miss = self._value(k, form, scene.at(k, block, "to_q0"), end)
+            missed = k.intrinsic("fabs", k.subtract(miss, last))
+            missed = k.multiply(k.number(MISSED), missed)
+        place, pieces = k.slot(k.whole(0)), k.slot(k.whole(PIECES))
+        value = k.slot(first)
+        with k.forever() as done:
+            at, many, now = k.get(place, WHOLE), k.get(pieces, WHOLE), k.get(value, SCALAR)
+            to = k.add(at, many)
+            start, wide = (k.multiply(unit, k.convert("sitofp", w, SCALAR)) for w in (at, many))
+            reaches = k.slot(last)
+            with k.when(k.compare("slt", to, k.whole(PIECES))):
+                there_x = k.add(start, wide)
+                then = k.op(SCALAR, f"call double @event_at({block}, {form}, {there_x})")
+                k.set(reaches, then)
+            then = k.get(reaches, SCALAR)
+            z = k.get(series[0], ADDRESS), k.get(series[1], WHOLE)
+            goes_on, passes, ends, slope = self._seen(k, z, form, wide, now, then, noise, missed)
+            sure = k.either(goes_on, passes)
+            with k.when(sure):
+                k.store(ends, k.at(form, self.sign))
+                with k.when(k.invert(goes_on)):
+                    given = block, watch, f, form, start, wide, now, then, slope, noise
+                    k.line(f"call void @event_locate({', '.join(map(str, given))})")
+                k.leave(k.compare("sge", to, k.whole(PIECES)), done)
+                with k.when(k.compare("eq", at, k.whole(0))):
+                    k.line(f"call void @event_rows({block}, {rows})")
+                    k.set(series[0], rows)
+                    k.set(series[1], k.whole(self.count))
+                k.line(f"call void @event_on({rows}, {wide})")
+                k.set(place, to)
+                k.set(value, then)
+            with k.when(k.invert(sure)):
+                self._tell_where(k, watch, k.compare("sle", many, k.whole(1)))
+                k.leave(k.compare("sle", many, k.whole(1)), done)
+                k.set(pieces, k.op(WHOLE, f"lshr {many}, 1"))
+        k.done()
 
-        def sign(word: Word, beyond: Word) -> Word:
-            up = k.select(k.less(beyond, word), k.number(1.0), zero)
-            return k.select(k.less(word, k.negate(beyond)), k.number(-1.0), up)
+    def _seen(
+        self,
+        k: Kernel,
+        series: tuple[Word, Word],
+        form: Word,
+        x: Word,
+        first: Word,
+        last: Word,
+        noise: Word,
+        missed: Word,
+    ) -> tuple[Word, Word, Word, Word]:
+        """Along a piece: whether it goes on with a sign, or passes once; that sign; its slope."""
+        zero, h = k.number(0.0), k.intrinsic("fabs", x)
+        slope, reach = write_slope(self.scene, k, *series, h, form)
+        most = k.multiply(k.number(2.0 * SLOPES[DEGREE]), missed)
+        wide = k.add(k.multiply(reach, h), most)
+        old = k.load(k.at(form, self.sign))
 
-        def above(word: Word, times: float, rest: Word, most: float) -> Word:
-            left = k.multiply(k.number(times), k.intrinsic("fabs", word))
-            return k.less(k.add(rest, k.multiply(k.number(most), error)), left)
+        def sign(word: Word) -> Word:
+            up = k.select(k.less(noise, word), k.number(1.0), zero)
+            return k.select(k.less(word, k.negate(noise)), k.number(-1.0), up)
 
-        one_sign = above(own[0], 1.0, changes, 1.0)
-        steady = above(own[1], 1.0, slopes, float(SLOPES[DEGREE]))
-        once = k.either(steady, above(own[2], 4.0, bends, float(BENDS[DEGREE])))
-        begins, ends = sign(first, noise), sign(last, noise)
+        begins, ends = sign(first), sign(last)
         product = k.multiply(begins, ends)
-        stays = k.either(one_sign, k.both(steady, k.less(zero, product)))
+        change = k.multiply(slope, x)
+        steady = k.less(wide, k.intrinsic("fabs", change))
+        # what has one sign at both ends falls from them no steeper than its slopes permit
+        low, high, change = (k.multiply(begins, each) for each in (first, last, change))
+        part = k.add(k.subtract(low, high), k.add(change, wide))
+        part = k.divide(part, k.multiply(k.number(2.0), wide))
+        least = k.add(low, k.multiply(part, k.subtract(change, wide)))
+        stays = k.either(steady, k.less(k.add(noise, missed), least))
+        stays = k.both(stays, k.less(zero, product))
         fits = k.either(k.compare("oeq", old, zero), k.compare("oeq", old, ends))
         hidden = k.both(k.compare("oeq", begins, zero), k.compare("oeq", old, zero))
         goes_on = k.either(stays, k.both(steady, hidden))
         goes_on = k.both(k.both(goes_on, fits), k.compare("une", ends, zero))
         fits = k.either(k.compare("oeq", old, zero), k.compare("oeq", old, begins))
-        passes = k.both(k.both(once, fits), k.less(product, zero))
-        self._tell_where(k, watch, k.invert(k.either(goes_on, passes)))
-        with k.when(k.either(goes_on, passes)):
-            k.store(ends, old_place)
-        with k.when(k.both(passes, k.invert(goes_on))):
-            start = k.divide(first, k.subtract(first, last))
-            k.line(f"call void @event_nearest({series}, {ends}, {start}, {nearest})")
-            part, slope = k.load(nearest), k.load(k.at(nearest, 1))
-            speed = k.divide(slope, x)
-            rest = k.multiply(k.number(4.0 * EPS), k.intrinsic("fabs", k.multiply(end, speed)))
-            limit = k.add(noise, rest)
-            at, sure = k.slot(k.multiply(part, x)), k.slot(k.all_lanes(False))
-            count = k.slot(k.whole(0))
-            with k.forever() as done:
-                now = k.get(at, SCALAR)
-                scene.put(k, block, "x", now)
-                k.line(f"call void @evaluate({block})")
-                if scene.closes:
-                    k.line(f"call void @close({block})")
-                miss = value(state, k.add(begin, now))
-                known = k.compare("ole", k.intrinsic("fabs", miss), limit)
-                k.set(sure, known)
-                k.leave(known, done)
-                k.set(at, k.subtract(now, k.divide(miss, speed)))
-                tried = k.add(k.get(count, WHOLE), k.whole(1))
-                k.set(count, tried)
-                k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
-            now = k.get(at, SCALAR)
-            inside = k.both(
-                k.less(zero, k.divide(now, x)), k.compare("ole", k.divide(now, x), k.number(1.0))
-            )
-            found = self._told(k, watch, "found")
-            good = k.both(
-                k.get(sure, k.mask), k.both(inside, k.compare("slt", found, k.whole(ROOM)))
-            )
-            self._tell_where(k, watch, k.invert(good))
-            with k.when(good):
-                row = k.at(
-                    self._told(k, watch, "zeros"),
-                    k.multiply(found, k.whole(len(ZERO) + self.count)),
-                )
-                blur = k.intrinsic("fabs", k.divide(k.multiply(k.number(2.0), noise), speed))
-                name = k.convert("sitofp", f, SCALAR)
-                for i, word in enumerate((name, k.add(begin, now), blur, ends)):
-                    k.store(word, k.at(row, i))
-                states = k.at(row, len(ZERO))
-                k.each(self.count, lambda i: k.store(k.load(k.at(state, i)), k.at(states, i)))
-                self._tell(k, watch, "found", k.add(found, k.whole(1)))
+        passes = k.both(k.both(steady, fits), k.less(product, zero))
+        return goes_on, passes, ends, slope
+
+    def _write_locate(self, module: Module) -> None:
+        """event_locate(block, watch, f, form, start, x, first, last, slope, noise): of a piece.
+
+        Where it passes zero: from a parabola with this slope through both ends on, by secants.
+        """
+        types = (ADDRESS, ADDRESS, WHOLE, ADDRESS, *(SCALAR,) * 6)
+        k = Kernel(module, "event_locate", types, "void")
+        block, watch, f, form, start, x, first, last, slope, noise = k.arguments
+        scene, zero = self.scene, k.number(0.0)
+        begin = scene.get(k, block, "t")
+        change = k.multiply(slope, x)
+        bend = k.subtract(k.subtract(last, first), change)
+        square = k.multiply(k.multiply(k.number(4.0), bend), first)
+        square = k.subtract(k.multiply(change, change), square)
+        root = k.intrinsic("sqrt", k.select(k.less(zero, square), square, zero))
+        root = k.intrinsic("copysign", root, change)
+        guess = k.divide(k.multiply(k.number(-2.0), first), k.add(change, root))
+        speed = k.add(change, k.multiply(bend, k.add(guess, guess)))
+        at, speed = k.slot(k.add(start, k.multiply(guess, x))), k.slot(k.divide(speed, x))
+        before, missed = k.slot(zero), k.slot(zero)
+        sure, count = k.slot(k.all_lanes(False)), k.slot(k.whole(0))
+        with k.forever() as done:
+            now, tried = k.get(at, SCALAR), k.get(count, WHOLE)
+            miss = k.op(SCALAR, f"call double @event_at({block}, {form}, {now})")
+            moved = k.subtract(now, k.get(before, SCALAR))
+            secant = k.divide(k.subtract(miss, k.get(missed, SCALAR)), moved)
+            fast = k.get(speed, SCALAR)
+            fast = k.select(k.compare("slt", k.whole(0), tried), secant, fast)
+            rest = k.intrinsic("fabs", k.multiply(k.add(begin, now), fast))
+            limit = k.add(noise, k.multiply(k.number(4.0 * EPS), rest))
+            known = k.compare("ole", k.intrinsic("fabs", miss), limit)
+            k.set(speed, fast)
+            k.set(sure, known)
+            k.leave(known, done)
+            k.set(before, now)
+            k.set(missed, miss)
+            k.set(at, k.subtract(now, k.divide(miss, fast)))
+            k.set(count, k.add(tried, k.whole(1)))
+            k.leave(k.compare("sge", tried, k.whole(ROUNDS)), done)
+        now, found = k.get(at, SCALAR), self._told(k, watch, "found")
+        part = k.divide(k.subtract(now, start), x)
+        good = k.both(k.less(zero, part), k.compare("ole", part, k.number(1.0)))
+        good = k.both(good, k.compare("slt", found, k.whole(ROOM)))
+        good = k.both(good, k.get(sure, k.mask))
+        self._tell_where(k, watch, k.invert(good))
+        with k.when(good):
+            place = k.multiply(found, k.whole(len(ZERO) + self.count))
+            row = k.at(self._told(k, watch, "zeros"), place)
+            blur = k.divide(k.multiply(k.number(2.0), noise), k.get(speed, SCALAR))
+            after = k.load(k.at(form, self.sign))
+            blur = k.intrinsic("fabs", blur)
+            words = k.convert("sitofp", f, SCALAR), k.add(begin, now), blur, after
+            for i, word in enumerate(words):
+                k.store(word, k.at(row, i))
+            state, states = scene.at(k, block, "to_q0"), k.at(row, len(ZERO))
+            k.each(self.count, lambda i: k.store(k.load(k.at(state, i)), k.at(states, i)))
+            self._tell(k, watch, "found", k.add(found, k.whole(1)))
         k.done()
 
     def _tell_where(self, k: Kernel, watch: Word, unsure: Word) -> None:
