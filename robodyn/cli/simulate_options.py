@@ -26,7 +26,6 @@ from robodyn.errors import InputError, at_place
 from robodyn.mechanics import actuation
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism, load
-from robodyn.mechanics.voltages import voltages
 from robodyn.pictures.column_units import scene_units
 from robodyn.scene.quantities import parse_vector
 from robodyn.simulation.settings import MAX_EVALUATIONS, Engine, Method, Settings, Stabilize
@@ -47,7 +46,7 @@ _GAIN = "JSON with coordinates, q, tau, gain, of state-feedback (- for stdin)."
 _MODEL = "Scene that the controller believes. Default: MODEL."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class TorqueOptions:
     """Where torque comes from."""
 
@@ -56,7 +55,7 @@ class TorqueOptions:
     volt: Text = option("Voltages of the motors of the actuated joints, V: as --tau.", "VOLTS")
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class ControlOptions:
     """What makes the torques track a reference."""
 
@@ -92,7 +91,7 @@ _SENSITIVITY = "Adds dq1/NAME.., dqd1/NAME..: derivatives by numbers of the scen
 _ENGINE = "Of the Taylor series; auto compiles runs of over a second."
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False, repr=False)
 class RunOptions:
     """How to start and to integrate."""
 
@@ -154,6 +153,8 @@ def torque_source(
     if options.tau is not None:
         return actuation.expressions(mechanism, options.tau, "--tau"), end
     if options.volt is not None:
+        from robodyn.mechanics.voltages import voltages
+
         return voltages(mechanism, options.volt, "--volt"), end
     if options.tau_from is None:
         return Actuation((0.0,) * mechanism.n), end

@@ -30,7 +30,7 @@ from robodyn.mechanics.planar_model import Mechanism
 from robodyn.mechanics.program import Coefficient, PlanarCoefficient, Program, Row, Slot
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False, repr=False)
 class State:
     """Where a series starts: directions E (n), rates w of x = J q, and the values of `Given`s.
 

@@ -16,8 +16,7 @@ from robodyn.engines.machine_motion import RUNNING, Loaded, Observer
 from robodyn.engines.machine_steps import Scene
 from robodyn.errors import InputError
 from robodyn.events.told import Found
-from robodyn.loops.closing import regular_rank
-from robodyn.loops.projection import loop_terms
+from robodyn.loops.closing import loop_terms, regular_rank
 from robodyn.mechanics.actuation import Actuation
 from robodyn.mechanics.mechanism import Mechanism
 from robodyn.mechanics.torque_rows import linear_piece
