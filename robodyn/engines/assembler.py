@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
+UNROLLED = 8  # passes of a loop that are written out
 WHOLE, SCALAR, ADDRESS, TRUTH = "i64", "double", "ptr", "i1"
 
 
@@ -305,6 +306,10 @@ class Kernel:
 
     def each(self, count: int, write: Callable[[Word], None]) -> None:
         """Write something for 0 .. count - 1."""
+        if count <= UNROLLED:
+            for i in range(count):
+                write(self.whole(i))
+            return
         with self.loop(self.whole(count)) as i:
             write(i)
 
